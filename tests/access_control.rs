@@ -1,5 +1,4 @@
-//! Doors of a real server: keys on its data folder, TLS, workers of another host, idle crowds, and a log that
-//! keeps secrets.
+//! Access control of a real server: API keys, TLS, workers on another host, idle connections, and secrets in logs.
 
 use std::fs;
 use std::io::{Read, Write};
@@ -14,21 +13,21 @@ use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
 use crate::jobs;
 use crate::support::{DEADLINE, Farm, eventually, finish, sdfarm, text};
 
-/// Idle connections in every run of the tests.
+/// Number of idle connections in every test run.
 const FEW_IDLE: u64 = 200;
-/// Idle connections in the long ones.
+/// Number of idle connections in long test runs.
 const IDLE: u64 = 2000;
-/// Idle connections where the system grants enough files.
+/// Number of idle connections if the system permits enough open files.
 const MANY_IDLE: u64 = 10_000;
 
-/// Runs `sdfarm key` on a folder.
+/// Runs `sdfarm key` on a data folder.
 fn key(data: &Path, arguments: &[&str]) -> Output {
     let mut command = sdfarm(&["key"]);
     command.args(arguments).arg("--data").arg(data);
     finish(command, b"")
 }
 
-/// Makes a key, and returns its secret.
+/// Creates a key, and returns its secret.
 fn new_key(data: &Path, name: &str, scope: &str) -> String {
     let made = key(data, &["new", name, "--scope", scope]);
     assert!(made.status.success(), "{}", text(&made.stderr));
@@ -39,19 +38,19 @@ fn bearer(key: &str) -> String {
     format!("Bearer {key}")
 }
 
-/// A worker of ours, killed at drop.
+/// Worker process that is killed on drop.
 struct Worker(Child);
 
 impl Drop for Worker {
     fn drop(&mut self) {
-        // Both fail only where it has ended already.
+        // Both fail only if the process has already exited.
         let _ = self.0.kill();
         let _ = self.0.wait();
     }
 }
 
 #[test]
-fn keys_are_made_listed_and_revoked_beside_a_running_server_whose_log_keeps_them_secret() {
+fn keys_work_on_a_running_server_and_are_never_logged() {
     let folder = tempfile::tempdir().expect("a folder");
     let data = folder.path().join("data");
     let admin = new_key(&data, "ops", "admin");
@@ -84,7 +83,7 @@ fn keys_are_made_listed_and_revoked_beside_a_running_server_whose_log_keeps_them
         (log.contains("anna") && log.contains("missing_key")).then_some(())
     });
     let log = farm.log();
-    assert!(log.contains("anna") && log.contains("DEBUG"), "the log tells what was done: {log}");
+    assert!(log.contains("anna") && log.contains("DEBUG"), "the log names the key and the requests: {log}");
     for secret in [&admin, &anna] {
         assert!(!log.contains(&secret[4..]), "a secret is in the log");
     }
@@ -93,7 +92,7 @@ fn keys_are_made_listed_and_revoked_beside_a_running_server_whose_log_keeps_them
 }
 
 #[test]
-fn wrong_keys_are_wrong_use() {
+fn invalid_key_arguments_are_usage_errors() {
     let folder = tempfile::tempdir().expect("a folder");
     for (arguments, word) in [
         (&["new", "a b", "--scope", "read"][..], "dots"),
@@ -112,7 +111,7 @@ fn wrong_keys_are_wrong_use() {
     assert!(text(&elsewhere.stderr).contains("--data"), "{}", text(&elsewhere.stderr));
 }
 
-/// Writes a certificate that vouches for itself; returns it and its key.
+/// Writes a self-signed certificate; returns the files of the certificate and its key.
 fn certificate(folder: &Path) -> (PathBuf, PathBuf) {
     let key = KeyPair::generate().expect("a key");
     let names = vec!["localhost".to_owned(), "127.0.0.1".to_owned()];
@@ -124,7 +123,7 @@ fn certificate(folder: &Path) -> (PathBuf, PathBuf) {
 }
 
 #[test]
-fn worker_of_another_host_renders_over_tls_with_its_key() {
+fn remote_worker_renders_over_tls_with_its_key() {
     let folder = tempfile::tempdir().expect("a folder");
     let (certificate, secret) = certificate(folder.path());
     let data = folder.path().join("data");
@@ -167,15 +166,15 @@ fn pool_renders_behind_tls_and_keys() {
     assert!(submitted.status.success(), "{}\n{}", text(&submitted.stderr), farm.log());
 }
 
-/// How many connections may be opened here, as many as the system grants.
+/// Number of connections that can be opened, after raising the limit of open files.
 fn granted() -> u64 {
     let limit = getrlimit(Resource::Nofile);
-    // A refusal leaves the limit as it is.
+    // If the system rejects the change, the limit stays as it was.
     let _ = setrlimit(Resource::Nofile, Rlimit { current: limit.maximum, maximum: limit.maximum });
     getrlimit(Resource::Nofile).current.unwrap_or(u64::MAX)
 }
 
-/// Connections that say nothing.
+/// Opens connections that send nothing.
 fn idle_crowd(address: &str, connections: u64) -> Vec<TcpStream> {
     eprintln!("{connections} idle connections");
     (0..connections).map(|_| TcpStream::connect(address).expect("the server takes every connection")).collect()
@@ -185,7 +184,7 @@ fn address(farm: &Farm) -> &str {
     farm.address.trim_start_matches("http://")
 }
 
-/// A job goes through a farm among so many idle connections.
+/// Asserts that a farm renders a job while this many connections are idle.
 fn assert_served_among(connections: u64) {
     let farm = Farm::start(&["--workers", "1", "--device", "cpu"]);
     let crowd = idle_crowd(address(&farm), connections);
@@ -197,32 +196,32 @@ fn assert_served_among(connections: u64) {
 }
 
 #[test]
-fn farm_goes_on_among_hundreds_of_idle_connections() {
+fn farm_serves_with_hundreds_of_idle_connections() {
     assert_served_among(FEW_IDLE);
 }
 
 #[test]
-#[ignore = "long: thousands of idle connections; some seconds"]
-fn farm_goes_on_among_thousands_of_idle_connections() {
+#[ignore = "long: thousands of idle connections; a few seconds"]
+fn farm_serves_with_thousands_of_idle_connections() {
     assert_served_among(if granted() >= MANY_IDLE + 2000 { MANY_IDLE } else { IDLE });
 }
 
 #[test]
-#[ignore = "long: as long as the server's patience with a head; half a minute"]
-fn client_that_sends_its_head_a_byte_at_a_time_is_sent_away() {
+#[ignore = "long: waits for the server's timeout of request headers; 30 s"]
+fn client_that_sends_headers_too_slowly_is_disconnected() {
     let farm = Farm::start(&["--workers", "0"]);
     let mut slow = TcpStream::connect(address(&farm)).expect("connects");
-    slow.set_read_timeout(Some(DEADLINE)).expect("a time to wait");
+    slow.set_read_timeout(Some(DEADLINE)).expect("a timeout");
     let head = b"GET /livez HTTP/1.1\r\nHost: localhost\r\nX-Slow: ".iter().chain(std::iter::repeat(&b'x'));
     for byte in head {
         if slow.write_all(&[*byte]).is_err() {
             break;
         }
-        // The client's pace: the server's patience ends by itself.
+        // The client sends one byte at a time until the server's timeout.
         std::thread::sleep(Duration::from_millis(250));
     }
     let mut answer = Vec::new();
-    // Reset or ended, it is over.
+    // The connection was reset or closed.
     let _ = slow.read_to_end(&mut answer);
     assert_eq!(farm.get("/livez").status, 200);
     assert!(farm.terminate().success());

@@ -1,4 +1,4 @@
-//! The HTTP API as users and scripts see it.
+//! Tests the HTTP API as users and scripts see it.
 
 use std::collections::HashSet;
 use std::fs;
@@ -8,7 +8,7 @@ use serde_json::Value;
 use crate::jobs;
 use crate::support::{Farm, eventually, finish, sdfarm, succeed, text};
 
-/// What `sdfarm render` makes of a job.
+/// Renders a job with `sdfarm render`.
 fn rendered_here(job: &Value, extension: &str) -> Vec<u8> {
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join(format!("picture.{extension}"));
@@ -19,7 +19,7 @@ fn rendered_here(job: &Value, extension: &str) -> Vec<u8> {
 }
 
 #[test]
-fn posted_scene_becomes_the_picture_that_render_makes() {
+fn posted_job_gives_the_picture_that_render_writes() {
     let farm = Farm::start(&["--workers", "1"]);
     let small = jobs::sized(&jobs::named("csg"), 96, 2);
     for (job, extension, kind) in
@@ -89,7 +89,7 @@ fn jobs_are_listed_newest_first_and_in_pages() {
 }
 
 #[test]
-fn queued_job_can_be_cancelled_once_and_then_deleted() {
+fn queued_job_can_be_cancelled_once_then_deleted() {
     let farm = Farm::start(&["--workers", "0"]);
     let id = farm.accept(&jobs::quick().to_string());
     let path = format!("/v1/jobs/{id}");
@@ -101,7 +101,7 @@ fn queued_job_can_be_cancelled_once_and_then_deleted() {
 }
 
 #[test]
-fn running_job_is_stopped_by_cancel_and_its_worker_takes_the_next() {
+fn cancel_stops_a_running_job_and_frees_its_worker() {
     let farm = Farm::start(&["--workers", "1"]);
     let id = farm.accept(&jobs::endless().to_string());
     let path = format!("/v1/jobs/{id}");
@@ -127,7 +127,7 @@ fn pool_grows_and_shrinks_while_it_serves() {
 }
 
 #[test]
-fn picture_asked_for_again_comes_from_the_store() {
+fn resubmitted_job_takes_its_picture_from_the_store() {
     let farm = Farm::start(&["--workers", "1"]);
     let job = jobs::quick().to_string();
     let first = farm.accept(&job);
@@ -137,8 +137,8 @@ fn picture_asked_for_again_comes_from_the_store() {
     farm.succeeded(&again);
     assert!(farm.picture(&first) == farm.picture(&again));
     let headers = [("content-type", "application/json"), ("cache-control", "no-cache")];
-    let anew = farm.send("POST", "/v1/jobs", &headers, job.into_bytes());
-    assert_eq!((anew.status, &anew.json()["state"]), (201, &Value::from("queued")));
+    let uncached = farm.send("POST", "/v1/jobs", &headers, job.into_bytes());
+    assert_eq!((uncached.status, &uncached.json()["state"]), (201, &Value::from("queued")));
 }
 
 #[test]
@@ -176,13 +176,13 @@ fn openapi_document_is_valid_and_names_every_route() {
     }
     let mut operations = HashSet::new();
     every_reference(&document, &mut |reference| {
-        let pointer = reference.strip_prefix('#').expect("nothing is referred to elsewhere");
+        let pointer = reference.strip_prefix('#').expect("references stay within the document");
         assert!(document.pointer(pointer).is_some(), "{reference} leads nowhere");
     });
     for methods in document["paths"].as_object().expect("paths").values() {
         for operation in methods.as_object().expect("methods").values().filter(|value| value.is_object()) {
             if let Some(id) = operation["operationId"].as_str() {
-                assert!(operations.insert(id.to_owned()), "{id} is said twice");
+                assert!(operations.insert(id.to_owned()), "{id} occurs twice");
             }
         }
     }
@@ -204,7 +204,7 @@ fn every_reference(value: &Value, visit: &mut impl FnMut(&str)) {
 }
 
 #[test]
-fn documentation_page_fetches_nothing_from_elsewhere() {
+fn documentation_page_fetches_nothing_from_other_hosts() {
     let farm = Farm::start(&["--workers", "0"]);
     let mut page = farm.get("/docs");
     if (300..400).contains(&page.status) {
@@ -227,7 +227,7 @@ fn served_schema_is_the_one_the_command_prints() {
 }
 
 #[test]
-fn health_is_reported_without_workers_and_with() {
+fn health_is_degraded_without_workers_and_ready_with_them() {
     let farm = Farm::start(&["--workers", "0"]);
     assert_eq!(farm.get("/livez").status, 200);
     let alone = farm.get("/readyz");
@@ -239,7 +239,7 @@ fn health_is_reported_without_workers_and_with() {
 }
 
 #[test]
-fn every_answer_carries_a_request_id() {
+fn every_response_has_a_request_id() {
     let farm = Farm::start(&["--workers", "0"]);
     let answer = farm.get("/livez");
     assert!(!answer.header("x-request-id").is_empty());
@@ -249,13 +249,13 @@ fn every_answer_carries_a_request_id() {
 }
 
 #[test]
-fn farm_keeps_its_jobs_and_pictures_over_a_restart() {
+fn jobs_and_pictures_survive_a_restart() {
     let folder = tempfile::tempdir().expect("a folder");
     let farm = Farm::start_on(folder.path(), &["--workers", "1"]);
     let id = farm.accept(&jobs::quick().to_string());
     farm.succeeded(&id);
     let picture = farm.picture(&id);
-    assert!(farm.terminate().success(), "an orderly end is a success");
+    assert!(farm.terminate().success(), "a graceful shutdown exits with 0");
     let farm = Farm::start_on(folder.path(), &["--workers", "0"]);
     assert!(farm.picture(&id) == picture);
 }

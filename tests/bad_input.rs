@@ -1,5 +1,5 @@
-//! Bad jobs, table-driven: each is refused over HTTP with its status, pointer, line, column
-//! and cure, and by `sdfarm check` with exit code 2; the server lives on.
+//! Tests invalid jobs from a table: each is rejected over HTTP with its status, pointer, line, column and fix, and by
+//! `sdfarm check` with exit code 2; the server keeps running.
 
 mod animation;
 mod language;
@@ -9,7 +9,7 @@ use serde_json::Value;
 use crate::jobs;
 use crate::support::{Farm, finish, sdfarm, text};
 
-/// Stands in a case's text where the fault should be told to be.
+/// Marks the expected position of the error in a case's text.
 const MARK: char = '¤';
 
 const SOUND: &str = r#"{
@@ -23,26 +23,26 @@ const SOUND: &str = r#"{
   "image": { "width": 32, "height": 32 }
 }"#;
 
-/// A bad job.
+/// Invalid job, and the expected error.
 struct Case {
     name: &'static str,
     text: Vec<u8>,
     status: u16,
-    /// Of the first fault; `None` where there need be no fault.
+    /// Position of the first error; `None` if none is expected.
     fault: Option<Place>,
-    /// Words of the message that name the cure or the limit.
+    /// Words of the message that name the fix or the limit.
     says: &'static str,
 }
 
 struct Place {
     pointer: String,
-    /// `None` where the place is nobody's promise.
+    /// Line and column; `None` if they are not guaranteed.
     at: Option<(u64, u64)>,
 }
 
-/// The sound job with one thing replaced; the mark says where the fault is.
+/// Replaces one part of the valid job; the mark is the position of the error.
 fn changed(name: &'static str, from: &str, to: &str, pointer: &str, says: &'static str) -> Case {
-    assert_eq!(SOUND.matches(from).count(), 1, "{name}: {from:?} must be in the sound job once");
+    assert_eq!(SOUND.matches(from).count(), 1, "{name}: {from:?} must be in the valid job once");
     written(name, &SOUND.replacen(from, to, 1), 422, pointer, says)
 }
 
@@ -61,7 +61,7 @@ fn written(name: &'static str, marked: &str, status: u16, pointer: &str, says: &
     }
 }
 
-/// The sound job with a node in the sphere's place.
+/// Replaces the sphere of the valid job with another node.
 fn with_shape(shape: &str) -> String {
     SOUND.replacen(r#"{ "sphere": { "radius": 1 } }"#, shape, 1)
 }
@@ -195,7 +195,7 @@ fn wrong_meaning() -> Vec<Case> {
 }
 
 fn not_json() -> Vec<Case> {
-    let cut = &SOUND[..SOUND.find("\"shape\"").expect("in the sound job")];
+    let cut = &SOUND[..SOUND.find("\"shape\"").expect("in the valid job")];
     let mut bytes = SOUND.as_bytes().to_vec();
     bytes[20] = 0xff;
     vec![
@@ -237,10 +237,10 @@ fn cases() -> Vec<Case> {
         .collect()
 }
 
-/// What is wrong with how a fault was told, if anything.
+/// Compares a reported error with the expected one; returns the difference, if any.
 fn misfit(case: &Case, pointer: &str, message: &str, line: u64, column: u64) -> Option<String> {
     let place = case.fault.as_ref()?;
-    // What is no JSON has no places but the whole; without a promised place the subtree will do.
+    // Invalid JSON has no pointer but the root; without a guaranteed position, the subtree is enough.
     let is_exact = place.at.is_some() || case.status == 400;
     if pointer != place.pointer && (is_exact || !pointer.starts_with(&place.pointer)) {
         return Some(format!("points at {pointer:?}, not {:?}", place.pointer));
@@ -255,9 +255,9 @@ fn misfit(case: &Case, pointer: &str, message: &str, line: u64, column: u64) -> 
 }
 
 #[test]
-fn bad_jobs_are_rejected_over_http_with_place_and_cure() {
+fn invalid_jobs_are_rejected_over_http_with_position_and_fix() {
     let farm = Farm::start(&["--workers", "0"]);
-    assert_eq!(farm.post(SOUND).status, 201, "the sound job is sound");
+    assert_eq!(farm.post(SOUND).status, 201, "the valid job is accepted");
     let mut wrong = Vec::new();
     for case in cases() {
         let answer = farm.send("POST", "/v1/jobs", &[("content-type", "application/json")], case.text.clone());
@@ -271,17 +271,17 @@ fn bad_jobs_are_rejected_over_http_with_place_and_cure() {
         let (line, column) = (fault["line"].as_u64(), fault["column"].as_u64());
         let misfit = match (pointer, message, line, column) {
             (Some(pointer), Some(message), Some(line), Some(column)) => misfit(&case, pointer, message, line, column),
-            _ => Some(format!("no whole fault: {problem}")),
+            _ => Some(format!("incomplete error: {problem}")),
         };
         wrong.extend(misfit.map(|misfit| format!("{}: {misfit}", case.name)));
     }
     assert!(wrong.is_empty(), "{} cases:\n{}", wrong.len(), wrong.join("\n"));
     assert_eq!(farm.get("/livez").status, 200);
-    assert_eq!(farm.get("/v1/jobs").json()["jobs"].as_array().map(Vec::len), Some(1), "only the sound job is there");
+    assert_eq!(farm.get("/v1/jobs").json()["jobs"].as_array().map(Vec::len), Some(1), "only the valid job exists");
 }
 
 #[test]
-fn bad_jobs_are_rejected_on_the_command_line_with_place_and_cure() {
+fn invalid_jobs_are_rejected_by_check_with_position_and_fix() {
     let mut wrong = Vec::new();
     for case in cases() {
         let output = finish(sdfarm(&["check", "-"]), &case.text);
@@ -300,12 +300,12 @@ fn bad_jobs_are_rejected_on_the_command_line_with_place_and_cure() {
     assert!(wrong.is_empty(), "{} cases:\n{}", wrong.len(), wrong.join("\n"));
 }
 
-/// The jobs of `several.txt` without their marks, each with what is told of it: a line for each fault.
+/// Jobs of `several.txt` without their marks, each with its expected errors, one per line.
 fn several() -> Vec<(String, Vec<(String, String)>)> {
     let text = include_str!("bad_input/several.txt");
     let cases = text.split("\n## ").skip(1).map(|case| {
         let (_, case) = case.split_once('\n').expect("a name");
-        let (job, told) = case.split_once("\n-- ").expect("what is told");
+        let (job, told) = case.split_once("\n-- ").expect("expected errors");
         let job = job.strip_prefix("OBJECTS\n").map_or_else(
             || job.to_owned(),
             |objects| SOUND.replacen(r#"{ "material": "clay", "shape": { "sphere": { "radius": 1 } } }"#, objects, 1),
@@ -317,7 +317,7 @@ fn several() -> Vec<(String, Vec<(String, String)>)> {
 }
 
 #[test]
-fn all_faults_of_a_job_are_reported_at_once() {
+fn all_errors_of_a_job_are_reported_together() {
     let farm = Farm::start(&["--workers", "0"]);
     let cases = several();
     assert!(cases.len() >= 20, "only {}", cases.len());
@@ -333,7 +333,7 @@ fn all_faults_of_a_job_are_reported_at_once() {
 }
 
 #[test]
-fn faults_and_size_are_data_too() {
+fn check_prints_errors_and_size_as_json() {
     let (job, told) = several().swap_remove(0);
     let output = finish(sdfarm(&["check", "--json", "-"]), job.as_bytes());
     let value: Value = serde_json::from_slice(&output.stdout).expect("JSON");
@@ -350,7 +350,7 @@ fn faults_and_size_are_data_too() {
 }
 
 #[test]
-fn every_fault_of_meaning_is_reported_at_once() {
+fn all_semantic_errors_are_reported_together() {
     let job = SOUND.replacen(r#""material": "clay""#, r#""material": "play""#, 1);
     let job = job.replacen(LOOK_AT, r#""look_at": [0, 0, 5]"#, 1);
     let output = finish(sdfarm(&["check", "-"]), job.as_bytes());
@@ -360,14 +360,14 @@ fn every_fault_of_meaning_is_reported_at_once() {
 }
 
 #[test]
-fn frame_beyond_the_end_is_rejected_with_those_there_are() {
+fn frame_beyond_the_end_is_rejected_with_the_valid_range() {
     let output = finish(sdfarm(&["render", "-", "--frame", "1", "--output", "-"]), SOUND.as_bytes());
     assert_eq!(output.status.code(), Some(2), "{}", text(&output.stderr));
     assert!(text(&output.stderr).contains("frames 0 to 0"), "{}", text(&output.stderr));
 }
 
 #[test]
-fn scene_that_is_legal_and_looks_wrong_is_accepted_with_a_warning() {
+fn suspicious_scene_is_accepted_with_a_warning() {
     let farm = Farm::start(&["--workers", "0"]);
     let inside = SOUND.replacen("[0, 0, 5]", "[0, 0, 0.5]", 1);
     let warns = |value: &Value| value["warnings"][0].as_str().is_some_and(|text| text.contains("inside object 0"));
@@ -381,7 +381,7 @@ fn scene_that_is_legal_and_looks_wrong_is_accepted_with_a_warning() {
 }
 
 #[test]
-fn body_over_the_limit_is_too_large() {
+fn body_over_the_limit_is_rejected() {
     let farm = Farm::start(&["--workers", "0"]);
     let padded = format!("{SOUND}{}", " ".repeat(9 << 20));
     let problem = farm.post(&padded).problem(413, "too_large");
@@ -392,7 +392,7 @@ fn body_over_the_limit_is_too_large() {
 }
 
 #[test]
-fn wrong_content_type_is_rejected_and_none_is_json() {
+fn wrong_content_type_is_rejected_and_missing_is_json() {
     let farm = Farm::start(&["--workers", "0"]);
     let send = |headers: &[(&str, &str)]| farm.send("POST", "/v1/jobs", headers, SOUND.as_bytes().to_vec());
     let problem = send(&[("content-type", "text/plain")]).problem(415, "wrong_content_type");
@@ -402,7 +402,7 @@ fn wrong_content_type_is_rejected_and_none_is_json() {
 }
 
 #[test]
-fn what_is_not_there_is_not_found() {
+fn unknown_resources_are_not_found() {
     let farm = Farm::start(&["--workers", "0"]);
     let unknown = "/v1/jobs/01890000-0000-7000-8000-000000000000";
     farm.get(unknown).problem(404, "unknown_job");
@@ -422,7 +422,7 @@ fn what_is_not_there_is_not_found() {
 }
 
 #[test]
-fn impossible_pools_are_rejected_with_the_range() {
+fn invalid_pool_sizes_are_rejected_with_the_range() {
     let farm = Farm::start(&["--workers", "0"]);
     for body in [r#"{"workers": -1}"#, r#"{"workers": 10000}"#, r#"{"workers": 257}"#, r#"{"workers": 1.5}"#, "{}", "7"]
     {
@@ -441,7 +441,7 @@ fn impossible_pools_are_rejected_with_the_range() {
 }
 
 #[test]
-fn foreign_host_is_rejected() {
+fn unknown_host_header_is_rejected() {
     let farm = Farm::start(&["--workers", "0"]);
     for host in ["evil.example", "evil.example:8080", "127.0.0.1.evil.example"] {
         let answer = farm.send("GET", "/v1/jobs", &[("host", host)], Vec::new());

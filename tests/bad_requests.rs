@@ -1,5 +1,5 @@
-//! Wrong requests of every route, table-driven, sent byte for byte as written: the whole answer of each is kept in
-//! `bad_requests/answers.txt` and compared; `SDFARM_WRITE_ANSWERS=1` writes it anew. The server lives on.
+//! Tests invalid requests to every route, sent byte by byte from a table. Each complete response is compared with
+//! `bad_requests/answers.txt`, which `SDFARM_WRITE_ANSWERS=1` rewrites. The server keeps running.
 
 mod bodies;
 mod http;
@@ -15,19 +15,19 @@ use crate::jobs;
 use crate::support::{Farm, root};
 use raw::{Request, exchange};
 
-/// So many wrong requests there must be.
+/// Minimum number of invalid requests.
 const LEAST: usize = 200;
 const WRITE: &str = "SDFARM_WRITE_ANSWERS";
 
-/// What the requests are about; `{job}` in a request stands for its id, and so on.
+/// Farm and resources that the requests name; `{job}` in a request is replaced with the job's id, and so on.
 struct Stage {
     farm: Farm,
-    /// Placeholders and what they stand for.
+    /// Placeholders and their values.
     names: Vec<(&'static str, String)>,
 }
 
 impl Stage {
-    /// A farm without workers of its own, with a job that waits, and one that a worker of ours has finished.
+    /// Starts a farm without pool workers, with a queued job, and a job that a simulated worker has finished.
     fn new() -> Self {
         let farm = Farm::start(&["--workers", "0", "--lease-seconds", "3600"]);
         let done = farm.accept(&jobs::quick().to_string());
@@ -71,12 +71,12 @@ impl Stage {
         Self { farm, names }
     }
 
-    /// The text with what its placeholders stand for.
+    /// Replaces the placeholders with their values.
     fn fill(&self, text: &str) -> String {
         self.names.iter().fold(text.to_owned(), |text, (name, value)| text.replace(name, value))
     }
 
-    /// The text with the placeholders back, and every other id hidden.
+    /// Replaces the values with their placeholders, and hides every other id.
     fn hide(&self, text: &str) -> String {
         let ids = self.names.iter().filter(|(_, value)| value.len() > 8);
         let text = ids.fold(text.to_owned(), |text, (name, value)| text.replace(value, name));
@@ -85,7 +85,7 @@ impl Stage {
     }
 }
 
-/// Whatever looks like a UUID is another one in each run.
+/// Hides UUIDs, which differ in each run.
 fn hide_ids(text: &str) -> String {
     const SHAPE: &str = "xxxxxxxx-xxxx-xxxx-xxxx-xxxxxxxxxxxx";
     let mut hidden = String::new();
@@ -103,19 +103,19 @@ fn hide_ids(text: &str) -> String {
     hidden
 }
 
-/// The table.
+/// All invalid requests.
 fn requests() -> Vec<Request> {
     [paths::requests(), bodies::requests(), http::requests(), workers::requests()].concat()
 }
 
 #[test]
-fn wrong_requests_are_answered_as_they_always_were() {
+fn invalid_requests_get_the_recorded_responses() {
     let stage = Stage::new();
     let requests = requests();
     assert!(requests.len() >= LEAST, "only {} requests", requests.len());
     let mut names: Vec<&str> = requests.iter().map(|request| request.name.as_str()).collect();
     names.sort_unstable();
-    assert!(names.windows(2).all(|pair| pair[0] != pair[1]), "a name is there twice");
+    assert!(names.windows(2).all(|pair| pair[0] != pair[1]), "a name occurs twice");
     let (mut answers, mut faults) = (String::new(), Vec::new());
     for request in &requests {
         let answer = exchange(&stage.farm.address, &request.bytes(|text| stage.fill(text)), request.stops);
@@ -126,7 +126,7 @@ fn wrong_requests_are_answered_as_they_always_were() {
     }
     assert!(faults.is_empty(), "{}", faults.join("\n"));
     assert_eq!(stage.farm.get("/livez").status, 200, "{}", stage.farm.log());
-    assert_eq!(stage.farm.get("/v1/jobs").json()["jobs"].as_array().map(Vec::len), Some(2), "nothing came of any");
+    assert_eq!(stage.farm.get("/v1/jobs").json()["jobs"].as_array().map(Vec::len), Some(2), "no request created a job");
     assert!(!stage.farm.log().contains("panicked"), "{}", stage.farm.log());
 
     let path = root().join("tests/bad_requests/answers.txt");
@@ -136,13 +136,13 @@ fn wrong_requests_are_answered_as_they_always_were() {
     let kept = std::fs::read_to_string(path).unwrap_or_default();
     let (kept, answers): (Vec<&str>, Vec<&str>) = (kept.split("## ").collect(), answers.split("## ").collect());
     for (want, got) in kept.iter().zip(&answers) {
-        assert_eq!(got, want, "an answer has changed: if that is meant, write it anew with {WRITE}=1");
+        assert_eq!(got, want, "a response has changed: if that is intended, rewrite it with {WRITE}=1");
     }
-    assert_eq!(kept.len(), answers.len(), "requests are new or gone: write the answers anew with {WRITE}=1");
+    assert_eq!(kept.len(), answers.len(), "requests were added or removed: rewrite the responses with {WRITE}=1");
 }
 
 #[test]
-fn every_route_with_an_id_refuses_what_is_none() {
+fn every_route_with_an_id_rejects_invalid_ids() {
     let stage = Stage::new();
     let document = stage.farm.get("/openapi.json").json();
     let mut asked = 0;
@@ -166,5 +166,5 @@ fn every_route_with_an_id_refuses_what_is_none() {
             }
         }
     }
-    assert!(asked >= 30, "only {asked} were asked");
+    assert!(asked >= 30, "only {asked} routes were tested");
 }

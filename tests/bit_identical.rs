@@ -1,8 +1,7 @@
-//! Same bits everywhere, the whole way: pictures as PNG and as float EXR with all layers, by `render` over SIMD levels
-//! and tile sizes, and by farms of several workers. A few scenes in every run of the tests, all of them in the long
-//! ones; `worker/tests/worker/bit_identical.rs` goes over all scenes in all ways without processes.
-//!
-//! Small by default; `SDFARM_FULL_SIZE=1` takes the jobs as they are shipped.
+//! Tests that pictures are bit-identical end to end: PNG and float EXR with all layers, by `render` at all SIMD levels
+//! and tile sizes, and by farms of several workers. A few scenes in every test run, all of them in long ones;
+//! `worker/tests/worker/bit_identical.rs` tests all scenes in all ways without processes.
+//! Pictures are small by default; `SDFARM_FULL_SIZE=1` renders the jobs at their shipped size.
 
 use std::fs;
 use std::process::{Child, Stdio};
@@ -17,12 +16,12 @@ use crate::support::{Farm, finish, sdfarm, succeed, text};
 
 const WIDTH_PX: u64 = 128;
 const SAMPLES: u64 = 2;
-/// Jobs that scalar code does not take long for.
+/// Jobs that scalar code renders quickly.
 const FEW: [&str; 3] = ["csg", "five-spheres", "paper/csg"];
-/// The one that is rendered in full in every run of the tests.
+/// Job that is rendered at full size in every test run.
 const QUICKEST: &str = "five-spheres";
 
-/// A job to compare, with the picture that scalar code makes of it in one piece.
+/// Job to compare, with the picture that scalar code renders in one tile.
 struct Specimen {
     name: String,
     extension: &'static str,
@@ -30,7 +29,7 @@ struct Specimen {
     want: Vec<u8>,
 }
 
-/// Renders with `render`; `Err` holds what it says.
+/// Renders with `render`; `Err` holds its standard error.
 fn render(job: &Value, extension: &str, flags: &[&str]) -> Result<Vec<u8>, String> {
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join(format!("picture.{extension}"));
@@ -57,19 +56,19 @@ fn specimens(mut jobs: Vec<(String, Value)>) -> Vec<Specimen> {
     specimens
 }
 
-/// Those that every run of the tests renders.
+/// Specimens of every test run.
 fn few() -> &'static [Specimen] {
     static SPECIMENS: OnceLock<Vec<Specimen>> = OnceLock::new();
     SPECIMENS.get_or_init(|| specimens(FEW.map(|name| (name.to_owned(), jobs::named(name))).to_vec()))
 }
 
-/// Every shipped job.
+/// Specimens of all shipped jobs.
 fn all() -> &'static [Specimen] {
     static SPECIMENS: OnceLock<Vec<Specimen>> = OnceLock::new();
     SPECIMENS.get_or_init(|| specimens(jobs::shipped()))
 }
 
-/// A few specimens come out the same with these flags of `render`.
+/// Asserts that a few specimens are bit-identical with these flags of `render`.
 fn assert_same(flags: &[&str]) {
     let mut wrong = Vec::new();
     for Specimen { name, extension, job, want } in few() {
@@ -82,7 +81,7 @@ fn assert_same(flags: &[&str]) {
     assert!(wrong.is_empty(), "{flags:?}:\n{}", wrong.join("\n"));
 }
 
-/// The same, at a SIMD level that this machine may lack.
+/// Asserts the same for a SIMD level, which this machine may lack.
 fn assert_same_at(level: &str) {
     match render(&jobs::quick(), "png", &["--simd", level]) {
         Ok(_) => assert_same(&["--simd", level]),
@@ -109,12 +108,12 @@ fn avx512_gives_the_bits_of_scalar_code() {
 }
 
 #[test]
-fn best_level_gives_the_bits_of_scalar_code_with_any_threads_and_tiles() {
+fn best_level_gives_scalar_bits_for_all_threads_and_tiles() {
     assert_same(&[]);
     assert_same(&["--threads", "3", "--tile", "32"]);
 }
 
-/// These specimens come out the same from a farm as it stands.
+/// Asserts that a farm renders these specimens bit-identically.
 fn assert_farm_same(farm: &Farm, specimens: &[Specimen]) {
     let headers = [("content-type", "application/json"), ("cache-control", "no-cache")];
     let post = |job: &Value| {
@@ -133,7 +132,7 @@ fn assert_farm_same(farm: &Farm, specimens: &[Specimen]) {
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));
 }
 
-/// Farms of one, two and three workers; the second and third also stitch, from small and from large tiles.
+/// Asserts it for farms of one, two, and three workers; the second and third also stitch small and large tiles.
 fn assert_farms_same(specimens: &[Specimen]) {
     let farm = Farm::start(&["--workers", "1"]);
     for workers in 1..=3 {
@@ -147,13 +146,13 @@ fn assert_farms_same(specimens: &[Specimen]) {
 }
 
 #[test]
-fn farms_make_what_render_makes_of_a_few_scenes() {
+fn farms_and_render_write_the_same_bytes_for_few_scenes() {
     assert_farms_same(few());
 }
 
 #[test]
-#[ignore = "long: every shipped scene by five farms; three minutes"]
-fn farms_make_what_render_makes_of_every_scene() {
+#[ignore = "long: every shipped scene by five farms; 3 min"]
+fn farms_and_render_write_the_same_bytes_for_every_scene() {
     assert_farms_same(all());
 }
 
@@ -165,7 +164,7 @@ fn workers_of_different_instruction_sets_share_a_frame() {
     assert_farm_same(&farm, few());
 }
 
-/// A worker that is no child of its server's.
+/// Worker process that is not a child of the server.
 struct Worker(Child);
 
 impl Worker {
@@ -178,7 +177,7 @@ impl Worker {
 
 impl Drop for Worker {
     fn drop(&mut self) {
-        // Both fail only where it has ended already.
+        // Both fail only if the process has already exited.
         let _ = self.0.kill();
         let _ = self.0.wait();
     }
@@ -202,13 +201,13 @@ fn assert_read_alike(specimens: &[Specimen]) {
 }
 
 #[test]
-fn two_readers_read_a_few_pictures_alike() {
+fn two_exr_readers_agree_on_a_few_pictures() {
     assert_read_alike(few());
 }
 
 #[test]
-#[ignore = "long: every shipped scene as an EXR, read by two readers; a minute"]
-fn two_readers_read_every_picture_alike() {
+#[ignore = "long: every shipped scene as an EXR, read by two readers; 60 s"]
+fn two_exr_readers_agree_on_every_picture() {
     assert_read_alike(all());
 }
 
@@ -218,13 +217,13 @@ fn assert_hash_is_kept(name: &str) {
 }
 
 #[test]
-fn a_shipped_scene_at_full_size_has_the_hash_that_is_kept() {
+fn full_size_scene_has_its_recorded_hash() {
     assert_hash_is_kept(QUICKEST);
 }
 
 #[test]
-#[ignore = "long: every shipped scene at full size; three minutes"]
-fn every_shipped_scene_at_full_size_has_the_hash_that_is_kept() {
+#[ignore = "long: every shipped scene at full size; 3 min"]
+fn every_full_size_scene_has_its_recorded_hash() {
     for (name, _) in jobs::shipped() {
         assert_hash_is_kept(&name);
     }
@@ -236,13 +235,13 @@ fn assert_levels_equal(names: &[&str]) {
 }
 
 #[test]
-fn selftest_finds_the_scalar_bits_at_every_level() {
+fn selftest_passes_at_every_level() {
     assert_levels_equal(&[]);
 }
 
 #[test]
-#[ignore = "long: every shipped scene at every level by selftest; two minutes"]
-fn selftest_finds_the_scalar_bits_of_every_scene_at_every_level() {
+#[ignore = "long: every shipped scene at every level by selftest; 2 min"]
+fn selftest_passes_for_every_scene_at_every_level() {
     let jobs = jobs::shipped();
     assert_levels_equal(&jobs.iter().map(|(name, _)| name.as_str()).collect::<Vec<_>>());
 }

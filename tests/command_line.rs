@@ -1,4 +1,4 @@
-//! The command line as its users meet it: what is printed where, what is written, exit codes.
+//! Tests the command line as users see it: output, files, and exit codes.
 
 use std::fs;
 use std::path::Path;
@@ -10,7 +10,7 @@ use serde_json::Value;
 use crate::jobs;
 use crate::support::{Farm, eventually, finish, run, sdfarm, send_signal, succeed, text, wait};
 
-/// A folder with `job.json` in it.
+/// Creates a folder that contains `job.json`.
 fn folder_with(job: &Value) -> tempfile::TempDir {
     let folder = tempfile::tempdir().expect("a folder");
     fs::write(folder.path().join("job.json"), job.to_string()).expect("written");
@@ -45,16 +45,16 @@ fn extension_decides_the_format_of_a_rendered_picture() {
         assert!(fs::read(folder.path().join(name)).expect("written").starts_with(magic));
         assert!(output.stdout.is_empty() && text(&output.stderr).contains("rendered in"));
     }
-    assert_eq!(names_in(folder.path()), ["a.exr", "a.png", "job.json"], "nothing else is left");
+    assert_eq!(names_in(folder.path()), ["a.exr", "a.png", "job.json"], "no other file is left");
     assert_misuse(&run_in(folder.path(), &["render", "job.json", "-o", "a.jpg"]), ".png or .exr");
     assert_misuse(&run_in(folder.path(), &["render", "job.json", "-o", "a.png", "--frame", "1"]), "no frame 1");
-    assert_misuse(&run_in(folder.path(), &["render", "job.json", "-o", "absent/a.png"]), "make it first");
+    assert_misuse(&run_in(folder.path(), &["render", "job.json", "-o", "absent/a.png"]), "create it first");
     assert_misuse(&run_in(folder.path(), &["render", "absent.json", "-o", "a.png"]), "absent.json");
     assert_misuse(&run_in(folder.path(), &["render", "job.json", "-o", "a.png", "--device", "gpu"]), "cuda:N");
 }
 
 #[test]
-fn layers_do_not_go_into_a_png() {
+fn layers_in_a_png_are_rejected() {
     let folder = folder_with(&jobs::as_exr(&jobs::quick()));
     assert_misuse(&run_in(folder.path(), &["render", "job.json", "-o", "a.png"]), "layers");
     assert_eq!(names_in(folder.path()), ["job.json"]);
@@ -71,7 +71,7 @@ fn dash_is_standard_input_and_standard_output() {
 }
 
 #[test]
-fn summary_of_a_render_is_json_where_asked_for() {
+fn render_prints_its_summary_as_json_with_the_flag() {
     let folder = folder_with(&jobs::quick());
     let output = run_in(folder.path(), &["render", "job.json", "-o", "a.png", "--json"]);
     let summary: Value = serde_json::from_slice(&output.stderr).expect("only JSON");
@@ -95,9 +95,9 @@ fn interrupted_render_leaves_no_file_and_keeps_the_old_one() {
 }
 
 #[test]
-fn check_tells_a_valid_job_from_a_bad_one() {
+fn check_accepts_a_valid_job_and_rejects_an_invalid_one() {
     let folder = folder_with(&jobs::quick());
-    assert!(succeed(&["check", folder.path().join("job.json").to_str().expect("plain")]).contains("sound"));
+    assert!(succeed(&["check", folder.path().join("job.json").to_str().expect("plain")]).contains(": valid"));
     fs::write(folder.path().join("bad.json"), "{\n  \"scene\": 7 }").expect("written");
     let bad = run_in(folder.path(), &["check", "bad.json"]);
     assert_misuse(&bad, "bad.json:2:");
@@ -112,7 +112,7 @@ fn shipped_jobs_are_valid() {
 }
 
 #[test]
-fn client_commands_take_a_job_from_hand_in_to_picture() {
+fn client_commands_submit_follow_and_fetch_a_job() {
     let farm = Farm::start(&["--workers", "1"]);
     let job = jobs::quick();
     let folder = folder_with(&job);
@@ -137,10 +137,10 @@ fn client_commands_take_a_job_from_hand_in_to_picture() {
     assert!(on_farm(&["jobs", "--state", "queued"]).contains(&queued[28..]));
     let again = on_farm(&["resubmit", "latest", "--no-cache", "--patch", r#"{"name": "again"}"#]);
     assert!(on_farm(&["cancel", "again"]).contains(&again[28..]));
-    // All ids begin alike within a minute: the candidates are listed.
+    // Ids created within a minute have the same first characters, so the candidates are listed.
     let several = run_in(folder.path(), &["cancel", &queued[..8], "--server", &farm.address]);
     assert_misuse(&several, &queued[28..]);
-    let none = run_in(folder.path(), &["cancel", "nobody", "--server", &farm.address]);
+    let none = run_in(folder.path(), &["cancel", "unknown", "--server", &farm.address]);
     assert_misuse(&none, "sdfarm jobs");
     assert!(on_farm(&["cancel", &queued]).contains("cancelled"));
     let watched = run_in(folder.path(), &["watch", &queued, "--server", &farm.address]);
@@ -153,7 +153,7 @@ fn client_commands_take_a_job_from_hand_in_to_picture() {
 }
 
 #[test]
-fn submitted_bad_job_is_reported_with_the_files_name() {
+fn errors_of_a_submitted_job_name_the_file() {
     let farm = Farm::start(&["--workers", "0"]);
     let mut job = jobs::quick();
     job["image"]["samples"] = Value::from(0);
@@ -164,7 +164,7 @@ fn submitted_bad_job_is_reported_with_the_files_name() {
 }
 
 #[test]
-fn flags_can_be_given_as_variables_and_flags_win() {
+fn variables_set_flags_and_flags_take_precedence() {
     let farm = Farm::start(&["--workers", "0"]);
     let mut command = sdfarm(&["pool"]);
     command.env("SDFARM_SERVER", &farm.address);
@@ -178,7 +178,7 @@ fn flags_can_be_given_as_variables_and_flags_win() {
 }
 
 #[test]
-fn wrong_use_is_exit_code_two_and_help_is_zero() {
+fn usage_errors_exit_with_2_and_help_with_0() {
     for arguments in [&["rendr"][..], &[], &["render"], &["pool", "x"], &["fetch", "x"], &["serve", "--simd", "mmx"]] {
         let output = run(arguments);
         assert_eq!(output.status.code(), Some(2), "{arguments:?}: {}", text(&output.stderr));
@@ -201,10 +201,10 @@ fn demo_leaves_a_picture_and_nothing_else() {
     let picture = fs::read(folder.path().join("csg.png")).expect("there");
     assert!(picture.starts_with(b"\x89PNG"));
 
-    fs::write(folder.path().join("csg.png"), "somebody's own").expect("written");
+    fs::write(folder.path().join("csg.png"), "the user's own").expect("written");
     assert!(run_in(folder.path(), &["demo", "--scene", "csg"]).status.success());
     assert_eq!(names_in(folder.path()), ["csg-2.png", "csg.png"]);
-    assert_eq!(fs::read(folder.path().join("csg.png")).expect("there"), b"somebody's own");
+    assert_eq!(fs::read(folder.path().join("csg.png")).expect("there"), b"the user's own");
     assert!(fs::read(folder.path().join("csg-2.png")).expect("there") == picture);
     assert_misuse(&run_in(folder.path(), &["demo", "--scene", "absent"]), "csg");
     assert!(succeed(&["demo", "--list"]).lines().any(|name| name == "csg"));
@@ -217,7 +217,7 @@ fn selftest_finds_every_level_equal() {
 }
 
 #[test]
-fn logs_are_json_where_asked_for() {
+fn logs_are_json_with_the_flag() {
     let farm = Farm::start(&["--workers", "0", "--log", "json"]);
     assert_eq!(farm.get("/v1/jobs").status, 200);
     let log = farm.log();
@@ -249,7 +249,7 @@ fn bench_measures_every_level_of_this_machine() {
 }
 
 #[test]
-fn bench_paper_sets_this_machine_beside_the_published_table() {
+fn bench_paper_prints_measured_and_published_rows() {
     let arguments = ["bench", "paper", "--device", "cpu", "--runs", "1", "--resolutions"];
     let folder = tempfile::tempdir().expect("a folder");
     let output = run_in(folder.path(), &[&arguments[..], &["16,32", "--json"]].concat());
@@ -257,16 +257,16 @@ fn bench_paper_sets_this_machine_beside_the_published_table() {
     assert!(output.status.success() && told.contains("GPU is skipped"), "{told}");
     let table: Value = serde_json::from_slice(&output.stdout).expect("JSON");
     let rows = table["rows"].as_array().expect("rows");
-    assert_eq!(rows.len(), 10, "two resolutions, five shapes of blocks each");
+    assert_eq!(rows.len(), 10, "two resolutions with five block dimensions each");
     for row in rows {
         let ratio = row["serial_ms"].as_f64().expect("ms") / row["simd_ms"].as_f64().expect("ms");
         assert!(ratio > 0.0 && (row["simd_speed_up"].as_f64().expect("ratio") / ratio - 1.0).abs() < 1e-9, "{row}");
-        assert!(row["gpu"].is_null() && row["published"].is_null(), "nobody published this size: {row}");
+        assert!(row["gpu"].is_null() && row["published"].is_null(), "this size was not published: {row}");
     }
     let output = run_in(folder.path(), &[&arguments[..], &["256", "--block", "8x8"]].concat());
     let table = text(&output.stdout);
     let rows: Vec<&str> = table.lines().filter(|line| line.starts_with("256² 8x8")).collect();
-    assert_eq!(rows.len(), 2, "what is measured, and what was published: {table}");
+    assert_eq!(rows.len(), 2, "a measured and a published row: {table}");
     assert!(rows[1].contains("1092") && rows[1].contains("4.40"), "{table}");
     assert_misuse(&run_in(folder.path(), &["bench", "paper", "--resolutions", "1"]), "16");
 }

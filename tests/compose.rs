@@ -1,5 +1,5 @@
-//! The commands at the head of docker/compose.yml, without an engine: what the containers would run is run here, in
-//! their order and with their variables.
+//! Tests the commands at the head of docker/compose.yml without a container engine: it runs the containers' commands
+//! directly, in the same order and with the same variables.
 
 use std::path::Path;
 use std::process::{Command, Stdio};
@@ -10,7 +10,7 @@ fn model() -> String {
     std::fs::read_to_string(root().join("docker/compose.yml")).expect("the compose file is there")
 }
 
-/// What the head runs in the server's container, in order.
+/// Commands that the head runs in the server's container, in order.
 fn commands(model: &str) -> Vec<Vec<String>> {
     let head = model.lines().take_while(|line| line.starts_with('#'));
     head.filter(|line| line.starts_with("#   docker compose"))
@@ -21,7 +21,7 @@ fn commands(model: &str) -> Vec<Vec<String>> {
 
 fn key(data: &Path, arguments: &[String]) -> String {
     let mut command = sdfarm(&[]);
-    // What docker/Dockerfile sets, with the volume in a folder of ours.
+    // The variables of docker/Dockerfile, with the volume in a temporary folder.
     command.args(arguments).env("SDFARM_DATA", data).env("SDFARM_LOG_FORMAT", "json");
     let output = finish(command, b"");
     assert!(output.status.success(), "{arguments:?}: {}", text(&output.stderr));
@@ -29,21 +29,21 @@ fn key(data: &Path, arguments: &[String]) -> String {
 }
 
 #[test]
-fn commands_of_the_compose_file_need_no_variable_that_a_later_one_makes() {
+fn first_compose_commands_need_no_later_variable() {
     let model = model();
-    // Compose fills in every variable of the file for every command, `build` too.
-    assert!(!model.contains(":?"), "a required variable keeps the first commands from running");
+    // Compose evaluates every variable of the file for every command, also for `build`.
+    assert!(!model.contains(":?"), "a required variable would make the first commands fail");
     let keys = commands(&model);
     assert!(keys.len() >= 2, "{keys:?}");
     assert!(keys[0].ends_with(&["--scope".to_owned(), "admin".to_owned()]), "the first key is an administrator's");
 }
 
 #[test]
-fn keys_of_the_compose_file_let_its_workers_in() {
+fn compose_keys_authorize_the_workers() {
     let folder = tempfile::tempdir().expect("a folder");
     let data = folder.path().join("data");
     let secrets: Vec<String> = commands(&model()).iter().map(|arguments| key(&data, arguments)).collect();
-    // The farm listens beyond loopback without --insecure, for it has keys.
+    // The farm listens beyond loopback without --insecure, because it has keys.
     let mut serve = sdfarm(&["serve"]);
     serve.envs([("SDFARM_WORKERS", "0"), ("SDFARM_HOST", "server"), ("SDFARM_DEVICE", "cpu")]);
     let farm = Farm::start_at("0.0.0.0:0", serve, folder.path(), &[]);
@@ -66,7 +66,7 @@ fn keys_of_the_compose_file_let_its_workers_in() {
         text(&finish(command, b"").stdout)
     };
     eventually("the worker is ready", || status().contains("\"state\": \"ready\"").then_some(()));
-    child.kill().expect("a child of ours");
+    child.kill().expect("a child process");
     wait(&mut child);
     let without = finish(worker(""), b"");
     let told = text(&without.stderr);

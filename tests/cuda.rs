@@ -1,7 +1,6 @@
-//! The way to a GPU and back, without one: the real binary with stand-ins for NVIDIA's driver and
-//! run-time compiler (`fake_cuda/`), and what it says where they are missing, old or broken.
-//!
-//! What is rendered there is the program that a GPU would get, so it must have the CPU's bytes.
+//! Tests the GPU code without a GPU: the real binary with stand-ins for NVIDIA's driver and run-time compiler
+//! (`fake_cuda/`), and its messages if they are missing, old, or broken.
+//! The stand-ins run the program that a GPU would run, so its pictures must be bit-identical to the CPU's.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -19,16 +18,16 @@ mod farm;
 
 const DRIVER: &str = "libcuda.so";
 const COMPILER: &str = "libnvrtc.so";
-/// The stand-ins' sources.
+/// Sources of the stand-ins.
 const SOURCES: [(&str, &str); 2] =
     [(DRIVER, include_str!("fake_cuda/driver.cpp")), (COMPILER, include_str!("fake_cuda/nvrtc.cpp"))];
 
-/// The folder of the stand-ins, each in a folder of its name; they are built once.
+/// Builds the stand-ins once; returns their folder, which has one folder for each, with its name.
 fn stand_ins() -> &'static Path {
     static FOLDER: OnceLock<PathBuf> = OnceLock::new();
     FOLDER.get_or_init(|| {
         let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("fake_cuda");
-        // There is none before the first time.
+        // It does not exist before the first run.
         let _ = fs::remove_dir_all(&folder);
         for (library, source) in SOURCES {
             fs::create_dir_all(folder.join(library)).expect("a folder");
@@ -46,7 +45,7 @@ fn stand_ins() -> &'static Path {
     })
 }
 
-/// A stand-in that lacks a function, as an older release would: its name is struck out of a copy.
+/// Copies a stand-in and erases a function's name, so that it lacks the function like an older release.
 fn without(function: &str, library: &str, folder: &Path) {
     let mut bytes = fs::read(stand_ins().join(library).join(library)).expect("it was built");
     let name = format!("\0{function}\0").into_bytes();
@@ -59,7 +58,7 @@ fn without(function: &str, library: &str, folder: &Path) {
     fs::write(folder.join(library), bytes).expect("written");
 }
 
-/// The functions that a stand-in has.
+/// Names of a stand-in's functions.
 fn functions(source: &str) -> impl Iterator<Item = &str> {
     source.lines().filter_map(|line| {
         let (kind, rest) = line.split_once(' ')?;
@@ -68,7 +67,7 @@ fn functions(source: &str) -> impl Iterator<Item = &str> {
     })
 }
 
-/// The program on a machine that has these libraries.
+/// Command of the program on a machine with these libraries.
 fn with(libraries: &[&Path], arguments: &[&str]) -> Command {
     let mut command = sdfarm(arguments);
     command.env("LD_LIBRARY_PATH", std::env::join_paths(libraries).expect("plain"));
@@ -79,23 +78,23 @@ fn with(libraries: &[&Path], arguments: &[&str]) -> Command {
     command
 }
 
-/// The program on a machine with a sound GPU.
+/// Command of the program on a machine with a working GPU.
 fn with_gpu(arguments: &[&str]) -> Command {
     with(&[&stand_ins().join(DRIVER), &stand_ins().join(COMPILER)], arguments)
 }
 
-/// The program on a machine with a GPU that plays a fault.
+/// Command of the program on a machine with a GPU that simulates a fault.
 fn with_fault(fault: &str, arguments: &[&str]) -> Command {
     let mut command = with_gpu(arguments);
     command.env("FAKE_CUDA", fault);
     command
 }
 
-/// Whether the real thing is installed here, whatever version its name has behind it.
+/// Whether the real library is installed, in any version.
 fn is_installed(library: &str) -> bool {
     let versions = (1..=20).map(|version| format!(".{version}"));
     std::iter::once(String::new()).chain(versions).any(|version| {
-        // The loader complains of a library that it can't find.
+        // The loader prints a message if it cannot find a library.
         let probe = Command::new("true")
             .env("LD_PRELOAD", format!("{library}{version}"))
             .env_remove("LD_LIBRARY_PATH")
@@ -104,14 +103,14 @@ fn is_installed(library: &str) -> bool {
     })
 }
 
-/// A job of 64 x 48 pixels, of a shipped scene.
+/// Shipped scene as a job of 64 x 48 pixels.
 fn small(name: &str) -> Value {
     let mut job = jobs::sized(&jobs::named(name), 64, 3);
     job["image"]["height"] = json!(48);
     job
 }
 
-/// A scene of many spheres.
+/// Job with this many nodes.
 fn of_nodes(spheres: usize) -> Value {
     let mut job = jobs::as_png(&small("csg"));
     let sphere = |number: usize| json!({ "translate": { "by": [number % 20, number / 20, 0], "child": { "sphere": { "radius": 0.3 } } } });
@@ -119,7 +118,7 @@ fn of_nodes(spheres: usize) -> Value {
     job
 }
 
-/// Renders a job, given as text, to a file of its format; the picture, or what was said instead.
+/// Renders a job, given as text, to a file of its format; returns the picture, or the message if it fails.
 fn render(mut command: Command, job: &Value) -> Result<Vec<u8>, String> {
     let extension = job["image"]["format"].as_str().unwrap_or("png");
     let folder = tempfile::tempdir().expect("a folder");
@@ -138,22 +137,22 @@ fn render_on_cpu(job: &Value) -> Vec<u8> {
     render(sdfarm(&["render", "-", "--device", "cpu"]), job).expect("a CPU renders it")
 }
 
-/// What the program said, which is never a panic.
+/// Returns the standard error of the program, which must not contain a panic.
 fn told(output: &Output) -> String {
     let told = text(&output.stderr);
     assert!(!told.contains("panicked"), "{told}");
     told
 }
 
-/// Asserts that a render fails and says these words.
-fn assert_refused(command: Command, job: &Value, says: &[&str]) {
+/// Asserts that a render fails with a message that contains these words.
+fn assert_fails(command: Command, job: &Value, says: &[&str]) {
     let told = render(command, job).expect_err("it can't be rendered");
     for words in says {
         assert!(told.contains(words), "{words:?} is not in: {told}");
     }
 }
 
-/// How often a stand-in did what it counts.
+/// Number of operations that a stand-in has counted.
 fn lines_in(count: &Path) -> usize {
     fs::read_to_string(count).map_or(0, |lines| lines.lines().count())
 }
@@ -161,7 +160,7 @@ fn lines_in(count: &Path) -> usize {
 const ON_GPU: [&str; 4] = ["render", "-", "--device", "cuda"];
 
 #[test]
-fn machine_without_a_driver_says_so_and_names_the_cure() {
+fn missing_driver_is_reported_with_the_fix() {
     if is_installed("libcuda.so") {
         return skip("no-driver", "this machine has a driver");
     }
@@ -183,11 +182,11 @@ fn machine_without_a_driver_says_so_and_names_the_cure() {
         assert!(told.contains("no NVIDIA driver") && told.contains("--device cpu"), "{arguments:?}: {told}");
         assert!(output.stdout.is_empty(), "{arguments:?}");
     }
-    assert!(!Path::new(data).exists(), "a farm that does not start leaves nothing");
+    assert!(!Path::new(data).exists(), "a farm that does not start creates no files");
 }
 
 #[test]
-fn auto_is_the_cpu_where_there_is_no_driver_and_says_nothing_of_it() {
+fn auto_uses_the_cpu_silently_without_a_driver() {
     if is_installed("libcuda.so") {
         return skip("no-driver", "this machine has a driver");
     }
@@ -216,7 +215,7 @@ fn each_cuda_error_has_a_message() {
         ("memory:1000", "cuda", &["out of memory for 393216 bytes"]),
     ];
     for (fault, device, says) in faults {
-        assert_refused(with_fault(fault, &["render", "-", "--device", device]), &jobs::quick(), says);
+        assert_fails(with_fault(fault, &["render", "-", "--device", device]), &jobs::quick(), says);
         let worker = finish(with_fault(fault, &["worker", "--server", "http://127.0.0.1:1", "--device", device]), b"");
         assert_eq!(worker.status.code(), Some(3), "{fault}: {}", told(&worker));
         assert!(told(&worker).contains(says[0]), "{fault}: {}", told(&worker));
@@ -224,7 +223,7 @@ fn each_cuda_error_has_a_message() {
 }
 
 #[test]
-fn library_that_lacks_any_function_is_too_old_and_no_panic() {
+fn library_that_lacks_a_function_is_reported_as_too_old() {
     let folder = tempfile::tempdir().expect("a folder");
     for (library, source) in SOURCES {
         let names: Vec<&str> = functions(source).collect();
@@ -232,23 +231,23 @@ fn library_that_lacks_any_function_is_too_old_and_no_panic() {
         for name in names {
             without(name, library, folder.path());
             let folders = [folder.path(), &stand_ins().join(DRIVER), &stand_ins().join(COMPILER)];
-            assert_refused(with(&folders, &ON_GPU), &jobs::quick(), &["is too old", &format!("lacks {name}; install")]);
+            assert_fails(with(&folders, &ON_GPU), &jobs::quick(), &["is too old", &format!("lacks {name}; install")]);
         }
         fs::remove_file(folder.path().join(library)).expect("written before");
     }
 }
 
 #[test]
-fn driver_without_the_compiler_says_so() {
+fn missing_compiler_is_reported() {
     if is_installed("libnvrtc.so") {
         return skip("no-nvrtc", "this machine has CUDA's run-time compiler");
     }
     let says = ["run-time compiler is missing", "cuda-nvrtc", "LD_LIBRARY_PATH"];
-    assert_refused(with(&[&stand_ins().join(DRIVER)], &ON_GPU), &jobs::quick(), &says);
+    assert_fails(with(&[&stand_ins().join(DRIVER)], &ON_GPU), &jobs::quick(), &says);
 }
 
 #[test]
-fn auto_goes_on_with_the_cpu_where_the_gpu_is_bad_and_says_why() {
+fn auto_uses_the_cpu_and_reports_a_bad_gpu() {
     let job = jobs::quick();
     let output = finish(with_fault("wrong_bits", &["render", "-", "-o", "-"]), job.to_string().as_bytes());
     assert!(output.status.success() && output.stdout == render_on_cpu(&job), "{}", told(&output));
@@ -260,7 +259,7 @@ fn auto_goes_on_with_the_cpu_where_the_gpu_is_bad_and_says_why() {
 }
 
 #[test]
-fn gpu_gives_the_cpus_bytes_with_any_blocks_and_any_tiles() {
+fn gpu_gives_cpu_bytes_for_all_blocks_and_tiles() {
     let pictures = [
         jobs::as_png(&small("csg")),
         jobs::as_exr(&small("csg")),
@@ -281,7 +280,7 @@ fn gpu_gives_the_cpus_bytes_with_any_blocks_and_any_tiles() {
 }
 
 #[test]
-fn compiled_program_is_kept_and_a_damaged_one_is_compiled_again() {
+fn compiled_program_is_cached_and_recompiled_if_damaged() {
     let folder = tempfile::tempdir().expect("a folder");
     let (cache, count) = (folder.path().join("cache"), folder.path().join("count"));
     let (job, moved) = (jobs::as_png(&small("csg")), {
@@ -300,7 +299,7 @@ fn compiled_program_is_kept_and_a_damaged_one_is_compiled_again() {
     assert_eq!(compiled(&job, "new"), 2, "the self-test's and the scene's");
     assert_eq!(kept().count(), 2);
     assert_eq!(compiled(&job, "kept"), 0);
-    assert_eq!(compiled(&moved, "of the same shape"), 0, "other numbers need no other program");
+    assert_eq!(compiled(&moved, "of the same shape"), 0, "other values need no other program");
     for path in kept() {
         let mut bytes = fs::read(&path).expect("readable");
         let middle = bytes.len() / 2;
@@ -312,7 +311,7 @@ fn compiled_program_is_kept_and_a_damaged_one_is_compiled_again() {
 }
 
 #[test]
-fn rejected_program_is_kept_for_whoever_looks_into_it() {
+fn rejected_program_is_saved_for_inspection() {
     let folder = tempfile::tempdir().expect("a folder");
     let cache = folder.path().to_str().expect("plain");
     let with_cache = |fault: &str| {
@@ -325,7 +324,7 @@ fn rejected_program_is_kept_for_whoever_looks_into_it() {
         let (path, _) = path.split_once(')').expect("its end");
         fs::read_to_string(path).expect("the program's text")
     };
-    // First the self-test's, then a scene's, with the self-test's kept from a good day.
+    // First the self-test's program is rejected, then a scene's, with the self-test's cached from a successful run.
     let told = render(with_cache("refuse"), &jobs::quick()).expect_err("it is refused");
     assert!(
         told.contains("--device cuda:0: the scene's kernel could not be compiled")
@@ -340,26 +339,26 @@ fn rejected_program_is_kept_for_whoever_looks_into_it() {
 }
 
 #[test]
-fn scene_that_is_too_large_for_a_gpu_is_reported_so() {
-    assert_refused(with_gpu(&ON_GPU), &of_nodes(251), &["has 503 nodes", "takes at most 500", "--device cpu"]);
+fn scene_too_large_for_a_gpu_is_rejected() {
+    assert_fails(with_gpu(&ON_GPU), &of_nodes(251), &["has 503 nodes", "takes at most 500", "--device cpu"]);
 }
 
 #[test]
 fn picture_that_exceeds_memory_is_rejected() {
     let job = jobs::as_png(&jobs::sized(&jobs::named("csg"), 640, 1));
-    assert_refused(with_fault("memory:2000000", &ON_GPU), &job, &["out of memory for 3686400 bytes", "--tile"]);
+    assert_fails(with_fault("memory:2000000", &ON_GPU), &job, &["out of memory for 3686400 bytes", "--tile"]);
 }
 
 #[test]
 fn smaller_tiles_fit_into_less_memory() {
     let job = jobs::as_png(&jobs::sized(&jobs::named("csg"), 640, 1));
     let got = render(with_fault("memory:2000000", &[&ON_GPU[..], &["--tile", "64"]].concat()), &job);
-    assert!(got.expect("the cure cures") == render_on_cpu(&job));
+    assert!(got.expect("smaller tiles fit") == render_on_cpu(&job));
 }
 
 #[test]
-fn interrupted_render_on_a_gpu_ends_between_two_launches() {
-    /// More than the self-test and finding the best blocks take.
+fn interrupted_gpu_render_stops_between_two_launches() {
+    /// More launches than the self-test and the search for the best blocks need.
     const LAUNCHES: usize = 100;
     let folder = tempfile::tempdir().expect("a folder");
     let count = folder.path().join("count");
@@ -373,7 +372,7 @@ fn interrupted_render_on_a_gpu_ends_between_two_launches() {
     let mut names: Vec<_> =
         fs::read_dir(folder.path()).expect("readable").map(|entry| entry.expect("readable").file_name()).collect();
     names.sort();
-    assert_eq!(names, ["count", "job.json"], "nothing else is left");
+    assert_eq!(names, ["count", "job.json"], "no other file is left");
 }
 
 #[test]
@@ -394,7 +393,7 @@ fn bench_measures_a_gpu() {
     assert!(report["evaluations"].as_u64().is_some_and(|evaluations| evaluations > 64 * 48 * 3), "{report}");
 }
 
-/// Stands in for Nsight Compute: tells of one launch in blocks of the shape that was asked for.
+/// Stand-in for Nsight Compute: it reports one launch with the requested block dimensions.
 const NCU: &str = r#"#!/bin/sh
 while [ $# -gt 0 ]; do
     case "$1" in --log-file) log=$2 ;; --block) block=$2 ;; esac
@@ -408,7 +407,7 @@ done
 
 #[cfg(unix)]
 #[test]
-fn bench_paper_measures_a_gpu_and_what_a_profiler_counts() {
+fn bench_paper_reports_a_gpu_and_profiler_counters() {
     use std::os::unix::fs::PermissionsExt;
 
     let folder = tempfile::tempdir().expect("a folder");
@@ -429,7 +428,7 @@ fn bench_paper_measures_a_gpu_and_what_a_profiler_counts() {
         (table["rows"].as_array().expect("rows").clone(), told(&output))
     };
     let (without, told) = rows("#!/bin/sh\nexit 9\n");
-    assert!(told.contains("ncu counted nothing") && told.matches("ncu").count() == 1, "asked once: {told}");
+    assert!(told.contains("ncu counted nothing") && told.matches("ncu").count() == 1, "run once: {told}");
     let (with, _) = rows(NCU);
     assert_eq!((with.len(), without.len()), (2, 2));
     for (with, without) in with.iter().zip(&without) {
@@ -437,7 +436,7 @@ fn bench_paper_measures_a_gpu_and_what_a_profiler_counts() {
         assert!(gpu["kernel_ms"].as_f64().is_some_and(|ms| ms > 0.0) && gpu["registers"] == json!(64), "{gpu}");
         assert_eq!(gpu["theoretical_occupancy_percent"], json!(50.0));
         assert_eq!((&gpu["achieved_occupancy_percent"], &gpu["active_lanes"]), (&json!(40.5), &json!(21.7)));
-        assert!(gpu["branch_efficiency_percent"].is_null(), "it was not told: {gpu}");
+        assert!(gpu["branch_efficiency_percent"].is_null(), "it was not reported: {gpu}");
         assert!(without["gpu"]["achieved_occupancy_percent"].is_null(), "{without}");
     }
 }

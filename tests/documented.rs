@@ -1,7 +1,5 @@
-//! The shell examples of docs/api.md, run as they are printed, one after another, against a farm of their own.
-//!
-//! One thing is replaced: the address of the farm. Every line of an example has to be named in the table below with
-//! what it prints.
+//! Runs the shell examples of docs/api.md as they are printed, in order, against a new farm.
+//! Only the address of the farm is replaced. The table below must contain every line of an example with its output.
 
 use std::path::Path;
 use std::process::Command;
@@ -12,12 +10,12 @@ use crate::jobs;
 use crate::skip::skip;
 use crate::support::{Farm, PROGRAM, clean, finish, root, text};
 
-/// How the page names the farm.
+/// Address of the farm on the page.
 const ADDRESS: &str = "http://127.0.0.1:8080";
-/// Stands between the outputs of two lines.
+/// Separates the outputs of two lines.
 const MARK: &str = "==== next line ====";
 
-/// What a line begins with, and what it prints.
+/// Start of each line, and a part of its output.
 const LINES: &[(&str, &[&str])] = &[
     ("farm=", &[]),
     ("curl -s --json @job.json -H 'Idempotency-Key: shot-12-take-3'", &["\"state\":\"", "\"frames\":{"]),
@@ -43,12 +41,12 @@ const LINES: &[(&str, &[&str])] = &[
     ("curl -s \"$farm/v1/jobs/$id/webhooks\"", &["\"deliveries\":["]),
 ];
 
-/// Files that the examples leave.
+/// Files that the examples write.
 const FILES: [&str; 5] = ["first.png", "quick.zip", "frames/quick.0000.png", "frames/quick.0001.png", "job.json"];
 
-/// The lines of the page's shell examples.
+/// Returns the lines of the page's shell examples.
 fn examples() -> Vec<String> {
-    let page = std::fs::read_to_string(root().join("docs/api.md")).expect("the page is there");
+    let page = std::fs::read_to_string(root().join("docs/api.md")).expect("the page exists");
     let mut lines = Vec::new();
     let mut is_shell = false;
     for line in page.lines() {
@@ -61,7 +59,7 @@ fn examples() -> Vec<String> {
     lines
 }
 
-/// A shell that finds the program under test as `sdfarm`, in a folder with `job.json`.
+/// Creates a shell that runs the program under test as `sdfarm`, in a folder with `job.json`.
 fn shell(folder: &Path) -> Command {
     let programs = folder.join("bin");
     std::fs::create_dir_all(&programs).expect("a folder");
@@ -74,7 +72,7 @@ fn shell(folder: &Path) -> Command {
 }
 
 #[test]
-fn the_examples_of_the_page_on_the_api_do_what_it_says() {
+fn examples_of_the_api_page_print_the_documented_output() {
     let curl = Command::new("curl").arg("--version").output().ok().map(|output| text(&output.stdout));
     let Some(minor) = curl.as_ref().and_then(|said| said.split(['.', ' ']).nth(2)?.parse::<u32>().ok()) else {
         return skip("curl", "curl is not installed; the examples of docs/api.md are not run");
@@ -90,7 +88,7 @@ fn the_examples_of_the_page_on_the_api_do_what_it_says() {
     std::fs::write(folder.path().join("job.json"), job.to_string()).expect("written");
 
     let lines = examples();
-    // A request that is refused ends the script, with the problem that it was told.
+    // A rejected request ends the script and prints the problem.
     let mut script = "set -eo pipefail\ncurl() { command curl --fail-with-body \"$@\"; }\n".to_owned();
     for line in &lines {
         script += &format!("{}\necho; echo '{MARK}'\n", line.replace(ADDRESS, &farm.address));
@@ -111,7 +109,7 @@ fn the_examples_of_the_page_on_the_api_do_what_it_says() {
         let (_, wanted) = LINES
             .iter()
             .find(|(start, _)| line.starts_with(start))
-            .unwrap_or_else(|| panic!("nothing is known of what this line of docs/api.md prints: {line}"));
+            .unwrap_or_else(|| panic!("the table has no output for this line of docs/api.md: {line}"));
         for wanted in *wanted {
             assert!(printed.contains(wanted), "{line}\nprints no {wanted}:\n{printed}");
         }

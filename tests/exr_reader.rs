@@ -1,5 +1,5 @@
-//! Reads EXR files with two readers that know nothing of each other: the exr crate, and the
-//! OpenEXR library through its Python package, where that is installed.
+//! Reads EXR files with two independent readers: the exr crate, and the OpenEXR library through its Python package,
+//! if that is installed.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -20,7 +20,7 @@ for name in sorted(part.channels):
     print(name, pixels.dtype, pixels.tobytes().hex())
 ";
 
-/// Checks the standard attributes, and that the matrix to the picture takes each pixel's position to that pixel's middle.
+/// Checks the standard attributes, and that the camera matrix maps each pixel's position to the pixel's center.
 const HEADER: &str = r#"
 import sys, numpy, OpenEXR
 part = OpenEXR.File(sys.argv[1], separate_channels=True).parts[0]
@@ -49,10 +49,10 @@ assert off < 0.02, f"a position is {off} pixels off"
 print(len(points))
 "#;
 
-/// Channels' raw values, by name.
+/// Raw values of each channel, by name.
 type Channels = BTreeMap<String, (&'static str, Vec<u8>)>;
 
-/// Checks that a float EXR of this job has the contract's channels, and that the readers agree.
+/// Asserts that a float EXR of this job has the documented channels, and that the readers agree.
 pub(crate) fn check(path: &Path, job: &Value) {
     let name = path.display();
     let ours = by_exr(path);
@@ -68,8 +68,8 @@ pub(crate) fn check(path: &Path, job: &Value) {
     }
 }
 
-/// Checks what a float EXR of this job says of its camera, and returns how many positions prove it; `None` without a
-/// reader.
+/// Checks the camera attributes of a float EXR of this job; returns the number of compared positions, or `None`
+/// without a reader.
 pub(crate) fn check_header(path: &Path, job: &Value) -> Option<usize> {
     let rate = job["frames"]["fps"].as_f64().unwrap_or(24.0).to_string();
     let projection = job["scene"]["camera"]["projection"].as_str().unwrap_or_default();

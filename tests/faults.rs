@@ -1,5 +1,5 @@
-//! What a machine can do to a server: a taken port or folder, a full disk, a damaged database.
-//! Each ends in exit code 1 or a problem, with the place and the cure, and never in a panic.
+//! Tests faults of the machine: a used port or folder, a full disk, a damaged database. Each gives exit code 1 or a
+//! problem that names the location and the fix, and never a panic.
 
 mod fail_points;
 mod network;
@@ -16,14 +16,14 @@ use crate::jobs;
 use crate::skip::skip;
 use crate::support::{Farm, PROGRAM, clean, eventually, finish, run, sdfarm, text};
 
-/// Tries to serve, which must fail with exit code 1; returns what it says.
+/// Tries to serve, which must fail with exit code 1; returns the message.
 fn cannot_serve(data: &Path, arguments: &[&str]) -> String {
     let mut command = sdfarm(&["serve", "--workers", "0", "--data"]);
     command.arg(data).args(arguments);
     failed(&finish(command, b""), 1)
 }
 
-/// What a failed command says: one line that names the fault, and no panic.
+/// Returns the standard error of a failed command, which must have a line with the error, and no panic.
 fn failed(output: &Output, code: i32) -> String {
     let told = text(&output.stderr);
     assert_eq!(output.status.code(), Some(code), "{told}");
@@ -33,7 +33,7 @@ fn failed(output: &Output, code: i32) -> String {
 }
 
 #[test]
-fn busy_port_is_named_with_the_cure() {
+fn used_port_is_reported_with_the_fix() {
     let holder = TcpListener::bind("127.0.0.1:0").expect("a free port");
     let address = holder.local_addr().expect("bound").to_string();
     let folder = tempfile::tempdir().expect("a folder");
@@ -51,7 +51,7 @@ fn data_folder_of_another_server_is_rejected() {
 }
 
 #[test]
-fn file_in_place_of_the_data_folder_is_rejected() {
+fn file_instead_of_a_data_folder_is_rejected() {
     let folder = tempfile::tempdir().expect("a folder");
     let data = folder.path().join("data");
     fs::write(&data, "no folder").expect("written");
@@ -66,14 +66,14 @@ fn read_only_data_folder_is_rejected() {
     let data = folder.path().join("data");
     fs::create_dir(&data).expect("made");
     let Some(_mounted) = Mount::new(&data, "ro") else {
-        return skip("mount", "a read-only folder needs a mount, which this user may not make");
+        return skip("mount", "a read-only folder needs a mount, which this user may not create");
     };
     let told = cannot_serve(&data, &["--listen", "127.0.0.1:0"]);
     assert!(told.contains("--data") && told.contains(data.to_str().expect("plain")), "{told}");
 }
 
 #[test]
-fn damaged_database_is_rejected_and_left_as_it_is() {
+fn damaged_database_is_rejected_and_unchanged() {
     let folder = tempfile::tempdir().expect("a folder");
     let farm = Farm::start_on(folder.path(), &["--workers", "0"]);
     farm.accept(&jobs::quick().to_string());
@@ -102,19 +102,19 @@ fn damaged_database_is_rejected_and_left_as_it_is() {
 }
 
 #[test]
-fn listening_beyond_loopback_is_rejected_unless_said() {
+fn listening_beyond_loopback_needs_keys_or_the_flag() {
     let folder = tempfile::tempdir().expect("a folder");
     let told = cannot_serve(&folder.path().join("data"), &["--listen", "0.0.0.0:0"]);
     assert!(told.contains("--insecure"), "{told}");
 }
 
 #[test]
-fn server_on_a_full_disk_answers_with_a_problem_and_recovers() {
+fn full_disk_gives_a_problem_and_the_server_recovers() {
     let folder = tempfile::tempdir().expect("a folder");
     let data = folder.path().join("data");
     fs::create_dir(&data).expect("made");
     let Some(_mounted) = Mount::new(&data, "size=4m") else {
-        return skip("mount", "a small disk needs a mount, which this user may not make");
+        return skip("mount", "a small disk needs a mount, which this user may not create");
     };
     let farm = Farm::start_on(folder.path(), &["--workers", "1"]);
     let ballast = data.join("ballast");
@@ -122,7 +122,7 @@ fn server_on_a_full_disk_answers_with_a_problem_and_recovers() {
     let refused = (0..1000u64)
         .map(|seed| farm.post(&jobs::seeded(&jobs::quick(), seed).to_string()))
         .find(|answer| answer.status != 201);
-    let refused = refused.expect("a full disk takes no thousand jobs");
+    let refused = refused.expect("a full disk rejects some of a thousand jobs");
     assert!((500..600).contains(&refused.status), "{} {}", refused.status, refused.text());
     assert_eq!(refused.header("content-type"), "application/problem+json");
     assert_eq!(farm.get("/livez").status, 200);
@@ -145,12 +145,12 @@ fn fill(path: &Path) {
 }
 
 #[test]
-fn picture_that_does_not_fit_is_not_left_half_written() {
+fn picture_that_does_not_fit_leaves_no_file() {
     let folder = tempfile::tempdir().expect("a folder");
     let job = folder.path().join("job.json");
     fs::write(&job, jobs::as_exr(&jobs::quick()).to_string()).expect("written");
     let picture = folder.path().join("picture.exr");
-    // Files of 4 KiB at most; with the signal ignored, a write beyond that is an error as on a full disk.
+    // Files are limited to 4 KiB; with the signal ignored, a write beyond that fails as on a full disk.
     let script = r#"trap '' XFSZ; ulimit -f 8; exec "$0" render "$1" -o "$2""#;
     let mut command = Command::new("sh");
     clean(&mut command).args(["-c", script, PROGRAM]).arg(&job).arg(&picture);
@@ -158,17 +158,17 @@ fn picture_that_does_not_fit_is_not_left_half_written() {
     assert!(told.contains(picture.to_str().expect("plain")), "{told}");
     let left: Vec<_> =
         fs::read_dir(folder.path()).expect("readable").flatten().map(|entry| entry.file_name()).collect();
-    assert_eq!(left, ["job.json"], "nothing but the job is left");
+    assert_eq!(left, ["job.json"], "only the job file is left");
 }
 
 #[test]
-fn absent_server_is_named_with_the_cure() {
+fn unreachable_server_is_reported_with_the_fix() {
     let free = TcpListener::bind("127.0.0.1:0").expect("a free port").local_addr().expect("bound");
     let told = failed(&run(&["jobs", "--server", &format!("http://{free}")]), 1);
     assert!(told.contains("sdfarm serve") && told.contains(&free.to_string()), "{told}");
 }
 
-/// A small or read-only file system, while it lives.
+/// Small or read-only file system that is unmounted on drop.
 struct Mount<'a>(&'a Path);
 
 impl<'a> Mount<'a> {
@@ -182,7 +182,7 @@ impl<'a> Mount<'a> {
 
 impl Drop for Mount<'_> {
     fn drop(&mut self) {
-        // Lazily: the server under test may still hold files there.
+        // Lazily, because the server under test may still have files open there.
         let _ = Command::new("umount").arg("-l").arg(self.0).output();
     }
 }

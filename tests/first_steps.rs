@@ -1,4 +1,4 @@
-//! A newcomer's first steps: the demo, a pause that shows, several frames saved, and messages that name the cure.
+//! Tests a new user's first steps: the demo, visible pauses, saving several frames, and messages with fixes.
 
 use std::fs;
 use std::path::Path;
@@ -15,7 +15,7 @@ fn run_in(folder: &Path, arguments: &[&str]) -> Output {
     finish(command, b"")
 }
 
-/// Runs a command that must succeed; returns what it printed, and what it remarked.
+/// Runs a command that must succeed; returns its standard output and its standard error.
 fn done(folder: &Path, arguments: &[&str]) -> (String, String) {
     let output = run_in(folder, arguments);
     assert!(output.status.success(), "{arguments:?}: {}", text(&output.stderr));
@@ -29,7 +29,7 @@ fn names_in(folder: &Path) -> Vec<String> {
     names
 }
 
-/// A folder with `job.json`, a job of so many frames, in it.
+/// Creates a folder with `job.json`, a job of `count` frames.
 fn folder_with_frames(count: u32) -> tempfile::TempDir {
     let folder = tempfile::tempdir().expect("a folder");
     let mut job = jobs::quick();
@@ -40,7 +40,7 @@ fn folder_with_frames(count: u32) -> tempfile::TempDir {
 }
 
 #[test]
-fn demo_says_where_the_picture_is_how_long_it_took_and_what_is_next() {
+fn demo_prints_the_path_the_time_and_the_next_steps() {
     let folder = tempfile::tempdir().expect("a folder");
     let (said, remarks) = done(folder.path(), &["demo", "--width", "32"]);
     let path = fs::canonicalize(folder.path()).expect("there").join("fjord.png");
@@ -55,7 +55,7 @@ fn demo_says_where_the_picture_is_how_long_it_took_and_what_is_next() {
 }
 
 #[test]
-fn pause_shows_wherever_a_user_looks() {
+fn pause_is_shown_by_every_command() {
     let farm = Farm::start(&["--workers", "0"]);
     let folder = folder_with_frames(1);
     let on_farm = |arguments: &[&str]| done(folder.path(), &[arguments, &["--server", &farm.address]].concat()).0;
@@ -75,7 +75,7 @@ fn pause_shows_wherever_a_user_looks() {
     assert!(remarks.contains("the farm is paused: `sdfarm resume`"), "{remarks}");
     let screen = on_farm(&["status"]);
     assert!(screen.contains("ready, paused") || screen.contains("degraded, paused"), "{screen}");
-    assert!(screen.contains("alert    the farm is paused: `sdfarm resume` lets it go on"), "{screen}");
+    assert!(screen.contains("alert    the farm is paused: `sdfarm resume` continues it"), "{screen}");
     let told: Value = serde_json::from_str(&on_farm(&["status", "--json"])).expect("JSON");
     assert_eq!(told["paused"], true);
     assert_eq!(
@@ -87,7 +87,7 @@ fn pause_shows_wherever_a_user_looks() {
 }
 
 #[test]
-fn frames_are_saved_in_a_folder_and_a_file_says_what_became_of_the_others() {
+fn folder_gets_all_frames_and_a_file_the_first() {
     let farm = Farm::start(&["--workers", "1"]);
     let folder = folder_with_frames(3);
     let on_farm = |arguments: &[&str]| done(folder.path(), &[arguments, &["--server", &farm.address]].concat());
@@ -120,12 +120,12 @@ fn frames_are_saved_in_a_folder_and_a_file_says_what_became_of_the_others() {
 }
 
 #[test]
-fn an_output_that_can_not_be_written_is_reported_before_anything_is_submitted() {
+fn unwritable_output_is_reported_before_submission() {
     let farm = Farm::start(&["--workers", "0"]);
     let folder = folder_with_frames(2);
     fs::write(folder.path().join("file"), "").expect("written");
     for (output, says) in
-        [("absent/a.png", "make it first"), ("file/", "could not make the folder"), ("a.jpg", ".png or .exr")]
+        [("absent/a.png", "create it first"), ("file/", "could not create the folder"), ("a.jpg", ".png or .exr")]
     {
         let refused = run_in(folder.path(), &["submit", "job.json", "--wait", "-o", output, "--server", &farm.address]);
         assert_eq!(refused.status.code(), Some(2), "{output}: {}", text(&refused.stderr));
@@ -135,14 +135,14 @@ fn an_output_that_can_not_be_written_is_reported_before_anything_is_submitted() 
 }
 
 #[test]
-fn messages_name_the_place_and_the_cure() {
+fn messages_name_the_location_and_the_fix() {
     let farm = Farm::start(&["--workers", "0"]);
     let folder = folder_with_frames(1);
     let absent = "01890a5d-ac96-774b-bcce-b302099a8057";
     let on_farm = ["--server", &farm.address];
     for (arguments, code, says) in [
-        (&["submit", "nowhere.json"][..], 2, &["nowhere.json", "name one that is there"][..]),
-        (&["check", "nowhere.json"], 2, &["nowhere.json", "name one that is there"]),
+        (&["submit", "nowhere.json"][..], 2, &["nowhere.json", "give an existing file"][..]),
+        (&["check", "nowhere.json"], 2, &["nowhere.json", "give an existing file"]),
         (&["submit", "job.json", "--server", "http://127.0.0.1:1"], 1, &["http://127.0.0.1:1", "`sdfarm serve`"]),
         (&["submit", "job.json", "--server", "nowhere"], 2, &["\"nowhere\"", "http://HOST:PORT"]),
         (&["watch", absent, on_farm[0], on_farm[1]], 1, &[absent, "`sdfarm jobs`"]),
@@ -161,14 +161,14 @@ fn messages_name_the_place_and_the_cure() {
         let told = text(&output.stderr);
         assert_eq!(output.status.code(), Some(code), "{arguments:?}: {told}");
         for word in says {
-            assert!(told.contains(word), "{arguments:?} does not say {word}: {told}");
+            assert!(told.contains(word), "{arguments:?} does not contain {word}: {told}");
         }
     }
-    assert_eq!(names_in(folder.path()), ["job.json", "new"], "nothing else is left; the key's folder was asked for");
+    assert_eq!(names_in(folder.path()), ["job.json", "new"], "only the requested key's folder is new");
 }
 
 #[test]
-fn one_thing_is_counted_in_the_singular() {
+fn count_of_one_is_singular() {
     let folder = folder_with_frames(1);
     let (said, _) = done(folder.path(), &["check", "job.json"]);
     assert!(said.contains(" 1 frame of ") && !said.contains("1 frames"), "{said}");

@@ -1,4 +1,4 @@
-//! The client commands beyond one picture: following over a killed server, whole animations, changing and deleting.
+//! Tests client commands: following a job across a server crash, saving animations, changing and deleting jobs.
 
 use std::fs;
 use std::io;
@@ -14,7 +14,7 @@ use crate::jobs;
 use crate::skip::skip;
 use crate::support::{Farm, eventually, finish, sdfarm, succeed, text};
 
-/// An address that stays while the server behind it comes and goes.
+/// Proxy with a fixed address for a server that is restarted.
 struct Door {
     address: String,
     behind: Arc<Mutex<Option<String>>>,
@@ -31,7 +31,7 @@ impl Door {
         std::thread::spawn(move || {
             for caller in listener.incoming().flatten() {
                 let address = target.lock().expect("no panic").clone();
-                // With nobody behind it, the caller is let go.
+                // Without a server, the connection is closed.
                 let Some(Ok(server)) = address.map(TcpStream::connect) else { continue };
                 count.fetch_add(1, Ordering::SeqCst);
                 pass_on(&caller, &server);
@@ -49,14 +49,14 @@ impl Door {
 fn pass_on(from: &TcpStream, to: &TcpStream) {
     let (mut from, mut to) = (from.try_clone().expect("a socket"), to.try_clone().expect("a socket"));
     std::thread::spawn(move || {
-        // However it ends, both sides are let go.
+        // Both sides are closed, with or without an error.
         let _ = io::copy(&mut from, &mut to);
         let _ = to.shutdown(std::net::Shutdown::Both);
     });
 }
 
 #[test]
-fn watch_goes_on_where_a_killed_server_was_and_ends_with_the_job() {
+fn watch_continues_after_a_server_crash() {
     let folder = tempfile::tempdir().expect("a folder");
     let door = Door::open();
     let first = Farm::start_on(folder.path(), &["--workers", "0"]);
@@ -67,7 +67,7 @@ fn watch_goes_on_where_a_killed_server_was_and_ends_with_the_job() {
         move || finish(sdfarm(&["watch", &id, "--server", &address]), b"")
     });
     eventually("somebody follows", || (door.callers.load(Ordering::SeqCst) > 0).then_some(()));
-    // Kills it on the spot.
+    // Kills the server immediately.
     drop(first);
     door.lead_to(None);
     let second = Farm::start_on(folder.path(), &["--workers", "1"]);
@@ -96,7 +96,7 @@ fn animation() -> Value {
 }
 
 #[test]
-fn all_frames_of_an_animation_are_saved_as_files_and_as_an_archive() {
+fn all_frames_are_saved_as_files_and_as_an_archive() {
     let farm = Farm::start(&["--workers", "1"]);
     let folder = tempfile::tempdir().expect("a folder");
     fs::write(folder.path().join("job.json"), animation().to_string()).expect("written");
@@ -112,16 +112,16 @@ fn all_frames_of_an_animation_are_saved_as_files_and_as_an_archive() {
             let told = text(&tested.stdout);
             assert!(tested.status.success() && told.contains("walk.0002.png"), "{told}");
         }
-        Err(_) => skip("unzip", "testing the archive with unzip, which is not there"),
+        Err(_) => skip("unzip", "unzip is not installed; the archive is not tested"),
     }
     let told = good(&on(&farm, folder.path(), &["delete", &id, "--dry-run"]));
-    assert!(told.starts_with("would remove 3 pictures"), "{told}");
+    assert!(told.starts_with("would delete 3 pictures"), "{told}");
     good(&on(&farm, folder.path(), &["delete", &id]));
     assert_eq!(farm.get(&format!("/v1/jobs/{id}")).status, 404);
 }
 
 #[test]
-fn a_job_is_moved_and_only_a_failed_one_retried() {
+fn priority_changes_and_only_failed_jobs_are_retried() {
     let farm = Farm::start(&["--workers", "0"]);
     let folder = tempfile::tempdir().expect("a folder");
     let id = farm.accept(&animation().to_string());
@@ -132,15 +132,15 @@ fn a_job_is_moved_and_only_a_failed_one_retried() {
     assert_eq!(on(&farm, folder.path(), &["priority", &id, "101"]).status.code(), Some(2));
     let early = on(&farm, folder.path(), &["fetch", &id, "-o", "frames.zip"]);
     assert_eq!(early.status.code(), Some(1));
-    assert!(!folder.path().join("frames.zip").exists(), "nothing half is left");
+    assert!(!folder.path().join("frames.zip").exists(), "no partial file is left");
 }
 
 #[test]
-fn the_secret_of_webhooks_is_shown_to_who_has_the_data_folder() {
+fn webhook_secret_is_printed_from_the_data_folder() {
     let folder = tempfile::tempdir().expect("a folder");
     let farm = Farm::start_on(folder.path(), &["--workers", "0"]);
     let data = folder.path().join("data");
     let secret = succeed(&["webhook", "secret", "--data", data.to_str().expect("plain")]);
     assert!(secret.starts_with("whsec_"), "{secret}");
-    assert!(!farm.log().contains(secret.trim()), "it is in no log");
+    assert!(!farm.log().contains(secret.trim()), "the secret is not in the log");
 }

@@ -1,9 +1,8 @@
-//! Fuzzing on a stable toolchain: sound inputs, spoilt by chance, go through every reader of what comes from outside,
-//! and through the writers and back. Nothing may panic, hang, or read back as something else.
-//!
-//! Each target is tried a few hundred times in every run of the tests, and for a minute in the long ones.
-//! `SDFARM_FUZZ_SECONDS` is how long, or `SDFARM_FUZZ_RUNS` how often, each target runs instead;
-//! `SDFARM_FUZZ_SEED` chooses what is tried. A finding prints its input in hex, for `regressions`.
+//! Fuzzing on a stable toolchain: randomly mutated valid inputs go through every parser of external data, and through
+//! the writers and back. Nothing may panic, hang, or read back as a different value.
+//! Each target runs a few hundred times in every test run, and for 60 s in long ones. `SDFARM_FUZZ_SECONDS` or
+//! `SDFARM_FUZZ_RUNS` sets the time or the number of runs for each target, and `SDFARM_FUZZ_SEED` the inputs. A finding
+//! prints its input in hex, for `regressions`.
 
 mod messages;
 mod mutate;
@@ -16,15 +15,15 @@ use std::time::{Duration, Instant};
 
 use mutate::SeededRng;
 
-/// No input is larger.
+/// Maximum size of an input.
 const MOST_BYTES: usize = 64 << 10;
 
-/// How long a target is tried, unless a variable says otherwise.
+/// Default effort for a target.
 #[derive(Clone, Copy, Debug)]
 enum Effort {
-    /// So many inputs, always the same.
+    /// This number of inputs, the same in every run.
     Runs(u64),
-    /// A minute.
+    /// 60 s.
     Long,
 }
 
@@ -32,7 +31,7 @@ fn number(name: &str) -> Option<u64> {
     std::env::var(name).ok()?.parse().ok()
 }
 
-/// Tries a target with inputs made of a corpus until the time is over, or the runs are done.
+/// Runs a target with inputs mutated from a corpus, for the given time or number of runs.
 fn fuzz(target: &str, effort: Effort, corpus: &[Vec<u8>], mut run: impl FnMut(&[u8])) {
     let seed = number("SDFARM_FUZZ_SEED").unwrap_or(1);
     let (runs, time) = match (number("SDFARM_FUZZ_RUNS"), number("SDFARM_FUZZ_SECONDS"), effort) {

@@ -1,4 +1,4 @@
-//! Job files for the tests: the shipped ones, and small ones made of them.
+//! Job files for the tests: the shipped ones, and small ones derived from them.
 
 use std::path::Path;
 use std::{fs, io};
@@ -7,10 +7,10 @@ use serde_json::{Value, json};
 
 use crate::support::root;
 
-/// Every layer an EXR may have.
+/// All layers of an EXR.
 pub(crate) const LAYERS: [&str; 6] = ["depth", "normal", "position", "albedo", "object", "steps"];
 
-/// Every job file in scenes/, by its path without `.json`.
+/// All job files in scenes/, by their paths without `.json`.
 pub(crate) fn shipped() -> Vec<(String, Value)> {
     let mut jobs = Vec::new();
     collect(&root().join("scenes"), "", &mut jobs).expect("scenes/ is readable");
@@ -35,13 +35,13 @@ fn collect(folder: &Path, prefix: &str, jobs: &mut Vec<(String, Value)>) -> io::
     Ok(())
 }
 
-/// A shipped job.
+/// Reads a shipped job.
 pub(crate) fn named(name: &str) -> Value {
     let text = fs::read(root().join(format!("scenes/{name}.json"))).expect("a shipped job");
     serde_json::from_slice(&text).expect("a shipped job is JSON")
 }
 
-/// The job at another size, of the same shape.
+/// Scales the job to another width with the same aspect ratio.
 pub(crate) fn sized(job: &Value, width: u64, samples: u64) -> Value {
     let mut job = job.clone();
     let image = &mut job["image"];
@@ -52,7 +52,7 @@ pub(crate) fn sized(job: &Value, width: u64, samples: u64) -> Value {
     job
 }
 
-/// The job as a PNG.
+/// Sets the job's format to PNG.
 pub(crate) fn as_png(job: &Value) -> Value {
     let mut job = job.clone();
     let image = job["image"].as_object_mut().expect("a job has an image");
@@ -63,7 +63,7 @@ pub(crate) fn as_png(job: &Value) -> Value {
     job
 }
 
-/// The job as a float EXR with every layer.
+/// Sets the job's format to float EXR with all layers.
 pub(crate) fn as_exr(job: &Value) -> Value {
     let mut job = job.clone();
     let image = job["image"].as_object_mut().expect("a job has an image");
@@ -76,24 +76,24 @@ pub(crate) fn as_exr(job: &Value) -> Value {
     job
 }
 
-/// The job with another seed: other bytes, the same work.
+/// Sets another seed: the pictures differ, the work is the same.
 pub(crate) fn seeded(job: &Value, seed: u64) -> Value {
     let mut job = job.clone();
     job["image"]["seed"] = json!(seed);
     job
 }
 
-/// A job that takes a moment.
+/// Job that renders quickly.
 pub(crate) fn quick() -> Value {
     as_png(&sized(&named("csg"), 96, 2))
 }
 
-/// A job of more rays than a worker whose speed is not known is given at once, 4 Mi: its frames are stitched.
+/// Job with more than 4 Mi rays, the most in one batch of a worker of unknown speed: its frames are stitched.
 pub(crate) fn many_rays() -> Value {
     as_png(&sized(&named("csg"), 288, 100))
 }
 
-/// A job that no machine finishes within a test.
+/// Job that no machine finishes during a test.
 pub(crate) fn endless() -> Value {
     as_png(&sized(&named("mandelbulb"), 3840, 1024))
 }

@@ -1,42 +1,43 @@
-//! `kill -9` of workers and of the server, at random instants and at named points: nothing is lost, and every
-//! picture has the bytes of an undisturbed render.
+//! Kills workers and the server with `kill -9` at random instants and at fail points: nothing is lost, and every
+//! picture
+//! is identical to an undisturbed render.
 
 use rustix::process::Signal;
 
 use crate::jobs;
 use crate::support::{Farm, eventually, finish, rendered_here, sdfarm, send_signal, text};
 
-/// Kills so many workers and servers of a working farm, and looks at everything after each.
+/// Asserts that a soak with these numbers of kills finds no violation.
 fn assert_soaked(worker_kills: &str, server_kills: &str) {
     let kills = ["--worker-kills", worker_kills, "--server-kills", server_kills];
     let output = finish(sdfarm(&[&["soak", "--kill", "--workers", "3"][..], &kills].concat()), b"");
     let (table, told) = (text(&output.stdout), text(&output.stderr));
     assert!(output.status.success(), "{table}\n{told}");
     eprintln!("{table}");
-    for row in ["workers killed", "server killed", "breaches"] {
+    for row in ["workers killed", "server killed", "violations"] {
         assert!(table.lines().any(|line| line.starts_with(row)), "{table}");
     }
 }
 
 #[test]
-fn soaked_farm_keeps_its_word_over_a_few_kills() {
+fn soak_with_a_few_kills_finds_no_violation() {
     assert_soaked("6", "3");
 }
 
 #[test]
-#[ignore = "long: 100 kills of workers and 30 of servers; two minutes"]
+#[ignore = "long: 100 kills of workers and 30 of servers; 2 min"]
 fn soak_with_130_kills_finds_no_violation() {
     assert_soaked("100", "30");
 }
 
 #[test]
-fn soak_that_contradicts_itself_is_rejected() {
+fn soak_with_contradictory_flags_is_rejected() {
     let output = finish(sdfarm(&["soak", "--minutes", "1", "--workers", "1", "--worker-kills", "1"]), b"");
     assert_eq!(output.status.code(), Some(2), "{}", text(&output.stderr));
 }
 
 #[test]
-fn terminated_worker_hands_back_and_the_job_goes_on() {
+fn terminated_worker_releases_its_tiles_and_the_job_finishes() {
     let farm = Farm::start(&["--workers", "2", "--tile", "64", "--lease-seconds", "3600"]);
     farm.ready(2);
     let job = jobs::seeded(&jobs::as_png(&jobs::sized(&jobs::named("mandelbulb"), 640, 96)), 3000);

@@ -1,6 +1,5 @@
 //! Process-level tests: the real binary, over HTTP and on the command line.
-//!
-//! They see only what a user sees; what is inside is tested beside the code.
+//! They use only what users can use; internals are tested next to the code.
 
 mod access_control;
 mod api;

@@ -1,4 +1,4 @@
-//! Operating a farm: copies of it, farms from copies, the doctor; and the papers and files that operators get.
+//! Tests the operation of a farm: backups, restores, the doctor, traces, and the files shipped for operators.
 
 mod backup;
 mod shipped_files;

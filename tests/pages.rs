@@ -1,4 +1,4 @@
-//! The pages of the project: every table is whole, and every link leads to something that is there.
+//! Tests the project's pages: every table is complete, and every link has a target.
 
 use std::collections::BTreeSet;
 use std::fs;
@@ -6,10 +6,10 @@ use std::path::{Path, PathBuf};
 
 use crate::support::root;
 
-/// Folders that hold no pages of the project.
+/// Folders without pages of the project.
 const SKIPPED: [&str; 2] = ["target", "sdfarm-data"];
 
-/// Every page, with its path from the root.
+/// All pages, with their paths from the root.
 fn pages() -> Vec<(PathBuf, String)> {
     let mut found = Vec::new();
     let mut folders = vec![root().to_owned()];
@@ -28,7 +28,7 @@ fn pages() -> Vec<(PathBuf, String)> {
     found
 }
 
-/// The lines of a page that are no code, with their numbers.
+/// Lines of a page outside code blocks, with their numbers.
 fn prose(page: &str) -> impl Iterator<Item = (usize, &str)> {
     let mut is_code = false;
     page.lines().enumerate().filter_map(move |(index, line)| {
@@ -40,12 +40,12 @@ fn prose(page: &str) -> impl Iterator<Item = (usize, &str)> {
     })
 }
 
-/// The cells of a row. A pipe that is no border is written `\|`, in code too.
+/// Cells of a row. A pipe that is not a border is written `\|`, also in code.
 fn cells(row: &str) -> usize {
     row.trim().replace("\\|", "").matches('|').count().saturating_sub(1)
 }
 
-/// What is wrong with the tables of a page.
+/// Errors in the tables of a page.
 fn faults_of_tables(page: &str) -> Vec<String> {
     let mut faults = Vec::new();
     let mut header: Option<(usize, usize)> = None;
@@ -71,7 +71,7 @@ fn faults_of_tables(page: &str) -> Vec<String> {
     faults
 }
 
-/// The targets of a page's links and pictures that are not on another host.
+/// Targets of a page's links and pictures, except those on other hosts.
 fn links(page: &str) -> Vec<(usize, String)> {
     let mut found = Vec::new();
     for (number, line) in prose(page) {
@@ -85,7 +85,7 @@ fn links(page: &str) -> Vec<(usize, String)> {
     found
 }
 
-/// The names by which a page's headings can be linked to.
+/// Anchors of a page's headings.
 fn anchors(page: &str) -> BTreeSet<String> {
     prose(page)
         .filter_map(|(_, line)| line.strip_prefix('#'))
@@ -98,7 +98,7 @@ fn anchors(page: &str) -> BTreeSet<String> {
 }
 
 #[test]
-fn every_row_of_every_table_has_the_cells_of_its_header() {
+fn every_table_row_has_as_many_cells_as_its_header() {
     let faults: Vec<String> = pages()
         .into_iter()
         .flat_map(|(path, page)| {
@@ -109,7 +109,7 @@ fn every_row_of_every_table_has_the_cells_of_its_header() {
 }
 
 #[test]
-fn every_link_within_the_project_leads_somewhere() {
+fn every_link_within_the_project_has_a_target() {
     let mut lost = Vec::new();
     for (path, page) in pages() {
         let folder = path.parent().unwrap_or(Path::new(""));
@@ -122,11 +122,11 @@ fn every_link_within_the_project_leads_somewhere() {
             }
         }
     }
-    assert!(lost.is_empty(), "these lead nowhere:\n{}", lost.join("\n"));
+    assert!(lost.is_empty(), "links without a target:\n{}", lost.join("\n"));
 }
 
 #[test]
-fn broken_tables_and_lost_links_are_found() {
+fn broken_tables_and_links_are_found() {
     let table = "| a | b |\n|---|---|\n| 1 | 2 |\n| 1 |\n| 1 | 2\n3 |\n\n```text\n| x |\n| y | z |\n```\n| `p\\|q` | 2 |\n|---|---|\n";
     let faults = faults_of_tables(table);
     assert_eq!(faults.len(), 3, "{faults:?}");
@@ -137,7 +137,7 @@ fn broken_tables_and_lost_links_are_found() {
 }
 
 #[test]
-fn operations_names_every_flag_of_the_server_and_no_other() {
+fn operations_page_lists_exactly_the_flags_of_serve() {
     let page = fs::read_to_string(root().join("docs/operations.md")).expect("there");
     let help = crate::support::succeed(&["serve", "--help"]);
     let table: String = page

@@ -1,4 +1,4 @@
-//! Pictures against an independent tracer in double precision, written in Python: `tracer.py`.
+//! Compares pictures with an independent tracer in double precision, written in Python: `tracer.py`.
 
 use std::fs;
 use std::process::Command;
@@ -7,7 +7,7 @@ use serde_json::Value;
 
 use crate::support::{root, succeed, text};
 
-/// The job of a shipped scene as a small EXR with depth and normals, one sample a pixel.
+/// Job of a shipped scene as a small EXR with depth and normals, one sample per pixel.
 fn small(name: &str) -> Value {
     let path = root().join("scenes").join(format!("{name}.json"));
     let mut job: Value = serde_json::from_slice(&fs::read(path).expect("a scene")).expect("JSON");
@@ -16,7 +16,7 @@ fn small(name: &str) -> Value {
     job
 }
 
-/// What the tracer says of a job's picture; `None` where Python lacks what it needs.
+/// Runs the tracer on a job's picture; `None` if Python lacks a package.
 fn traced(job: &Value) -> Option<Value> {
     let folder = tempfile::tempdir().expect("a folder");
     let (file, picture) = (folder.path().join("job.json"), folder.path().join("picture.exr"));
@@ -33,7 +33,7 @@ fn traced(job: &Value) -> Option<Value> {
 }
 
 #[test]
-fn depth_and_normals_are_those_of_an_independent_tracer() {
+fn depth_and_normals_agree_with_an_independent_tracer() {
     for (name, depth, normals) in [("csg", 0.999, 0.995), ("five-spheres", 0.999, 0.999), ("mandelbulb", 0.99, 0.0)] {
         let Some(answer) = traced(&small(name)) else {
             eprintln!("skipped: no Python with numpy and OpenEXR to trace {name}");

@@ -1,4 +1,4 @@
-//! Previews, thumbnails, estimates and links of a real farm: children that draw, pictures that are looked into.
+//! Tests previews, thumbnails, estimates, and links on a real farm, by the pixels of the pictures.
 
 use std::time::Instant;
 
@@ -6,7 +6,7 @@ use serde_json::{Value, json};
 
 use crate::support::{Farm, eventually, run, succeed, text};
 
-/// A ball before a gradient sky, left of the middle, so that a picture has an orientation.
+/// Job of a ball in front of a gradient sky, off center, so that a flipped picture is detected.
 fn ball(width: u32, height: u32, samples: u32) -> Value {
     json!({
         "name": "ball",
@@ -22,7 +22,7 @@ fn ball(width: u32, height: u32, samples: u32) -> Value {
     })
 }
 
-/// 8-bit RGB, row by row from the top, and the width.
+/// Decodes a PNG to 8-bit RGB, row by row from the top; returns it with the width.
 fn pixels(png: &[u8]) -> (Vec<[u8; 3]>, usize) {
     let mut reader = png::Decoder::new(std::io::Cursor::new(png)).read_info().expect("a PNG");
     let mut bytes = vec![0; reader.output_buffer_size().expect("a size")];
@@ -38,7 +38,7 @@ fn preview(farm: &Farm, id: &str, query: &str) -> Vec<u8> {
     answer.body
 }
 
-/// Largest difference of a channel, and the mean, of two pictures of one size.
+/// Maximum and mean difference of the channels of two pictures of the same size.
 fn difference(left: &[[u8; 3]], right: &[[u8; 3]]) -> (u8, f64) {
     assert_eq!(left.len(), right.len());
     let each: Vec<u8> = left.as_flattened().iter().zip(right.as_flattened()).map(|(a, b)| a.abs_diff(*b)).collect();
@@ -47,7 +47,7 @@ fn difference(left: &[[u8; 3]], right: &[[u8; 3]]) -> (u8, f64) {
 }
 
 #[test]
-fn preview_of_a_job_that_nobody_renders_is_the_coarse_pass_and_shows_the_scene() {
+fn preview_of_a_queued_job_is_the_coarse_pass() {
     let farm = Farm::start(&["--workers", "0"]);
     let id = farm.accept(&ball(320, 180, 4).to_string());
     let start = Instant::now();
@@ -66,7 +66,7 @@ fn preview_of_a_job_that_nobody_renders_is_the_coarse_pass_and_shows_the_scene()
 }
 
 #[test]
-fn preview_of_a_stored_picture_is_the_picture_and_a_thumbnail_is_its_mean() {
+fn stored_picture_is_its_preview_and_thumbnails_average_it() {
     let farm = Farm::start(&["--workers", "1", "--device", "cpu"]);
     for format in ["png", "exr"] {
         let mut job = ball(256, 144, 1);
@@ -85,7 +85,7 @@ fn preview_of_a_stored_picture_is_the_picture_and_a_thumbnail_is_its_mean() {
         assert_eq!(answer.header("cache-control"), "public, max-age=31536000, immutable");
         let (thumbnail, width) = pixels(&answer.body);
         assert_eq!((width, thumbnail.len()), (64, 64 * 36));
-        // Far from any edge, light that lies between two levels is rounded to either.
+        // Far from edges, a value between two levels may be rounded to either.
         let shades = (140..144).flat_map(|y| shown[y * 256 + 240..][..4].to_vec());
         let shades: Vec<[u8; 3]> = shades.collect();
         for (channel, &level) in thumbnail[35 * 64 + 60].iter().enumerate() {
@@ -100,9 +100,9 @@ fn preview_of_a_stored_picture_is_the_picture_and_a_thumbnail_is_its_mean() {
 }
 
 #[test]
-fn finished_tiles_are_in_the_preview_as_they_will_be_in_the_picture() {
+fn preview_shows_finished_tiles_exactly() {
     let farm = Farm::start(&["--workers", "1", "--device", "cpu", "--threads", "1", "--tile", "32"]);
-    // Enough for several runs of tiles, so that blobs are there while it renders.
+    // Large enough for several batches, so that there are blobs while it renders.
     let id = farm.accept(&ball(256, 256, 400).to_string());
     let before = eventually("a run of tiles is finished", || {
         let job = farm.get(&format!("/v1/jobs/{id}")).json();
@@ -121,11 +121,11 @@ fn finished_tiles_are_in_the_preview_as_they_will_be_in_the_picture() {
     let done = before["tiles"]["done"].as_u64().expect("a count");
     assert!(exact >= done, "{exact} tiles are exact, {done} were finished before");
     let (_, mean) = difference(&shown, &picture);
-    assert!(mean < 8.0, "the coarse pass is of another brightness: {mean}");
+    assert!(mean < 8.0, "the coarse pass has another brightness: {mean}");
 }
 
 #[test]
-fn dry_run_says_what_a_job_takes() {
+fn dry_run_estimates_time_and_memory() {
     let farm = Farm::start(&["--workers", "1", "--device", "cpu"]);
     farm.ready(1);
     for name in ["csg", "menger", "turntable"] {
@@ -146,7 +146,7 @@ fn dry_run_says_what_a_job_takes() {
 }
 
 #[test]
-fn preview_and_link_are_commands_too() {
+fn preview_and_link_commands_work() {
     let farm = Farm::start(&["--workers", "1", "--device", "cpu"]);
     let id = farm.accept(&ball(64, 64, 1).to_string());
     farm.succeeded(&id);
@@ -168,7 +168,7 @@ fn preview_and_link_are_commands_too() {
 }
 
 #[test]
-fn a_child_that_draws_ends_with_its_input_and_says_what_it_can_not_read() {
+fn preview_helper_exits_with_its_input_and_reports_errors() {
     for line in ["", "{}\n", "{\"what\":\"thumbnail\",\"file\":\"/nonexistent\",\"width_px\":9}\n"] {
         let output = crate::support::finish(crate::support::sdfarm(&["preview-helper"]), line.as_bytes());
         assert_eq!(output.status.code(), Some(1), "{line}");

@@ -1,4 +1,4 @@
-//! The tree itself: sizes, openings, and what must not be in it.
+//! Tests the repository itself: file sizes, opening lines, required files, and forbidden words.
 
 use std::path::{Path, PathBuf};
 use std::{fs, io};
@@ -8,7 +8,44 @@ use crate::support::root;
 const MAX_LINES: usize = 500;
 const CODE: [&str; 7] = ["scene", "proto", "server", "worker", "cli", "tests", "docs"];
 
-/// Every file under some folders, by extension.
+/// Text in which a word is forbidden.
+#[derive(Clone, Copy, Debug)]
+enum Context {
+    /// Any line of a file.
+    Line,
+    /// A comment line of Rust, SQL, or YAML.
+    Comment,
+    /// The first word of a comment line.
+    CommentStart,
+    /// The name of a Rust type.
+    TypeName,
+}
+
+/// Forbidden words in lower case, separated by `|`, and the reason. A space is the start or the end of a word.
+const WORDS: [(Context, &str, &str); 7] = [
+    (
+        Context::Line,
+        "colour| centre| grey |neighbour|licence| matt |authoris|recognis|quantis|practise|spelt|towards",
+        "the project uses American spelling",
+    ),
+    (Context::Comment, " whoever | nobody ", "name the actor: the client, the worker, no user"),
+    (Context::Comment, " anew ", "write `again`"),
+    (Context::Comment, " so many | so long | so often ", "give the number, or name the parameter"),
+    (Context::CommentStart, " what | who | whom | whose ", "start with a noun phrase or a verb"),
+    (
+        Context::TypeName,
+        " basket | bell | chance | clothes | crowd | deed | dice | doors | entrance | exemplary | leftovers | lettering ",
+        "use a term of docs/glossary.md",
+    ),
+    (
+        Context::TypeName,
+        " moment | patience | pretender | relief | ring | sketch | sketches | still | stuff | tally | tint | told \
+         | trouble | turned | wish | worn ",
+        "use a term of docs/glossary.md",
+    ),
+];
+
+/// All files in some folders with these extensions, with their text.
 fn files(folders: &[&str], extensions: &[&str]) -> Vec<(PathBuf, String)> {
     let mut found = Vec::new();
     for folder in folders {
@@ -48,7 +85,7 @@ fn no_source_file_is_longer_than_five_hundred_lines() {
 }
 
 #[test]
-fn every_source_file_opens_with_what_it_is_for() {
+fn every_source_file_opens_with_its_purpose() {
     let silent = files(&CODE, &["rs"])
         .into_iter()
         .filter(|(_, text)| !text.starts_with("//! ") || text.lines().next().is_some_and(|line| line.len() < 20))
@@ -58,8 +95,8 @@ fn every_source_file_opens_with_what_it_is_for() {
 }
 
 #[test]
-fn no_unfinished_business_is_left_in_the_code() {
-    // Put together here, so that this file does not find itself.
+fn no_unfinished_code_is_left() {
+    // Assembled here, so that this file does not match.
     let marks = [concat!("TO", "DO"), concat!("FIX", "ME"), concat!("XX", "X")].map(str::to_owned);
     let macros = ["todo", "unimplemented", "dbg"].map(|name| format!("{name}!("));
     let mut left = Vec::new();
@@ -74,7 +111,7 @@ fn no_unfinished_business_is_left_in_the_code() {
 }
 
 #[test]
-fn no_file_names_a_place_on_somebodys_machine() {
+fn no_file_contains_a_path_of_a_users_machine() {
     let home = ["home", "root", "work", "Users"].map(|folder| format!("/{folder}/"));
     let mut found = Vec::new();
     let tree = [CODE.as_slice(), &["scenes", "migrations", "docker", ".ci"]].concat();
@@ -111,7 +148,85 @@ fn required_files_exist() {
 }
 
 #[test]
-fn changelog_has_a_place_for_what_is_next() {
+fn changelog_has_an_unreleased_section() {
     let changelog = fs::read_to_string(root().join("CHANGELOG.md")).expect("there");
     assert!(changelog.contains("## Unreleased"));
+}
+
+/// Text of a comment line, without its marker.
+fn comment<'a>(path: &Path, line: &'a str) -> Option<&'a str> {
+    let marker = match path.extension()?.to_str()? {
+        "rs" => "//",
+        "sql" => "--",
+        "yml" => "#",
+        _ => return None,
+    };
+    Some(line.trim_start().strip_prefix(marker)?.trim_start_matches(['/', '!', ' ']))
+}
+
+/// Name of the type that a line of Rust declares.
+fn type_name(line: &str) -> Option<&str> {
+    let mut words = line.split(|letter: char| !letter.is_alphanumeric() && letter != '_');
+    words.find(|word| ["struct", "enum", "trait", "type"].contains(word))?;
+    words.next()
+}
+
+/// Lower-case words of a text, with a space before, between, and after them.
+fn words(text: &str) -> String {
+    let words = text.split(|letter: char| !letter.is_alphanumeric()).filter(|word| !word.is_empty());
+    format!(" {} ", words.map(str::to_lowercase).collect::<Vec<_>>().join(" "))
+}
+
+/// Forbidden words of a line, each with its reason.
+fn forbidden(path: &Path, line: &str) -> Vec<String> {
+    // Tests of the parser's suggestions use the British word as a wrong key.
+    let line = ["\"colour", "colour\"", "`colour`"].iter().fold(line.to_owned(), |line, key| line.replace(key, ""));
+    let comment = comment(path, &line).map(words);
+    let is_code = comment.is_none() && path.extension().is_some_and(|extension| extension == "rs");
+    let type_name = if is_code { type_name(&line).map(words) } else { None };
+    let line = words(&line);
+    let mut found = Vec::new();
+    for (context, list, reason) in WORDS {
+        let is_found = |word: &&str| match context {
+            Context::Line => line.contains(word),
+            Context::Comment => comment.as_ref().is_some_and(|text| text.contains(word)),
+            Context::CommentStart => comment.as_ref().is_some_and(|text| text.starts_with(word)),
+            Context::TypeName => type_name.as_deref() == Some(*word),
+        };
+        found.extend(list.split('|').filter(is_found).map(|word| format!("{:?}: {reason}", word.trim())));
+    }
+    found
+}
+
+#[test]
+fn no_forbidden_words_are_used() {
+    let folders = [CODE.as_slice(), &["scenes", "docker", ".ci"]].concat();
+    let mut texts = files(&folders, &["rs", "md", "sql", "yml"]);
+    for name in ["README.md", "ARCHITECTURE.md", "CHANGELOG.md"] {
+        texts.push((name.into(), fs::read_to_string(root().join(name)).expect("the page exists")));
+    }
+    let mut found = Vec::new();
+    for (path, text) in texts {
+        // This file contains the list.
+        if path == Path::new("tests/repository.rs") {
+            continue;
+        }
+        for (number, line) in text.lines().enumerate() {
+            let line_name = format!("{}:{}", path.display(), number + 1);
+            found.extend(forbidden(&path, line).iter().map(|word| format!("{line_name}: {word}")));
+        }
+    }
+    assert_none("forbidden words", &found);
+}
+
+#[test]
+fn forbidden_words_are_found_where_they_are_forbidden() {
+    let count = |path: &str, line: &str| forbidden(Path::new(path), line).len();
+    for line in ["/// What a worker does.", "// Rendered anew.", "let grey = 1;", "pub struct Wish {", "// so  many"] {
+        assert_eq!(count("a.rs", line), 1, "{line}");
+    }
+    for line in ["/// Whatever.", "let nobody = 1;", "say(\"colour\");", "struct Wishes;", "// a center, colors"] {
+        assert_eq!(count("a.rs", line), 0, "{line}");
+    }
+    assert_eq!((count("a.md", "What is it? A colour."), count("a.sql", "-- Who waits")), (1, 1));
 }

@@ -1,13 +1,12 @@
-//! The one way to skip a test: it says aloud what this machine lacks, and fails where nothing may be skipped.
-//!
-//! `SDFARM_MAY_SKIP` names, with commas between them, what tests may do without; if it is set, a test that lacks
-//! anything else fails. `.ci/run` sets it. Every test binary includes this file.
+//! The only way to skip a test: it prints what this machine lacks, and fails if the test must not be skipped.
+//! `SDFARM_MAY_SKIP` lists, separated by commas, what may be missing; if it is set, a test that lacks anything else
+//! fails. `.ci/run` sets it. Every test binary includes this file.
 
 use std::fmt::Display;
 
 const VARIABLE: &str = "SDFARM_MAY_SKIP";
 
-/// Skips the rest of a test that needs `need`, a short name. `lacking` says what is not tested, and why.
+/// Skips the rest of a test that needs `need`, a short name. `lacking` is the part that is not tested, and the reason.
 pub(crate) fn skip(need: &str, lacking: impl Display) {
     let allowed = std::env::var(VARIABLE).ok();
     assert!(
@@ -22,7 +21,7 @@ fn may_skip(need: &str, allowed: Option<&str>) -> bool {
 }
 
 #[test]
-fn only_what_is_named_may_be_skipped_where_names_are_given() {
+fn only_listed_needs_may_be_skipped() {
     assert!(may_skip("unzip", None));
     assert!(may_skip("unzip", Some("netem, unzip")));
     assert!(!may_skip("unzip", Some("netem")));

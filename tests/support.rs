@@ -1,6 +1,5 @@
-//! What the tests share: running the binary, talking HTTP to it, waiting with a deadline.
-//!
-//! Whatever is started here is killed at drop, and nothing waits for ever.
+//! Shared helpers of the tests: running the binary, sending HTTP requests, and waiting with a deadline.
+//! Every process started here is killed on drop, and every wait has a deadline.
 
 use std::fs;
 use std::io::{BufRead, BufReader, Read, Write};
@@ -15,11 +14,11 @@ use tempfile::TempDir;
 
 /// The binary under test.
 pub(crate) const PROGRAM: &str = env!("CARGO_BIN_EXE_sdfarm");
-/// Longer than anything here takes on a slow machine.
+/// Deadline of all waits, longer than any step needs on a slow machine.
 pub(crate) const DEADLINE: Duration = Duration::from_mins(5);
 const POLL_INTERVAL: Duration = Duration::from_millis(5);
 
-/// Asks again and again until there is an answer; panics when the deadline passes.
+/// Polls until there is a value; panics at the deadline.
 pub(crate) fn eventually<T>(what: &str, mut ask: impl FnMut() -> Option<T>) -> T {
     let start = Instant::now();
     loop {
@@ -31,19 +30,19 @@ pub(crate) fn eventually<T>(what: &str, mut ask: impl FnMut() -> Option<T>) -> T
     }
 }
 
-/// The project's root.
+/// Root folder of the project.
 pub(crate) fn root() -> &'static Path {
     Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("cli/ lies in the root")
 }
 
-/// The program, without any variable that would set one of its flags.
+/// Command of the program, without variables that set its flags.
 pub(crate) fn sdfarm(arguments: &[&str]) -> Command {
     let mut command = Command::new(PROGRAM);
     clean(&mut command).args(arguments);
     command
 }
 
-/// Takes away every variable that would set a flag of the program.
+/// Removes every variable that sets a flag of the program.
 pub(crate) fn clean(command: &mut Command) -> &mut Command {
     for (name, _) in std::env::vars_os().filter(|(name, _)| name.to_string_lossy().starts_with("SDFARM_")) {
         command.env_remove(name);
@@ -61,7 +60,7 @@ pub(crate) fn finish(mut command: Command, input: &[u8]) -> Output {
         .expect("the program starts");
     let mut stdin = child.stdin.take().expect("piped");
     let input = input.to_owned();
-    // A program that refuses its input may close it early.
+    // A program that rejects its input may close it early.
     let writer = std::thread::spawn(move || drop(stdin.write_all(&input)));
     let stdout = drain(child.stdout.take().expect("piped"));
     let stderr = drain(child.stderr.take().expect("piped"));
@@ -82,15 +81,15 @@ pub(crate) fn succeed(arguments: &[&str]) -> String {
     text(&output.stdout)
 }
 
-/// Waits for a child, within the deadline; one that outstays it is killed.
+/// Waits for a child until the deadline, then kills it.
 pub(crate) fn wait(child: &mut Child) -> ExitStatus {
     let start = Instant::now();
     loop {
-        if let Some(status) = child.try_wait().expect("a child of ours") {
+        if let Some(status) = child.try_wait().expect("a child process") {
             return status;
         }
         if start.elapsed() > DEADLINE {
-            child.kill().expect("a child of ours");
+            child.kill().expect("a child process");
             panic!("process {} did not end within {DEADLINE:?}", child.id());
         }
         std::thread::sleep(POLL_INTERVAL);
@@ -105,24 +104,24 @@ fn drain(mut from: impl Read + Send + 'static) -> std::thread::JoinHandle<Vec<u8
     })
 }
 
-/// Bytes as text, for messages.
+/// Converts bytes to text, for messages.
 pub(crate) fn text(bytes: &[u8]) -> String {
     String::from_utf8_lossy(bytes).into_owned()
 }
 
-/// Sends a signal to a process; one that is gone already is no fault.
+/// Sends a signal to a process; no error if it has already exited.
 pub(crate) fn send_signal(process: u32, signal: Signal) {
     let process = Pid::from_raw(process.cast_signed()).expect("no process has id 0");
-    // It may have ended since its id was read.
+    // The process may have exited since its id was read.
     let _ = kill_process(process, signal);
 }
 
-/// Whether a process is there and no zombie.
+/// Whether a process exists and is not a zombie.
 pub(crate) fn is_alive(process: u32) -> bool {
     status_field(process, 0).is_some_and(|state| state != "Z" && state != "X")
 }
 
-/// Processes whose parent this one is.
+/// Child processes of this process.
 pub(crate) fn children(parent: u32) -> Vec<u32> {
     let processes = fs::read_dir("/proc").expect("Linux has /proc").flatten();
     let ids = processes.filter_map(|entry| entry.file_name().to_str()?.parse().ok());
@@ -136,17 +135,17 @@ fn status_field(process: u32, field: usize) -> Option<String> {
     after_name.split_whitespace().nth(field).map(str::to_owned)
 }
 
-/// A server of our own, on a free port.
+/// Server process on a free port.
 pub(crate) struct Farm {
     child: Child,
-    /// `http://127.0.0.1:PORT`, or `https://…` where it shows a certificate.
+    /// `http://127.0.0.1:PORT`, or `https://…` if it has a certificate.
     pub(crate) address: String,
     log: PathBuf,
     folder: Option<TempDir>,
 }
 
 impl Farm {
-    /// Starts one on a fresh folder.
+    /// Starts a server in a new folder.
     pub(crate) fn start(arguments: &[&str]) -> Self {
         let folder = tempfile::tempdir().expect("a folder");
         let mut farm = Self::start_on(folder.path(), arguments);
@@ -154,17 +153,17 @@ impl Farm {
         farm
     }
 
-    /// Starts one on `FOLDER/data`, logging to `FOLDER/log`, and waits until it says that it serves.
+    /// Starts a server on `FOLDER/data`, logging to `FOLDER/log`, and waits until it reports that it serves.
     pub(crate) fn start_on(folder: &Path, arguments: &[&str]) -> Self {
         Self::start_by(sdfarm(&["serve"]), folder, arguments)
     }
 
-    /// The same by a command that has its own environment.
+    /// Starts a server by a command with its own environment.
     pub(crate) fn start_by(command: Command, folder: &Path, arguments: &[&str]) -> Self {
         Self::start_at("127.0.0.1:0", command, folder, arguments)
     }
 
-    /// Starts one on a fresh folder that listens on every address.
+    /// Starts a server in a new folder that listens on every address.
     pub(crate) fn start_beyond_loopback(arguments: &[&str]) -> Self {
         let folder = tempfile::tempdir().expect("a folder");
         let arguments = [&["--insecure"][..], arguments].concat();
@@ -173,7 +172,7 @@ impl Farm {
         farm
     }
 
-    /// The same on an address of its own.
+    /// Starts a server on this address.
     pub(crate) fn start_at(listen: &str, mut command: Command, folder: &Path, arguments: &[&str]) -> Self {
         let log = folder.join("log");
         command.args(["--listen", listen, "--data"]).arg(folder.join("data")).args(arguments);
@@ -189,44 +188,44 @@ impl Farm {
             let _ = sender.send(line);
             let _ = std::io::copy(&mut out, &mut std::io::sink());
         });
-        let line = receiver.recv_timeout(DEADLINE).expect("the server says something");
+        let line = receiver.recv_timeout(DEADLINE).expect("the server prints a line");
         let address = line.split_whitespace().find(|word| word.contains("://"));
         let Some(address) = address.map(str::to_owned) else {
-            // Reaped before the panic, so that nothing outlives the test.
+            // Reaped before the panic, so that no process outlives the test.
             let _ = child.kill();
             let _ = child.wait();
-            panic!("the server does not say where it serves: {line:?}; {}", read_log(&log));
+            panic!("the server printed no address: {line:?}; {}", read_log(&log));
         };
         Self { child, address, log, folder: None }
     }
 
-    /// Its process id.
+    /// Process id of the server.
     pub(crate) fn process(&self) -> u32 {
         self.child.id()
     }
 
-    /// Whether it is gone.
+    /// Whether the server has exited.
     pub(crate) fn has_ended(&mut self) -> bool {
-        self.child.try_wait().expect("a child of ours").is_some()
+        self.child.try_wait().expect("a child process").is_some()
     }
 
-    /// Its workers' process ids.
+    /// Process ids of the pool's workers.
     pub(crate) fn workers(&self) -> Vec<u32> {
         children(self.process())
     }
 
-    /// What it has logged.
+    /// Text of the log so far.
     pub(crate) fn log(&self) -> String {
         read_log(&self.log)
     }
 
-    /// Asks it to end, and waits until it has.
+    /// Sends SIGTERM, and waits until the server has exited.
     pub(crate) fn terminate(mut self) -> ExitStatus {
         send_signal(self.process(), Signal::TERM);
         wait(&mut self.child)
     }
 
-    /// Gets a path.
+    /// Sends a GET request.
     pub(crate) fn get(&self, path: &str) -> Answer {
         self.send("GET", path, &[], Vec::new())
     }
@@ -243,7 +242,7 @@ impl Farm {
         answer.json()["id"].as_str().expect("a job has an id").to_owned()
     }
 
-    /// Waits until a job is succeeded; any other end fails the test. Returns its view.
+    /// Waits until a job has succeeded; any other final state fails the test. Returns its view.
     pub(crate) fn succeeded(&self, id: &str) -> Value {
         let start = Instant::now();
         let job = loop {
@@ -252,7 +251,7 @@ impl Farm {
                 break job;
             }
             let workers = || self.get("/v1/workers").text();
-            assert!(start.elapsed() < DEADLINE, "does not end: {job}\n{}\n{}", workers(), self.log());
+            assert!(start.elapsed() < DEADLINE, "does not finish: {job}\n{}\n{}", workers(), self.log());
             std::thread::sleep(POLL_INTERVAL);
         };
         assert_eq!(job["state"], "succeeded", "{job}\n{}", self.log());
@@ -266,7 +265,7 @@ impl Farm {
         answer.body
     }
 
-    /// Sets the pool's size and waits until so many workers are ready.
+    /// Sets the pool's size and waits until this number of workers is ready.
     pub(crate) fn set_pool(&self, workers: u32) {
         let body = format!("{{\"workers\": {workers}}}").into_bytes();
         let answer = self.send("PUT", "/v1/pool", &[("content-type", "application/json")], body);
@@ -274,7 +273,7 @@ impl Farm {
         self.ready(workers);
     }
 
-    /// Waits until so many workers take work.
+    /// Waits until this number of pool workers is ready.
     pub(crate) fn ready(&self, workers: u32) {
         eventually(&format!("{workers} workers are ready"), || {
             let pool = self.get("/v1/pool").json();
@@ -282,7 +281,7 @@ impl Farm {
         });
     }
 
-    /// Waits until so many workers, whoever started them, take work.
+    /// Waits until this number of workers, local or remote, is ready.
     pub(crate) fn joined(&self, workers: usize) {
         eventually(&format!("{workers} workers have joined"), || {
             let list = self.get("/v1/workers").json();
@@ -291,7 +290,7 @@ impl Farm {
         });
     }
 
-    /// Sends any request to a server that may die of it: then there is no answer.
+    /// Sends any request to a server that may exit during it; then there is no response.
     pub(crate) fn try_send(&self, method: &str, path: &str, headers: &[(&str, &str)], body: Vec<u8>) -> Option<Answer> {
         try_send(&self.address, method, path, headers, body).ok()
     }
@@ -305,7 +304,7 @@ impl Farm {
 impl Drop for Farm {
     fn drop(&mut self) {
         let workers = self.workers();
-        // Both fail only where it has ended already.
+        // Both fail only if the process has already exited.
         let _ = self.child.kill();
         let _ = self.child.wait();
         for worker in workers {
@@ -318,33 +317,33 @@ fn read_log(log: &Path) -> String {
     fs::read_to_string(log).unwrap_or_default()
 }
 
-/// An HTTP answer.
+/// HTTP response.
 pub(crate) struct Answer {
-    /// The status.
+    /// Status of the response.
     pub(crate) status: u16,
-    /// The headers.
+    /// Headers of the response.
     pub(crate) headers: reqwest::header::HeaderMap,
-    /// The body.
+    /// Body of the response.
     pub(crate) body: Vec<u8>,
 }
 
 impl Answer {
-    /// The body as JSON.
+    /// Parses the body as JSON.
     pub(crate) fn json(&self) -> Value {
         serde_json::from_slice(&self.body).unwrap_or_else(|error| panic!("{error}: {}", self.text()))
     }
 
-    /// The body as text.
+    /// Returns the body as text.
     pub(crate) fn text(&self) -> String {
         text(&self.body)
     }
 
-    /// A header, or "".
+    /// Value of a header, or "".
     pub(crate) fn header(&self, name: &str) -> &str {
         self.headers.get(name).map_or("", |value| value.to_str().expect("plain text"))
     }
 
-    /// The body as a problem with this status and code.
+    /// Parses the body as a problem, and asserts its status and code.
     pub(crate) fn problem(&self, status: u16, code: &str) -> Value {
         assert_eq!(self.status, status, "{}", self.text());
         assert_eq!(self.header("content-type"), "application/problem+json", "{}", self.text());
@@ -386,7 +385,7 @@ fn try_send(
     })
 }
 
-/// A frame's picture as the program renders it by itself, undisturbed.
+/// Renders a frame's picture with `sdfarm render`.
 pub(crate) fn rendered_here(job: &Value, frame: u32) -> Vec<u8> {
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("picture.png");

@@ -1,7 +1,7 @@
-"""An independent tracer in double precision: numpy, no formula of the project's.
+"""An independent tracer in double precision: numpy, without any formula of the project.
 
 tracer.py JOB.json PICTURE.exr: the depth and normals of a float EXR against those traced here, as JSON.
-It knows the nodes that the paper has, transforms, paints and smooth operators.
+It supports the paper's nodes, transforms, paints, and smooth operators.
 """
 
 import json
@@ -49,7 +49,7 @@ def mandelbulb(p, power, iterations):
         going = going & (r <= 2)
     estimate = 0.5 * np.log(np.maximum(r, 1e-12)) * r / dr
     away = length(p)
-    # Far outside the estimate would say too much.
+    # Far outside, the estimate would exceed the distance.
     return np.where(away > 2, np.minimum(estimate, away - 1.25), estimate)
 
 
@@ -125,7 +125,7 @@ def rays(job):
 
 
 def trace(scene, origin, directions, farthest):
-    """Steps by the distance alone; the first root is then found by halving. Infinite where there is none."""
+    """Steps by the distance, then finds the first root by bisection. Infinite for rays without a hit."""
     t = np.zeros(len(directions))
     found = np.full(len(directions), np.inf)
     going = np.arange(len(directions))

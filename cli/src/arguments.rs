@@ -17,7 +17,7 @@ pub(crate) const DEFAULT_SERVER: &str = "http://127.0.0.1:8080";
 /// Most threads one renderer starts.
 pub(crate) const MAX_THREADS: u32 = 4096;
 
-/// The server that a client command talks to.
+/// Server of a client command: its address and credentials.
 #[derive(Debug, Args)]
 pub(crate) struct ServerArguments {
     /// Address of the server.
@@ -28,7 +28,7 @@ pub(crate) struct ServerArguments {
 }
 
 impl ServerArguments {
-    /// A client of that server.
+    /// Creates a client of the server.
     pub(crate) fn client(&self) -> anyhow::Result<Client> {
         Ok(Client::with_auth(&self.server, self.auth.auth()?)?)
     }
@@ -46,12 +46,12 @@ pub(crate) struct AuthArguments {
 }
 
 impl AuthArguments {
-    /// The client's form of these arguments.
+    /// Converts the arguments to the client's form.
     pub(crate) fn auth(&self) -> Result<ClientAuth, ClientError> {
         Ok(ClientAuth::new(self.key.clone(), self.ca.as_deref())?)
     }
 
-    /// The client's form, with another key.
+    /// Converts the arguments to the client's form, with another key.
     pub(crate) fn with_key(&self, key: Secret) -> Result<ClientAuth, ClientError> {
         Ok(ClientAuth::new(Some(key), self.ca.as_deref())?)
     }
@@ -60,11 +60,11 @@ impl AuthArguments {
 /// Device to render on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum DeviceChoice {
-    /// The best available: the GPU of this number, or the first; the CPU if no GPU can render.
+    /// The best available device: this GPU, or the first one; the CPU if no GPU can render.
     Auto(Option<usize>),
-    /// The processor.
+    /// The CPU.
     Cpu,
-    /// An NVIDIA GPU: the one of this number, or the first.
+    /// An NVIDIA GPU: this one, or the first.
     Cuda(Option<usize>),
 }
 
@@ -80,7 +80,7 @@ impl FromStr for DeviceChoice {
             ("auto", Ok(ordinal)) => Ok(Self::Auto(ordinal)),
             ("cpu", Ok(None)) => Ok(Self::Cpu),
             ("cuda", Ok(ordinal)) => Ok(Self::Cuda(ordinal)),
-            _ => Err("say auto, cpu, cuda (the first GPU) or cuda:N (the GPU of this number, from 0)".to_owned()),
+            _ => Err("use auto, cpu, cuda (the first GPU) or cuda:N (GPU N, counted from 0)".to_owned()),
         }
     }
 }
@@ -88,13 +88,13 @@ impl FromStr for DeviceChoice {
 /// Device of a command that renders.
 #[derive(Clone, Debug, Args)]
 pub(crate) struct RendererArguments {
-    /// Device: auto, cpu, cuda or cuda:N.
+    /// Device to render on: auto, cpu, cuda or cuda:N.
     #[arg(long, env = "SDFARM_DEVICE", default_value = "auto")]
     pub(crate) device: DeviceChoice,
     /// Threads that render on a CPU and encode [default: one for each core].
     #[arg(long, value_name = "N", env = "SDFARM_THREADS", value_parser = clap::value_parser!(u32).range(1..=i64::from(MAX_THREADS)))]
     pub(crate) threads: Option<u32>,
-    /// Vector instructions of a CPU renderer; the picture is the same with each.
+    /// Vector instructions of a CPU renderer; every choice gives the same picture.
     #[arg(long, env = "SDFARM_SIMD", default_value = "auto", value_parser = simd_parser())]
     pub(crate) simd: Simd,
     #[command(flatten)]
@@ -104,8 +104,8 @@ pub(crate) struct RendererArguments {
 /// Settings of a GPU renderer.
 #[derive(Clone, Debug, Args)]
 pub(crate) struct CudaArguments {
-    /// Block dimensions on a GPU, such as 16x8 [default: the fastest for each scene]; the picture is the
-    /// same with each.
+    /// Block dimensions on a GPU, such as 16x8 [default: the fastest for each scene]; every choice gives the same
+    /// picture.
     #[arg(long, value_name = "COLUMNSxROWS", env = "SDFARM_BLOCK")]
     block: Option<BlockDim>,
     /// Folder for compiled GPU kernels [default: in the user's cache].
@@ -114,12 +114,12 @@ pub(crate) struct CudaArguments {
 }
 
 impl CudaArguments {
-    /// The same settings with these block dimensions.
+    /// Returns the settings with other block dimensions.
     pub(crate) fn with_block(&self, shape: BlockDim) -> Self {
         Self { block: Some(shape), ..self.clone() }
     }
 
-    /// The shape of blocks, if one was named.
+    /// Block dimensions, if given.
     pub(crate) fn block(&self) -> Option<BlockDim> {
         self.block
     }
@@ -129,7 +129,7 @@ impl CudaArguments {
         self.cache.as_deref()
     }
 
-    /// Starts the GPU of this number.
+    /// Starts the GPU with this ordinal.
     pub(crate) fn renderer(&self, ordinal: usize) -> Result<CudaRenderer, RenderError> {
         let cache = self.cache.clone().or_else(worker::cuda::default_cache_folder);
         CudaRenderer::new(ordinal, cache.as_deref(), self.block)
@@ -156,7 +156,7 @@ impl RendererArguments {
     }
 }
 
-/// Reads `--simd`.
+/// Parser of `--simd`.
 pub(crate) fn simd_parser() -> impl TypedValueParser<Value = Simd> {
     PossibleValuesParser::new(["auto", "avx512", "avx2", "sse4.2", "scalar"])
         .map(|name| name.parse().expect("the list above holds the levels' names"))

@@ -1,4 +1,4 @@
-//! The commands: one module each, with its arguments and what it does.
+//! The commands, one module each: its arguments and its implementation.
 
 mod audit;
 mod backup;
@@ -49,7 +49,7 @@ pub(crate) enum Command {
     Serve(serve::Arguments),
     /// Run a worker: render tiles for a server until it drains the worker or you stop it.
     Worker(worker::Arguments),
-    /// Render a picture here and now, without a server.
+    /// Render one picture on this machine, without a server.
     Render(render::Arguments),
     /// Submit a job to a server.
     Submit(submit::Arguments),
@@ -57,21 +57,21 @@ pub(crate) enum Command {
     Watch(watch::Arguments),
     /// Save a stored picture of a job.
     Fetch(fetch::Arguments),
-    /// Save the file of a job, as it was submitted.
+    /// Save a job's file as it was submitted.
     File(file::Arguments),
-    /// Submit the file of a job again, optionally with changes.
+    /// Submit a job's file again, optionally with changes.
     Resubmit(resubmit::Arguments),
     /// Save the finished part of a picture.
     Preview(preview::Arguments),
-    /// Sign a link to a picture, for those who have no key.
+    /// Create a signed link to a picture, which works without a key until it expires.
     Link(link::Arguments),
     /// Remove jobs past their retention, or list them (--dry-run).
     Gc(gc::Arguments),
     /// List jobs, newest first.
     Jobs(jobs::Arguments),
-    /// Stop a job.
+    /// Cancel a job.
     Cancel(cancel::Arguments),
-    /// Have the dead tiles of a failed job rendered again.
+    /// Retry a failed job: render its dead tiles again.
     Retry(retry::Arguments),
     /// Change a job's priority.
     Priority(priority::Arguments),
@@ -81,13 +81,13 @@ pub(crate) enum Command {
     Pause(pause::Arguments),
     /// Resume a paused job, or the paused farm.
     Resume(pause::Arguments),
-    /// Show what a server signs its webhooks with.
+    /// Show the secret that signs a server's webhooks.
     Webhook(webhook::Arguments),
-    /// Show the server's own workers, or set how many there should be.
+    /// Show the server's own workers, or set their number.
     Pool(pool::Arguments),
-    /// Make, list and revoke keys.
+    /// Create, list, or revoke API keys.
     Key(key::Arguments),
-    /// List who did what.
+    /// List the audit log: who changed what.
     Audit(audit::Arguments),
     /// Check a job file: report every error with its line and column.
     Check(check::Arguments),
@@ -97,23 +97,23 @@ pub(crate) enum Command {
     Explain(explain::Arguments),
     /// Measure how fast this machine renders.
     Bench(bench::Arguments),
-    /// Check that this machine renders the right bits.
+    /// Check that this machine renders bit-identical pictures.
     Selftest(selftest::Arguments),
     /// Stress-test a temporary farm: kill its processes repeatedly and check that nothing is lost or changed.
     Soak(soak::Arguments),
     /// Show a farm on one screen: queue, workers, disk, and warnings.
     Status(status::Arguments),
-    /// Show a farm live; q quits.
+    /// Show a farm live in the terminal; q quits.
     Top(top::Arguments),
-    /// Copy a farm while it runs: its database, and the pictures that are new.
+    /// Back up a farm while it runs: its database and its new pictures.
     Backup(backup::Arguments),
-    /// Make a farm from a backup, in a new folder.
+    /// Restore a farm from a backup into a new folder.
     Restore(restore::Arguments),
     /// Check a farm's data folder and machine, and suggest fixes.
     Doctor(doctor::Arguments),
     /// Start a farm, render a shipped scene on it, save the picture, and stop.
     Demo(demo::Arguments),
-    /// Draw what a server asks for.
+    /// Draw previews and measure samples for a server.
     #[command(hide = true)]
     PreviewHelper,
 }
@@ -170,7 +170,7 @@ fn run_async<T>(work: impl Future<Output = anyhow::Result<T>>) -> anyhow::Result
     let runtime = tokio::runtime::Builder::new_multi_thread()
         .enable_all()
         .build()
-        .context("could not start the threads that wait for the network")?;
+        .context("could not start the network threads")?;
     runtime.block_on(work)
 }
 

@@ -1,6 +1,6 @@
-//! Numbers with their nouns: `1 frame`, `2 frames`. Whatever the command line counts is written by this.
+//! Formats counts with their nouns: `1 frame`, `2 frames`. The command line prints every count this way.
 
-/// A number of things; the noun is given in the singular and takes an s (`delivery` becomes `deliveries`).
+/// Formats a count; the noun is given in the singular and takes an s (`delivery` becomes `deliveries`).
 pub(crate) fn counted(number: impl Into<u64>, noun: &str) -> String {
     let number = number.into();
     match (number, noun.strip_suffix('y')) {
@@ -10,7 +10,7 @@ pub(crate) fn counted(number: impl Into<u64>, noun: &str) -> String {
     }
 }
 
-/// The same for things that are counted in memory.
+/// Formats a `usize` count.
 pub(crate) fn counted_len(number: usize, noun: &str) -> String {
     counted(number as u64, noun)
 }

@@ -14,14 +14,14 @@ const EXIT_USAGE: u8 = 2;
 #[error("{0}")]
 pub(crate) struct UsageError(pub(crate) String);
 
-/// A worker's device cannot render: starting the worker again would not help.
+/// A worker's device cannot render; restarting the worker would not help.
 #[derive(Debug, thiserror::Error)]
 #[error("{0}")]
 pub(crate) struct UnusableDevice(pub(crate) anyhow::Error);
 
-/// A job file that is not one.
+/// Invalid job file, with its errors.
 #[derive(Debug, thiserror::Error)]
-#[error("{} {}: nothing was rendered; mend the file and try again", .file, count(.faults.len()))]
+#[error("{} {}: nothing was rendered; fix the file and try again", .file, count(.faults.len()))]
 pub(crate) struct InvalidJob {
     /// The file, as the user named it.
     pub(crate) file: String,
@@ -30,7 +30,7 @@ pub(crate) struct InvalidJob {
 }
 
 fn count(faults: usize) -> String {
-    if faults == 1 { "has a fault".to_owned() } else { format!("has {faults} faults") }
+    if faults == 1 { "has 1 error".to_owned() } else { format!("has {faults} errors") }
 }
 
 /// Prints the error to standard error, and returns the exit code.
@@ -44,14 +44,14 @@ pub(crate) fn report(error: &anyhow::Error) -> u8 {
     exit_code(error)
 }
 
-/// One error in the form of compilers: `FILE:LINE:COLUMN: pointer: message`.
+/// Formats one error like a compiler: `FILE:LINE:COLUMN: pointer: message`.
 fn line(file: &str, fault: &ValidationErrorView) -> String {
     let ValidationErrorView { pointer, message, line, column } = fault;
     let place = if pointer.is_empty() { String::new() } else { format!("{pointer}: ") };
     format!("{file}:{line}:{column}: {place}{message}")
 }
 
-/// The error and its causes in one line. Of an HTTP client's long chain only the root is printed.
+/// Formats the error and its causes as one line. Of an HTTP client's long chain, only the root is printed.
 fn message(error: &anyhow::Error) -> String {
     let mut words = String::new();
     let mut after_client = false;

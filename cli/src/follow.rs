@@ -13,7 +13,7 @@ use crate::terminal::print_note;
 
 const INITIAL_BACK_OFF: Duration = Duration::from_millis(20);
 const MAX_BACK_OFF: Duration = Duration::from_millis(500);
-/// How long a server that was reachable may be away: it restarts.
+/// Time limit for a server that was reachable to return: it may be restarting.
 const UNREACHABLE_TIMEOUT: Duration = Duration::from_mins(1);
 /// Steps of a progress bar: the server sends a fraction, not a count.
 const BAR_STEPS: f64 = 10_000.0;
@@ -31,7 +31,7 @@ pub(crate) async fn wait_for_success(client: &Client, id: JobId) -> anyhow::Resu
     match job.state {
         JobState::Succeeded => Ok(job),
         JobState::Failed => {
-            let reason = if job.errors.is_empty() { "no reason is known".to_owned() } else { job.errors.join("; ") };
+            let reason = if job.errors.is_empty() { "the reason is unknown".to_owned() } else { job.errors.join("; ") };
             anyhow::bail!("job {id} failed: {reason}")
         }
         JobState::Cancelled => anyhow::bail!("job {id} was cancelled"),
@@ -39,27 +39,27 @@ pub(crate) async fn wait_for_success(client: &Client, id: JobId) -> anyhow::Resu
     }
 }
 
-/// Says why nothing may happen for a long time. A key that may not look at the farm learns of its job's pause only.
+/// Prints a notice if the job or the farm is paused. A key that may not read the farm's state gets only the job's.
 async fn note_pause(client: &Client, job: &JobView) {
     if job.state.is_final() {
         return;
     }
     if job.paused {
-        print_note(&format!("job {} is paused: `sdfarm resume {}` lets it go on", job.id, job.id));
+        print_note(&format!("job {} is paused: `sdfarm resume {}` continues it", job.id, job.id));
     } else {
         note_farm_pause(client).await;
     }
 }
 
-/// Says so if the farm is paused; with a key that may not read the farm's state, nothing.
+/// Prints a notice if the farm is paused, unless the key may not read the farm's state.
 pub(crate) async fn note_farm_pause(client: &Client) {
     if client.farm().await.is_ok_and(|farm| farm.paused) {
-        print_note("the farm is paused: `sdfarm resume` lets it go on");
+        print_note("the farm is paused: `sdfarm resume` continues it");
     }
 }
 
-/// First read of the job. A server that accepted the connection and then vanished is retried; one that was
-/// never reached is not.
+/// First read of the job. It is retried if the server accepted the connection and then vanished, but not if the
+/// server was never reached.
 async fn initial_state(client: &Client, id: JobId) -> Result<JobView, ClientError> {
     let begun = Instant::now();
     let mut was_there = false;
@@ -96,7 +96,7 @@ impl<'a> JobFollower<'a> {
             match self.listen(progress).await {
                 Ok(()) => wait = INITIAL_BACK_OFF,
                 Err(error) if is_unreachable(&error) && self.last_event_at.elapsed() < UNREACHABLE_TIMEOUT => {}
-                // Something on the way, or an older server, has no events.
+                // A proxy or an older server may not support events.
                 Err(error) if error.code() == Some("unknown_route") => {
                     return poll(self.client, self.id, progress).await;
                 }
@@ -162,7 +162,7 @@ async fn poll(client: &Client, id: JobId, progress: &Progress) -> Result<JobView
     }
 }
 
-/// Writes a frame's picture to a file, and says so.
+/// Writes a frame's picture to a file and prints a notice.
 pub(crate) async fn fetch(client: &Client, id: JobId, frame: u32, path: &str) -> anyhow::Result<()> {
     let size_bytes = save(client, id, frame, path).await?;
     if path != "-" {
@@ -182,7 +182,7 @@ pub(crate) async fn save(client: &Client, id: JobId, frame: u32, path: &str) -> 
     Ok(size_bytes)
 }
 
-/// Summary of a job in one line.
+/// Formats a job's summary as one line.
 pub(crate) fn line(job: &JobView) -> String {
     let percent = (job.progress * 100.0).floor();
     let paused = if job.paused { "  (paused)" } else { "" };

@@ -1,4 +1,4 @@
-//! All pictures of a job: as files of a folder, or as one archive.
+//! Saves all pictures of a job: as files in a folder, or as one archive.
 
 use std::path::Path;
 
@@ -15,14 +15,14 @@ use crate::terminal::print_note;
 /// Saves each picture in a folder, which is created if missing.
 pub(crate) async fn save(client: &Client, id: JobId, folder: &str, partial: bool) -> anyhow::Result<()> {
     if folder == "-" {
-        return Err(UsageError("standard output is no folder: name one, or a file that ends in .zip".to_owned()).into());
+        return Err(UsageError("standard output is no folder: give one, or a file that ends in .zip".to_owned()).into());
     }
     let frames = frames(client, id).await?;
     let missing = frames.iter().filter(|frame| frame.image.is_none()).count();
     if missing > 0 && !partial {
         anyhow::bail!(
             "{missing} of the {} of job {id} {} not stored: wait with `sdfarm watch {id}`, \
-             or take the others with --partial",
+             or save the others with --partial",
             counted_len(frames.len(), "picture"),
             if missing == 1 { "is" } else { "are" }
         );
@@ -42,12 +42,12 @@ pub(crate) async fn save(client: &Client, id: JobId, folder: &str, partial: bool
     Ok(())
 }
 
-/// Saves one frame's picture in a folder, under the name that it has among the others.
+/// Saves one frame's picture in a folder, under the name that it has when all are saved.
 pub(crate) async fn save_one(client: &Client, id: JobId, frame: u32, folder: &str) -> anyhow::Result<()> {
     check_writable(&format!("{}/", folder.trim_end_matches('/')))?;
     match frames(client, id).await?.into_iter().find(|view| view.number == frame) {
         Some(view) => follow::fetch(client, id, frame, &path_in(folder, &view)).await,
-        // The server says which frames there are.
+        // The server's error names the frames that exist.
         None => follow::fetch(client, id, frame, "-").await,
     }
 }

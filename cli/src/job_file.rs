@@ -1,4 +1,4 @@
-//! Job files: reads one, and reports every error with its line and column.
+//! Reads a job file, and reports every error with its line and column.
 
 use std::fs::File;
 use std::io::Read;
@@ -9,7 +9,7 @@ use scene::{Job, ParseError};
 
 use crate::error::{InvalidJob, UsageError};
 
-/// A job file's text.
+/// Text of a job file, with its name for messages.
 #[derive(Debug)]
 pub(crate) struct JobFile {
     /// The file, as the user named it.
@@ -32,16 +32,16 @@ impl JobFile {
         };
         read.map_err(|error| {
             UsageError(format!(
-                "could not read the job file {name}: {error}; name one that is there, or - for standard input"
+                "could not read the job file {name}: {error}; give an existing file, or - for standard input"
             ))
         })?;
         if text.len() > limit {
-            return Err(UsageError(format!("{name} is larger than a job file may be: {} MiB", limit >> 20)).into());
+            return Err(UsageError(format!("{name} is too large: a job file has at most {} MiB", limit >> 20)).into());
         }
         Ok(Self { name, text })
     }
 
-    /// The job it holds.
+    /// Parses the job.
     pub(crate) fn parse(&self) -> anyhow::Result<Job> {
         scene::parse(&self.text).map_err(|refusal| {
             let faults = match &refusal {

@@ -1,4 +1,4 @@
-//! How people name a job: by its id, by a part of it, by its name, or as the latest one.
+//! Finds the job that a user names: by its id, a part of the id, its name, or as the latest one.
 
 use std::convert::Infallible;
 use std::str::FromStr;
@@ -8,10 +8,10 @@ use proto::{Client, JobId};
 use crate::error::UsageError;
 use crate::follow;
 
-/// Jobs that are listed where a name could mean several.
+/// Maximum number of candidates listed if a name is ambiguous.
 const LISTED: u32 = 10;
 
-/// What a person calls a job.
+/// A user's name for a job.
 #[derive(Clone, Debug)]
 pub(crate) struct JobName(String);
 
@@ -24,7 +24,7 @@ impl FromStr for JobName {
 }
 
 impl JobName {
-    /// The only job that is called so. A whole id is taken as it is, without asking the server.
+    /// Finds the only job that matches. A complete id is used as it is, without asking the server.
     pub(crate) async fn find(&self, client: &Client) -> anyhow::Result<JobId> {
         let Self(text) = self;
         if let Ok(id) = text.parse() {
@@ -34,8 +34,8 @@ impl JobName {
         match &found[..] {
             [job] => Ok(job.id),
             [] => Err(UsageError(format!(
-                "no job is called {text:?}: say its id, four or more of its first or last characters, its name, or latest; \
-                 `sdfarm jobs` lists them"
+                "no job matches {text:?}: give its id, four or more of its first or last characters, its name, or \
+                 latest; `sdfarm jobs` lists them"
             ))
             .into()),
             several => {
@@ -44,7 +44,7 @@ impl JobName {
                     lines.push("and others".to_owned());
                 }
                 let lines = lines.join("\n  ");
-                Err(UsageError(format!("{text:?} may be several jobs: say which by its id\n  {lines}")).into())
+                Err(UsageError(format!("{text:?} matches several jobs: give the id of one\n  {lines}")).into())
             }
         }
     }

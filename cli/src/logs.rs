@@ -1,4 +1,4 @@
-//! Logs to standard error, as text or JSON, filtered by `SDFARM_LOG`; and, where wanted, traces to a collector.
+//! Logs to standard error, as text or JSON, filtered by `SDFARM_LOG`; optionally, traces to a collector.
 
 mod json_format;
 mod traces;
@@ -21,19 +21,19 @@ static CHILD_ENV: OnceLock<Vec<(&'static str, String)>> = OnceLock::new();
 /// Format of logs.
 #[derive(Clone, Copy, Debug, ValueEnum)]
 pub(crate) enum LogFormat {
-    /// One line of text an event.
+    /// One line of text for each event.
     Text,
-    /// One JSON object an event.
+    /// One JSON object for each event.
     Json,
 }
 
-/// The flags every command takes.
+/// Log flags that every command accepts.
 #[derive(Debug, Args)]
 pub(crate) struct LogArguments {
     /// Format of logs on standard error.
     #[arg(long = "log", value_name = "FORMAT", env = "SDFARM_LOG_FORMAT", default_value = "text", global = true)]
     format: LogFormat,
-    /// Log more; `SDFARM_LOG` chooses in detail, as `SDFARM_LOG=server=debug,info`.
+    /// Log more; `SDFARM_LOG` sets levels in detail, for example `SDFARM_LOG=server=debug,info`.
     #[arg(
         long,
         short,
@@ -97,12 +97,12 @@ impl LogArguments {
         if let Some(address) = collector {
             inherited.push(("SDFARM_OTLP", address.to_owned()));
         }
-        // A process starts its logs once.
+        // Each process starts its logs only once.
         let _ = CHILD_ENV.set(inherited);
     }
 }
 
-/// Variables by which workers log and trace as this process does.
+/// Variables that give workers the log and trace settings of this process.
 pub(crate) fn child_env() -> Vec<(String, String)> {
     let told = CHILD_ENV.get().map_or(&[][..], Vec::as_slice);
     told.iter().map(|(name, value)| ((*name).to_owned(), value.clone())).collect()

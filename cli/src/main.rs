@@ -39,7 +39,7 @@ Examples:
   sdfarm pool 4                             four workers on this machine
 
 Every flag can be given as a variable: --listen as SDFARM_LISTEN, and so on.
-Exit codes: 0 done, 1 failed, 2 wrong use or bad input; of a worker, 3: its device does not render.";
+Exit codes: 0 done, 1 failed, 2 usage error or bad input, 3 unusable device of a worker.";
 
 /// A render farm for scenes made of signed distance functions.
 #[derive(Debug, Parser)]
@@ -47,7 +47,7 @@ Exit codes: 0 done, 1 failed, 2 wrong use or bad input; of a worker, 3: its devi
 struct Sdfarm {
     #[command(flatten)]
     logs: logs::LogArguments,
-    /// Let `SDFARM_FAIL_POINTS` arm fail points in this process and its children: for tests, see
+    /// Allow `SDFARM_FAIL_POINTS` to arm fail points in this process and its children: for tests, see
     /// docs/proof.md.
     #[arg(long, hide = true, global = true)]
     allow_fail_points: bool,
@@ -60,7 +60,7 @@ fn main() -> ExitCode {
     let done = arm(sdfarm.allow_fail_points).and_then(|()| sdfarm.logs.start(sdfarm.command.is_long_lived())).and_then(
         |traces| {
             let done = sdfarm.command.run();
-            // Sends the remaining traces.
+            // Dropping the guard sends the remaining traces.
             drop(traces);
             done
         },
@@ -89,7 +89,7 @@ mod tests {
     }
 
     #[test]
-    fn every_flag_doubles_as_a_variable() {
+    fn every_flag_has_a_variable() {
         for command in super::Sdfarm::command().get_subcommands() {
             for argument in command.get_arguments().filter(|argument| argument.get_long().is_some()) {
                 let long = argument.get_long().expect("filtered above");

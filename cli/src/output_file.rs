@@ -1,7 +1,7 @@
-//! Pictures written to files: whole or not at all.
+//! Writes pictures to files: complete or not at all.
 //!
 //! Bytes go to a temporary file next to the target, which takes the target's name only when it is complete
-//! and on disk. A pipe or a device gets a copy of the whole.
+//! and on disk. A pipe or a device gets a copy of the complete file.
 
 use std::fs::{self, File, Permissions};
 use std::io::{self, Read};
@@ -22,7 +22,7 @@ const COPIED_BYTES: usize = 1 << 20;
 #[derive(Debug)]
 enum Target {
     Standard,
-    /// Something that is there and can't be replaced: a pipe, a device.
+    /// An existing target that cannot be replaced: a pipe or a device.
     Special(PathBuf),
     Regular(PathBuf),
 }
@@ -44,7 +44,7 @@ impl OutputFile {
             Target::Regular(path) => folder_of(path).to_owned(),
         };
         if !folder.is_dir() {
-            return Err(UsageError(format!("there is no folder {}: make it first", folder.display())).into());
+            return Err(UsageError(format!("there is no folder {}: create it first", folder.display())).into());
         }
         let temporary = tempfile::Builder::new()
             .prefix(".sdfarm-")
@@ -52,7 +52,7 @@ impl OutputFile {
             .permissions(Permissions::from_mode(MODE))
             .tempfile_in(&folder)
             .map_err(|error| {
-                // The error names the temporary file, which nobody asked for; its kind says enough.
+                // The error names the temporary file, which means nothing to a user, so only its kind is printed.
                 UsageError(format!(
                     "could not write to the folder {}: {}; write elsewhere",
                     folder.display(),
@@ -77,7 +77,7 @@ impl OutputFile {
         folder_of(self.temporary.path())
     }
 
-    /// Publishes the file: all of its bytes, under its name, on disk.
+    /// Publishes the file under its name, once all of its bytes are on disk.
     pub(crate) fn commit(self) -> anyhow::Result<()> {
         let Self { name, temporary, target } = self;
         let context = || format!("could not write {name}: free some space there, or write elsewhere");
@@ -96,12 +96,12 @@ impl OutputFile {
     }
 }
 
-/// Whether a path names a folder: one that is there, or one to be made, which ends in a slash.
+/// Whether a path names a folder: an existing one, or one to create, whose path ends in a slash.
 pub(crate) fn is_folder(path: &str) -> bool {
     path != "-" && (path.ends_with('/') || Path::new(path).is_dir())
 }
 
-/// Makes sure that a picture can be written to `path` later: a folder is made, a file's folder is tried.
+/// Makes sure that a picture can be written to `path` later: creates a folder, or tries to write to a file's folder.
 pub(crate) fn check_writable(path: &str) -> anyhow::Result<()> {
     if !is_folder(path) {
         return OutputFile::create(path).map(drop);
@@ -112,10 +112,10 @@ pub(crate) fn check_writable(path: &str) -> anyhow::Result<()> {
     })
 }
 
-/// Makes a folder for pictures, unless it is there.
+/// Creates a folder for pictures if it is missing.
 pub(crate) fn make_folder(path: &str) -> anyhow::Result<()> {
     fs::create_dir_all(path)
-        .map_err(|error| UsageError(format!("could not make the folder {path}: {error}; write elsewhere")).into())
+        .map_err(|error| UsageError(format!("could not create the folder {path}: {error}; write elsewhere")).into())
 }
 
 /// The picture format a file's extension names; `None` for `-`, which has none.
@@ -127,7 +127,7 @@ pub(crate) fn format_of(path: &str) -> anyhow::Result<Option<Format>> {
     match extension.as_deref() {
         Some("png") => Ok(Some(Format::Png)),
         Some("exr") => Ok(Some(Format::Exr)),
-        Some(_) | None => Err(UsageError(format!("{path:?} names no picture format: end it in .png or .exr")).into()),
+        Some(_) | None => Err(UsageError(format!("{path:?} has no picture format: end it in .png or .exr")).into()),
     }
 }
 
@@ -135,11 +135,11 @@ pub(crate) fn format_of(path: &str) -> anyhow::Result<Option<Format>> {
 pub(crate) fn check_format(job: &Job) -> anyhow::Result<()> {
     match job.image.format {
         Format::Png if !job.image.layers.is_empty() => Err(UsageError(
-            "a PNG holds no layers: write to an .exr file, or take image.layers out of the job".to_owned(),
+            "a PNG cannot store layers: write to an .exr file, or remove image.layers from the job".to_owned(),
         )
         .into()),
         Format::Exr if job.image.has_display_transform() => Err(UsageError(
-            "an EXR stays linear: write to a .png file, or take image.exposure and image.tone_map out of the job"
+            "an EXR is linear: write to a .png file, or remove image.exposure and image.tone_map from the job"
                 .to_owned(),
         )
         .into()),
@@ -155,8 +155,8 @@ fn classify_target(path: &str) -> anyhow::Result<Target> {
     match fs::metadata(path) {
         Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(Target::Regular(PathBuf::from(path))),
         Err(error) => Err(wrong(error.to_string())),
-        Ok(there) if there.is_dir() => Err(wrong("it is a folder; name a file in it".to_owned())),
-        // Through a symbolic link, to what it points at.
+        Ok(there) if there.is_dir() => Err(wrong("it is a folder; give a file in it".to_owned())),
+        // A symbolic link is followed to its target.
         Ok(there) if there.is_file() => {
             Ok(Target::Regular(fs::canonicalize(path).map_err(|error| wrong(error.to_string()))?))
         }
@@ -189,7 +189,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn file_appears_whole_and_an_abandoned_one_leaves_nothing() {
+    fn file_appears_complete_and_an_abandoned_one_leaves_nothing() {
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("a.png");
         let name = path.to_str().expect("a plain name");
@@ -218,7 +218,7 @@ mod tests {
     }
 
     #[test]
-    fn device_is_written_to_and_not_replaced() {
+    fn device_is_written_but_not_replaced() {
         let mut file = OutputFile::create("/dev/null").expect("created");
         file.file().write_all(b"gone").expect("written");
         file.commit().expect("committed");

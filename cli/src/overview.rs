@@ -12,7 +12,7 @@ use openmetrics::Metrics;
 
 /// Unfinished jobs that are listed, at most.
 const JOBS: u32 = 50;
-/// With less free disk, a warning.
+/// Free disk space below which there is a warning.
 const MIN_DISK_BYTES: f64 = 5e9;
 /// Fraction of a GPU's memory that counts as full.
 const FULL_GPU: f64 = 0.95;
@@ -22,13 +22,13 @@ const FULL_GPU: f64 = 0.95;
 pub(crate) struct Overview {
     /// The server's address.
     pub(crate) server: String,
-    /// `ready`, `degraded`, or what is wrong.
+    /// `ready`, `degraded`, or the reason why neither holds.
     pub(crate) health: String,
     /// The release.
     pub(crate) version: String,
     /// Seconds since its start.
     pub(crate) uptime_seconds: f64,
-    /// Whether the farm is paused: nothing more is leased until it is resumed.
+    /// Whether the farm is paused: no new tiles are leased until it is resumed.
     pub(crate) paused: bool,
     /// Remaining work.
     pub(crate) queue: QueueOverview,
@@ -36,7 +36,7 @@ pub(crate) struct Overview {
     pub(crate) totals: TotalsOverview,
     /// The local pool.
     pub(crate) pool: PoolView,
-    /// Workers that are not gone.
+    /// Workers that have not exited or vanished.
     pub(crate) workers: Vec<WorkerView>,
     /// Unfinished jobs, running ones first.
     pub(crate) jobs: Vec<JobView>,
@@ -51,11 +51,11 @@ pub(crate) struct Overview {
 pub(crate) struct QueueOverview {
     /// Jobs without any lease so far.
     pub(crate) queued: u64,
-    /// Jobs that run.
+    /// Running jobs.
     pub(crate) running: u64,
     /// Tiles that could be leased.
     pub(crate) tiles_ready: u64,
-    /// Leases that run.
+    /// Live leases.
     pub(crate) tiles_leased: u64,
     /// Seconds of work; `None` without workers.
     pub(crate) work_seconds: Option<f64>,
@@ -68,17 +68,17 @@ pub(crate) struct QueueOverview {
 /// Counters since the start.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub(crate) struct TotalsOverview {
-    /// Leases that ran out.
+    /// Expired leases.
     pub(crate) expired: u64,
-    /// Results without effect.
+    /// Fenced results: their lease had ended.
     pub(crate) fenced: u64,
     /// Tiles that two workers rendered differently.
     pub(crate) nondeterministic: u64,
-    /// Webhooks that failed.
+    /// Failed webhook deliveries.
     pub(crate) webhook_failures: u64,
-    /// Answers 429.
+    /// Responses with status 429.
     pub(crate) rate_limited: u64,
-    /// Answers 5xx.
+    /// Responses with status 5xx.
     pub(crate) server_errors: u64,
 }
 
@@ -86,9 +86,9 @@ pub(crate) struct TotalsOverview {
 #[derive(Clone, Copy, Debug, Serialize)]
 #[expect(clippy::struct_field_names, reason = "units come last in names")]
 pub(crate) struct DiskOverview {
-    /// Free room.
+    /// Free space.
     pub(crate) free_bytes: u64,
-    /// Size.
+    /// Size of the disk.
     pub(crate) total_bytes: u64,
     /// Pictures and tiles.
     pub(crate) store_bytes: u64,
@@ -168,7 +168,7 @@ impl Overview {
         overview
     }
 
-    /// Whether it serves and works.
+    /// Whether the farm is ready or degraded.
     pub(crate) fn is_healthy(&self) -> bool {
         ["ready", "degraded"].contains(&self.health.as_str())
     }
@@ -182,31 +182,31 @@ impl Overview {
         };
         let TotalsOverview { expired, fenced, nondeterministic, webhook_failures, server_errors, .. } = self.totals;
         worry(!self.is_healthy(), self.health.clone());
-        worry(self.paused, "the farm is paused: `sdfarm resume` lets it go on".to_owned());
+        worry(self.paused, "the farm is paused: `sdfarm resume` continues it".to_owned());
         worry(nondeterministic > 0, format!("{} rendered differently by two workers", were(nondeterministic, "tile")));
-        worry(self.queue.work_seconds.is_none(), "there is work, and no worker that has shown its speed".to_owned());
+        worry(self.queue.work_seconds.is_none(), "there is work, but no worker with a measured speed".to_owned());
         worry(
             self.pool.ready < self.pool.workers,
             format!("{} of {} ready", self.pool.ready, counted(self.pool.workers, "local worker")),
         );
-        worry((self.disk.free_bytes as f64) < MIN_DISK_BYTES, "little room is left on the disk".to_owned());
-        worry(expired > 0, format!("{} ran out", counted(expired, "lease")));
-        worry(fenced > 0, format!("{} came too late", counted(fenced, "result")));
+        worry((self.disk.free_bytes as f64) < MIN_DISK_BYTES, "little disk space is left".to_owned());
+        worry(expired > 0, format!("{} expired", counted(expired, "lease")));
+        worry(fenced > 0, format!("{} arrived too late", counted(fenced, "result")));
         worry(webhook_failures > 0, format!("{} failed", counted(webhook_failures, "webhook delivery")));
         worry(server_errors > 0, format!("{} failed in the server", counted(server_errors, "request")));
         let (used, all) =
             (samples.sum("sdfarm_gpu_memory_used_bytes", &[]), samples.sum("sdfarm_gpu_memory_bytes", &[]));
-        worry(all > 0.0 && used / all > FULL_GPU, "the GPUs have no memory left".to_owned());
+        worry(all > 0.0 && used / all > FULL_GPU, "the GPUs' memory is almost full".to_owned());
         worries
     }
 }
 
-/// A number of things with its verb: `1 tile was`, `2 tiles were`.
+/// Formats a count with its verb: `1 tile was`, `2 tiles were`.
 fn were(number: u64, noun: &str) -> String {
     format!("{} {}", counted(number, noun), if number == 1 { "was" } else { "were" })
 }
 
-/// A duration in its two largest units: `3 h 20 min`.
+/// Formats a duration in its two largest units: `3 h 20 min`.
 pub(crate) fn duration(seconds: f64) -> String {
     let whole = seconds.max(0.0).round() as u64;
     let (days, hours, minutes) = (whole / 86_400, whole / 3600 % 24, whole / 60 % 60);
@@ -219,7 +219,7 @@ pub(crate) fn duration(seconds: f64) -> String {
     }
 }
 
-/// A number in thousands, millions and so on.
+/// Formats a number in thousands, millions, and so on.
 pub(crate) fn scaled(number: f64) -> String {
     let units = [(1e12, "T"), (1e9, "G"), (1e6, "M"), (1e3, "k")];
     let found = units.into_iter().find(|(unit, _)| number >= *unit);
@@ -230,7 +230,7 @@ pub(crate) fn scaled(number: f64) -> String {
 pub(crate) mod tests {
     use super::*;
 
-    /// A farm in trouble.
+    /// Sample of an unhealthy farm.
     pub(crate) fn unhealthy() -> Overview {
         let samples = Metrics::read(
             "sdfarm_build_info{version=\"1.2.3\",picture_version=\"4\"} 1\n\
@@ -265,16 +265,16 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn what_should_be_evaluated_is_said() {
+    fn overview_lists_its_warnings() {
         let overview = unhealthy();
         assert_eq!(
             overview.warnings,
             [
-                "the farm is paused: `sdfarm resume` lets it go on",
+                "the farm is paused: `sdfarm resume` continues it",
                 "2 tiles were rendered differently by two workers",
                 "1 of 2 local workers ready",
-                "little room is left on the disk",
-                "3 leases ran out",
+                "little disk space is left",
+                "3 leases expired",
                 "1 request failed in the server",
             ]
         );
@@ -283,7 +283,7 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn times_and_numbers_are_short() {
+    fn durations_and_numbers_are_abbreviated() {
         let times = [(0.25, "0.2 s"), (42.0, "42 s"), (75.0, "1 min 15 s"), (3700.0, "1 h 1 min"), (2e5, "2 d 7 h")];
         for (seconds, text) in times {
             assert_eq!(duration(seconds), text);

@@ -1,6 +1,5 @@
 //! Work of the server's helper processes: previews, thumbnails, samples of jobs.
-//!
-//! Nothing here communicates with a server: a request comes in, a picture or a sample goes out.
+//! It never calls a server: it receives one request and returns a picture or a sample.
 
 mod canvas;
 mod coarse;
@@ -12,7 +11,7 @@ use proto::preview_helper::HelperRequest;
 
 pub(crate) use cost_sample::sample;
 
-/// Does what is asked; returns the bytes of the answer.
+/// Handles a request; returns the bytes of the response.
 pub(crate) fn handle(sketch: &HelperRequest) -> anyhow::Result<Vec<u8>> {
     match sketch {
         HelperRequest::Preview { job, frame, width_px, tiles, coarse, coarse_ms } => {

@@ -1,4 +1,4 @@
-//! Progress on standard error: a bar on a terminal, else a plain line now and then.
+//! Shows progress on standard error: a bar on a terminal, otherwise a plain line every 5 s.
 
 use std::io::IsTerminal;
 use std::sync::Mutex;
@@ -9,7 +9,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 
 use crate::terminal::print_note;
 
-/// Time between plain lines; what is done sooner prints none.
+/// Time between plain lines; work that finishes sooner prints none.
 const LINE_INTERVAL: Duration = Duration::from_secs(5);
 const BAR: &str = "{msg} [{bar:32}] {percent:>3} %  {elapsed} elapsed, {eta} left";
 
@@ -24,23 +24,23 @@ pub(crate) struct Progress {
 #[derive(Debug)]
 enum ProgressDisplay {
     Bar(ProgressBar),
-    FlatJsonFormat { label: String, last: Mutex<Instant> },
+    Lines { label: String, last: Mutex<Instant> },
     Nothing,
 }
 
 impl Progress {
-    /// Progress of `total` units, under a label.
+    /// Shows progress toward `total` units, under a label.
     pub(crate) fn new(label: &str, total: u64) -> Self {
         let shown = if std::io::stderr().is_terminal() {
             let style = ProgressStyle::with_template(BAR).expect("the template above is one").progress_chars("=> ");
             ProgressDisplay::Bar(ProgressBar::new(total).with_style(style).with_message(label.to_owned()))
         } else {
-            ProgressDisplay::FlatJsonFormat { label: label.to_owned(), last: Mutex::new(Instant::now()) }
+            ProgressDisplay::Lines { label: label.to_owned(), last: Mutex::new(Instant::now()) }
         };
         Self { shown, done: AtomicU64::new(0), total }
     }
 
-    /// Counts, and displays nothing.
+    /// Counts units without displaying anything.
     pub(crate) fn silent() -> Self {
         Self { shown: ProgressDisplay::Nothing, done: AtomicU64::new(0), total: 0 }
     }
@@ -61,14 +61,14 @@ impl Progress {
     pub(crate) fn finish(&self) {
         match &self.shown {
             ProgressDisplay::Bar(bar) => bar.finish_and_clear(),
-            ProgressDisplay::FlatJsonFormat { .. } | ProgressDisplay::Nothing => {}
+            ProgressDisplay::Lines { .. } | ProgressDisplay::Nothing => {}
         }
     }
 
     fn show(&self, done: u64) {
         match &self.shown {
             ProgressDisplay::Bar(bar) => bar.set_position(done),
-            ProgressDisplay::FlatJsonFormat { label, last } => {
+            ProgressDisplay::Lines { label, last } => {
                 // If the lock is taken, its holder prints the line.
                 let Ok(mut last) = last.try_lock() else { return };
                 if last.elapsed() >= LINE_INTERVAL {

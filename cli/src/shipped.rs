@@ -19,7 +19,7 @@ pub(crate) fn names() -> Vec<String> {
     names
 }
 
-/// The hash of one's pixels at full size, with every layer.
+/// Hash of a shipped scene's pixels at full size, with every layer.
 pub(crate) fn hash(name: &str) -> Option<String> {
     let hashes = Scenes::get("hashes.txt")?;
     let hashes = std::str::from_utf8(&hashes.data).ok()?;
@@ -27,7 +27,7 @@ pub(crate) fn hash(name: &str) -> Option<String> {
     lines.find(|(_, scene)| *scene == name).map(|(hash, _)| hash.to_owned())
 }
 
-/// The job file of one.
+/// Job file of a shipped scene.
 pub(crate) fn job_file(name: &str) -> anyhow::Result<Vec<u8>> {
     match Scenes::get(&format!("{name}.json")) {
         Some(file) => Ok(file.data.into_owned()),

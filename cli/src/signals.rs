@@ -1,4 +1,4 @@
-//! The signals that ask a process to stop: Ctrl-C and SIGTERM.
+//! Handles the signals that ask a process to stop: Ctrl-C and SIGTERM.
 
 use anyhow::Context;
 use tokio::signal::unix::{Signal, SignalKind, signal};
@@ -12,7 +12,7 @@ pub(crate) struct Signals {
 }
 
 impl Signals {
-    /// Catches them; within a runtime.
+    /// Installs the handlers; must be called within a Tokio runtime.
     pub(crate) fn install() -> anyhow::Result<Self> {
         let catch = |kind| signal(kind).context("could not catch signals");
         Ok(Self { interrupt: catch(SignalKind::interrupt())?, terminate: catch(SignalKind::terminate())? })
@@ -30,7 +30,7 @@ impl Signals {
     pub(crate) fn cancel_then_exit(mut self, shutdown: CancellationToken) {
         tokio::spawn(async move {
             self.next().await;
-            tracing::info!("stopping when what is at hand is finished or handed back; once more stops at once");
+            tracing::info!("stopping after leased tiles are finished or released; a second signal stops immediately");
             shutdown.cancel();
             self.next().await;
             std::process::exit(1);

@@ -1,4 +1,4 @@
-//! Sizes as people write them: `500MB`, `20GiB`.
+//! Parses sizes as users write them: `500MB`, `20GiB`.
 
 use std::str::FromStr;
 
@@ -10,7 +10,7 @@ impl FromStr for Size {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        let wrong = || format!("{text:?} is no size: write a number and a unit, such as 500MB or 20GiB");
+        let wrong = || format!("{text:?} is not a size: write a number and a unit, such as 500MB or 20GiB");
         let digits = text.bytes().take_while(u8::is_ascii_digit).count();
         let unit: u64 = match text[digits..].trim_start() {
             "" | "B" => 1,
@@ -34,7 +34,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn sizes_are_read_in_thousands_and_in_powers_of_two() {
+    fn sizes_are_parsed_with_decimal_and_binary_units() {
         for (text, bytes) in [("0", 0), ("12", 12), ("500MB", 500_000_000), ("20 GiB", 20 << 30), ("1TiB", 1 << 40)] {
             assert_eq!(text.parse(), Ok(Size(bytes)), "{text}");
         }

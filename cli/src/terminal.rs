@@ -1,4 +1,4 @@
-//! Lines to standard output and standard error.
+//! Prints lines to standard output and standard error.
 //!
 //! A reader that has closed the pipe (`sdfarm jobs | head -1`) causes no error and no panic.
 

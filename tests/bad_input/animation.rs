@@ -1,4 +1,4 @@
-//! Bad tracks, cameras and pictures: what moves, how it is seen, and how it is shown.
+//! Invalid tracks, cameras, and pictures.
 
 use super::{Case, LOOK_AT, SOUND, changed, written};
 

@@ -1,24 +1,24 @@
-//! Bad shapes, materials, lights and skies: numbers out of range, alone or together, and forms that do not fit.
+//! Invalid shapes, materials, lights, and skies: numbers out of range, alone or combined, and values of wrong types.
 
 use super::{Case, LOOK_AT, SPHERE, changed};
 
-/// The sound job with another shape; the pointer begins at the shape.
+/// Replaces the shape of the valid job; the pointer begins at the shape.
 fn shape(name: &'static str, marked: &str, pointer: &str, says: &'static str) -> Case {
     changed(name, SPHERE, marked, &format!("/scene/objects/0/shape{pointer}"), says)
 }
 
-/// The sound job with another material; the pointer begins at the material.
+/// Replaces the material of the valid job; the pointer begins at the material.
 fn material(name: &'static str, marked: &str, pointer: &str, says: &'static str) -> Case {
     let pointer = format!("/scene/objects/0/material{pointer}");
     changed(name, r#""material": "clay""#, &format!(r#""material": {marked}"#), &pointer, says)
 }
 
-/// The sound job with something more in its scene; the pointer begins at the scene.
+/// Adds a member to the scene of the valid job; the pointer begins at the scene.
 fn scene(name: &'static str, marked: &str, pointer: &str, says: &'static str) -> Case {
     changed(name, r#""materials""#, &format!(r#"{marked}, "materials""#), &format!("/scene{pointer}"), says)
 }
 
-/// A shape around the sphere.
+/// Wraps the sphere in a node.
 fn around(name: &'static str, node: &str, pointer: &str, says: &'static str) -> Case {
     shape(name, &node.replacen("CHILD", SPHERE, 9), pointer, says)
 }
@@ -275,7 +275,7 @@ fn surroundings() -> Vec<Case> {
     ]
 }
 
-/// 10,001 keys of the sphere's radius.
+/// Track of 10,001 keyframes for the sphere's radius.
 fn too_many_keys() -> Case {
     let keys: Vec<String> = (0..10_001).map(|second| format!("[{second}, 1]")).collect();
     let radius = format!(r#""radius": {{ "keys": ¤[{}] }}"#, keys.join(", "));

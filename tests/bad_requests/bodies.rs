@@ -1,4 +1,4 @@
-//! Wrong bodies and content types of the users' routes.
+//! Invalid bodies and content types of the routes for users.
 
 use super::raw::Request;
 
@@ -6,7 +6,7 @@ const SUBMIT: &str = "POST /v1/jobs";
 const RESIZE: &str = "PUT /v1/pool";
 const JSON: &str = "content-type: application/json";
 
-/// Bodies that neither route takes.
+/// Bodies that both routes reject.
 const BODIES: [(&str, &[u8]); 22] = [
     ("no body", b""),
     ("blanks", b"  \n "),
@@ -21,15 +21,15 @@ const BODIES: [(&str, &[u8]); 22] = [
     ("a comment", b"{} // nothing"),
     ("two objects", b"{} {}"),
     ("single quotes", b"{'workers': 1}"),
-    ("a mark of byte order", b"\xef\xbb\xbf{}"),
+    ("a byte order mark", b"\xef\xbb\xbf{}"),
     ("UTF-16", b"{\0}\0"),
-    ("bytes that are no UTF-8", b"{\"\xff\": 1}"),
+    ("bytes that are not UTF-8", b"{\"\xff\": 1}"),
     ("half a surrogate pair", b"{\"\\ud800\": 1}"),
     ("a control character", b"{\"a\x01\": 1}"),
-    ("no number", b"{\"workers\": NaN}"),
-    ("a number beyond all", b"{\"workers\": 1e999}"),
-    ("a key twice", b"{\"workers\": 1, \"workers\": 2}"),
-    ("an unknown key", b"{\"colour\": 1}"),
+    ("NaN", b"{\"workers\": NaN}"),
+    ("a number out of range", b"{\"workers\": 1e999}"),
+    ("a duplicate member", b"{\"workers\": 1, \"workers\": 2}"),
+    ("an unknown member", b"{\"colour\": 1}"),
 ];
 
 fn typed(route: &str, name: &str, content_type: &str) -> Request {
@@ -40,7 +40,7 @@ fn body(route: &str, name: &str, body: impl Into<Vec<u8>>) -> Request {
     Request::new(format!("{route}: {name}"), format!("{route}\n{JSON}")).with(body)
 }
 
-/// The table.
+/// Invalid requests of this file.
 pub(super) fn requests() -> Vec<Request> {
     let mut all = Vec::new();
     for route in [SUBMIT, RESIZE] {
@@ -50,8 +50,8 @@ pub(super) fn requests() -> Vec<Request> {
             ("parts", "multipart/form-data; boundary=x"),
             ("XML", "application/xml"),
             ("bytes", "application/octet-stream"),
-            ("nothing said of the type", ""),
-            ("a type that is none", "json"),
+            ("no content type", ""),
+            ("an invalid content type", "json"),
             ("a list of types", "application/json, text/plain"),
         ] {
             all.push(typed(route, name, content_type));
@@ -59,18 +59,18 @@ pub(super) fn requests() -> Vec<Request> {
         for (name, text) in BODIES {
             all.push(body(route, name, text));
         }
-        all.push(body(route, "lists within lists", "[".repeat(2000)));
-        all.push(body(route, "objects within objects", "{\"a\":".repeat(2000)));
+        all.push(body(route, "nested lists", "[".repeat(2000)));
+        all.push(body(route, "nested objects", "{\"a\":".repeat(2000)));
     }
     for (name, text) in [
-        ("fewer than none", r#"{"workers": -1}"#),
+        ("a negative number of workers", r#"{"workers": -1}"#),
         ("too many", r#"{"workers": 257}"#),
-        ("more than can be counted", r#"{"workers": 99999999999999999999}"#),
-        ("half a worker", r#"{"workers": 1.5}"#),
-        ("a word for a number", r#"{"workers": "4"}"#),
-        ("null for a number", r#"{"workers": null}"#),
-        ("a list for a number", r#"{"workers": [1]}"#),
-        ("one key more", r#"{"workers": 1, "ready": 1}"#),
+        ("a number of workers out of range", r#"{"workers": 99999999999999999999}"#),
+        ("a fractional number of workers", r#"{"workers": 1.5}"#),
+        ("a string instead of a number", r#"{"workers": "4"}"#),
+        ("null instead of a number", r#"{"workers": null}"#),
+        ("a list instead of a number", r#"{"workers": [1]}"#),
+        ("an additional member", r#"{"workers": 1, "ready": 1}"#),
     ] {
         all.push(body(RESIZE, name, text));
     }

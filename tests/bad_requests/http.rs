@@ -1,10 +1,9 @@
-//! What is wrong with the HTTP itself: lines, headers, hosts, origins, lengths, encodings.
-//!
-//! Some of it the HTTP library refuses by itself, without a problem; that it does, and how, is kept as well.
+//! Invalid HTTP: request lines, headers, hosts, origins, lengths, and encodings.
+//! The HTTP library rejects some requests itself, without a problem body; those responses are recorded as well.
 
 use super::raw::Request;
 
-/// The table.
+/// Invalid requests of this file.
 pub(super) fn requests() -> Vec<Request> {
     let mut all = hosts();
     all.extend(lengths());
@@ -37,16 +36,16 @@ fn lengths() -> Vec<Request> {
         Request::new(name, format!("POST /v1/jobs\ncontent-type: application/json\n{headers}")).with(body)
     };
     vec![
-        submit("a body shorter than said", "content-length: 100", b"{}").stopped(),
-        submit("a length below none", "content-length: -1", b"{}").foreign(),
-        submit("a length in words", "content-length: two", b"{}").foreign(),
+        submit("a body shorter than its length", "content-length: 100", b"{}").stopped(),
+        submit("a negative length", "content-length: -1", b"{}").foreign(),
+        submit("a length that is not a number", "content-length: two", b"{}").foreign(),
         submit("two lengths", "content-length: 2\ncontent-length: 3", b"{}").foreign(),
         submit("a length and chunks", "content-length: 2\ntransfer-encoding: chunked", b"2\r\n{}\r\n0\r\n\r\n")
             .foreign(),
-        submit("a chunk of no length", "transfer-encoding: chunked", b"zz\r\n{}\r\n0\r\n\r\n"),
-        submit("chunks that stop midway", "transfer-encoding: chunked", b"ff\r\n{}").stopped(),
-        submit("an unknown transfer", "transfer-encoding: rot13", b"{}").foreign(),
-        submit("a length beyond all", "content-length: 18446744073709551615", b"{}").foreign(),
+        submit("a chunk with an invalid length", "transfer-encoding: chunked", b"zz\r\n{}\r\n0\r\n\r\n"),
+        submit("incomplete chunks", "transfer-encoding: chunked", b"ff\r\n{}").stopped(),
+        submit("an unknown transfer encoding", "transfer-encoding: rot13", b"{}").foreign(),
+        submit("a length out of range", "content-length: 18446744073709551615", b"{}").foreign(),
     ]
 }
 
@@ -54,20 +53,20 @@ fn lines() -> Vec<Request> {
     let mut all = vec![
         Request::new("no request", "nonsense").foreign(),
         Request::new("an unknown method", "BREW /v1/jobs"),
-        Request::new("a method in small letters", "get /v1/jobs"),
-        Request::new("a method of no letters", "G(T /v1/jobs").foreign(),
-        Request::new("a trace", "TRACE /v1/jobs"),
-        Request::new("options of everything", "OPTIONS *"),
-        Request::new("a tunnel", "CONNECT evil.example:443").foreign(),
-        Request::new("a path without its slash", "GET v1/jobs").foreign(),
-        Request::new("a whole address", "GET http://evil.example/v1/jobs"),
-        Request::new("HTTP of another kind", "GET /v1/jobs HTTP/3.0").foreign(),
-        Request::new("the preface of HTTP/2", "PRI * HTTP/2.0").foreign(),
+        Request::new("a lower-case method", "get /v1/jobs"),
+        Request::new("an invalid method", "G(T /v1/jobs").foreign(),
+        Request::new("a TRACE request", "TRACE /v1/jobs"),
+        Request::new("OPTIONS of all routes", "OPTIONS *"),
+        Request::new("a CONNECT request", "CONNECT evil.example:443").foreign(),
+        Request::new("a path without a slash", "GET v1/jobs").foreign(),
+        Request::new("an absolute URL", "GET http://evil.example/v1/jobs"),
+        Request::new("an unsupported HTTP version", "GET /v1/jobs HTTP/3.0").foreign(),
+        Request::new("the HTTP/2 preface", "PRI * HTTP/2.0").foreign(),
         Request::new("a header without a colon", "GET /v1/jobs\nnonsense").foreign(),
         Request::new("a header without a name", "GET /v1/jobs\n: value").foreign(),
-        Request::new("a header with a blank in its name", "GET /v1/jobs\nx y: z").foreign(),
+        Request::new("a header with a space in its name", "GET /v1/jobs\nx y: z").foreign(),
         Request::new("a header with NUL", "GET /v1/jobs\nx-y: a\0b").foreign(),
-        Request::new("a header folded", "GET /v1/jobs\nx-y: a\n b").foreign(),
+        Request::new("a folded header", "GET /v1/jobs\nx-y: a\n b").foreign(),
         Request::new("a path of 9000 letters", format!("GET /v1/jobs/{}", "x".repeat(9000))),
         Request::new("a path of 70000 letters", format!("GET /v1/jobs/{}", "x".repeat(70_000))).foreign(),
         Request::new("a header of a megabyte", format!("GET /v1/jobs\nx-y: {}", "z".repeat(1 << 20))).foreign(),

@@ -1,8 +1,8 @@
-//! Wrong paths, methods, ids, frames and queries.
+//! Invalid paths, methods, ids, frames, and queries.
 
 use super::raw::Request;
 
-/// Routes, and methods that they do not take.
+/// Routes, and methods that they do not support.
 const METHODS: [(&str, &[&str]); 13] = [
     ("/v1/jobs", &["PUT", "DELETE"]),
     ("/v1/jobs/{job}/cancel", &["GET", "PUT", "DELETE"]),
@@ -19,7 +19,7 @@ const METHODS: [(&str, &[&str]); 13] = [
     ("/v1/worker/sync", &["GET", "DELETE"]),
 ];
 
-/// What is no job's id.
+/// Invalid or unknown job ids.
 const IDS: [(&str, &str); 12] = [
     ("a word", "nonsense"),
     ("a number", "1"),
@@ -27,15 +27,15 @@ const IDS: [(&str, &str); 12] = [
     ("an unknown id", "{nobody}"),
     ("an id cut short", "01900000-0000-7000-8000-00000000000"),
     ("an id with a letter too many", "{nobody}0"),
-    ("an id of no hex digits", "0190000g-0000-7000-8000-000000000000"),
+    ("an id with an invalid hex digit", "0190000g-0000-7000-8000-000000000000"),
     ("NUL", "%00"),
-    ("bytes that are no UTF-8", "%ff%fe"),
-    ("a way up", "%2e%2e%2f%2e%2e"),
-    ("a quote of SQL", "'%20OR%201=1%20--"),
-    ("letters of another script", "%d1%84%d0%b0%d0%b9%d0%bb"),
+    ("bytes that are not UTF-8", "%ff%fe"),
+    ("a path traversal", "%2e%2e%2f%2e%2e"),
+    ("an SQL injection", "'%20OR%201=1%20--"),
+    ("letters of a non-Latin script", "%d1%84%d0%b0%d0%b9%d0%bb"),
 ];
 
-/// Where a job's id stands.
+/// Routes with a job id: the method, and the path before and after the id.
 const OF_A_JOB: [(&str, &str, &str); 5] = [
     ("GET", "/v1/jobs/", ""),
     ("DELETE", "/v1/jobs/", ""),
@@ -46,7 +46,7 @@ const OF_A_JOB: [(&str, &str, &str); 5] = [
 
 const FRAMES: [&str; 9] = ["1", "-1", "x", "1.5", "4294967295", "4294967296", "99999999999999999999", "%30x", "+-0"];
 
-/// Queries that the list of jobs does not take.
+/// Queries that the list of jobs rejects.
 const QUERIES: [&str; 22] = [
     "limit=0",
     "limit=1001",
@@ -72,7 +72,7 @@ const QUERIES: [&str; 22] = [
     "limit=5&order=name",
 ];
 
-/// The table.
+/// Invalid requests of this file.
 pub(super) fn requests() -> Vec<Request> {
     let mut all = Vec::new();
     for path in [
@@ -110,7 +110,7 @@ pub(super) fn requests() -> Vec<Request> {
         let path = format!("/v1/jobs/{{done}}/frames/{frame}/image");
         all.push(Request::new(format!("no frame: {frame}"), format!("GET {path}")));
     }
-    all.push(Request::new("frame of nobody's job", "GET /v1/jobs/{nobody}/frames/x/image"));
+    all.push(Request::new("frame of an unknown job", "GET /v1/jobs/{nobody}/frames/x/image"));
     all.push(Request::new("picture of a job that waits", "GET /v1/jobs/{job}/image"));
     all.push(Request::new("picture of a frame that waits", "GET /v1/jobs/{job}/frames/0/image"));
     all.push(Request::new("cancel of a job that has ended", "POST /v1/jobs/{done}/cancel"));

@@ -1,4 +1,4 @@
-//! Requests as bytes, and answers as text: nothing is mended on the way.
+//! Sends requests as raw bytes and reads responses as text, so that no library corrects them.
 
 use std::io::{Read, Write};
 use std::net::{Shutdown, TcpStream};
@@ -6,48 +6,48 @@ use std::time::Duration;
 
 use serde_json::Value;
 
-/// Nobody answers later.
+/// Time limit of a response.
 const PATIENCE: Duration = Duration::from_secs(30);
-/// Headers that are a promise.
+/// Headers that the API guarantees.
 const KEPT: [&str; 6] = ["allow", "content-type", "content-range", "retry-after", "www-authenticate", "etag"];
 
-/// A wrong request.
+/// Invalid request.
 #[derive(Clone, Debug)]
 pub(super) struct Request {
-    /// What is wrong with it.
+    /// Name of the error in the request.
     pub(super) name: String,
     /// The request line, without the version, and the headers, each on a line.
     pub(super) head: String,
-    /// The body.
+    /// Body of the request.
     pub(super) body: Vec<u8>,
-    /// Whether the farm answers it, with a problem; else the HTTP library refuses it, or it is no error.
+    /// Whether the farm responds with a problem; otherwise the HTTP library rejects the request, or it is no error.
     pub(super) is_ours: bool,
-    /// Whether nothing more is sent after it, although more was promised.
+    /// Whether the body ends before its declared length.
     pub(super) stops: bool,
 }
 
 impl Request {
-    /// One that the farm answers with a problem.
+    /// Creates a request to which the farm responds with a problem.
     pub(super) fn new(name: impl Into<String>, head: impl Into<String>) -> Self {
         Self { name: name.into(), head: head.into(), body: Vec::new(), is_ours: true, stops: false }
     }
 
-    /// With a body.
+    /// Sets the body.
     pub(super) fn with(self, body: impl Into<Vec<u8>>) -> Self {
         Self { body: body.into(), ..self }
     }
 
-    /// One that is no problem of the farm's.
+    /// Marks a request to which the farm does not respond with a problem.
     pub(super) fn foreign(self) -> Self {
         Self { is_ours: false, ..self }
     }
 
-    /// One that stops midway.
+    /// Marks a request whose body is incomplete.
     pub(super) fn stopped(self) -> Self {
         Self { stops: true, ..self }
     }
 
-    /// Its bytes on the wire. What the head does not say is filled in: host, length, and that the connection ends.
+    /// Returns the bytes to send. Missing headers are added: host, content-length, and connection: close.
     pub(super) fn bytes(&self, fill: impl Fn(&str) -> String) -> Vec<u8> {
         let head = fill(&self.head);
         let (line, headers) = head.split_once('\n').unwrap_or((&head, ""));
@@ -73,23 +73,23 @@ impl Request {
     }
 }
 
-/// What came back.
+/// Response as received.
 pub(super) struct Answer {
     head: String,
     body: String,
 }
 
-/// Sends bytes, and reads until the other side has nothing more to say.
+/// Sends bytes, and reads until the server closes the connection.
 pub(super) fn exchange(address: &str, bytes: &[u8], stops: bool) -> Answer {
     let mut connection = TcpStream::connect(address.strip_prefix("http://").expect("an address")).expect("it listens");
     connection.set_read_timeout(Some(PATIENCE)).expect("settable");
-    // A server that refuses early may not read all of it.
+    // A server that rejects the request early may not read all of it.
     let _ = connection.write_all(bytes);
     if stops {
         let _ = connection.shutdown(Shutdown::Write);
     }
     let mut answer = Vec::new();
-    // One that closes with bytes unread resets the connection, after its answer.
+    // A server that closes with unread bytes resets the connection after its response.
     let _ = connection.read_to_end(&mut answer);
     let answer = String::from_utf8_lossy(&answer);
     let (head, body) = answer.split_once("\r\n\r\n").unwrap_or((&answer, ""));
@@ -106,22 +106,22 @@ impl Answer {
         headers.find(|(name, _)| name.eq_ignore_ascii_case(wanted)).map(|(_, value)| value)
     }
 
-    /// It is no fault of the server's; and if it is the farm's, a problem with a code, words, and its request's id.
+    /// Checks that the status is not 5xx, and that a response of the farm is a problem with all members.
     pub(super) fn check(&self, is_ours: bool) -> Result<(), &'static str> {
         let ensure = |is_so: bool, fault: &'static str| if is_so { Ok(()) } else { Err(fault) };
-        ensure(self.status() < 500, "a fault of the server's")?;
+        ensure(self.status() < 500, "a server error")?;
         if !is_ours {
             return Ok(());
         }
-        ensure(self.header("content-type") == Some("application/problem+json"), "no problem")?;
+        ensure(self.header("content-type") == Some("application/problem+json"), "not a problem")?;
         let problem: Value = serde_json::from_str(&self.body).map_err(|_| "no JSON")?;
-        ensure(problem["status"] == self.status(), "another status")?;
+        ensure(problem["status"] == self.status(), "the statuses differ")?;
         let has = |key: &str| problem[key].as_str().is_some_and(|words| !words.is_empty());
-        ensure(["code", "title", "detail", "type"].into_iter().all(has), "not every word")?;
+        ensure(["code", "title", "detail", "type"].into_iter().all(has), "a member is missing")?;
         ensure(has("request_id") && problem["request_id"].as_str() == self.header("x-request-id"), "no request id")
     }
 
-    /// The status, the headers that are a promise, and the body; JSON one key a line.
+    /// Formats the status, the guaranteed headers, and the body; JSON with one member per line.
     pub(super) fn text(&self) -> String {
         let mut lines = vec![match self.status() {
             0 => "no answer".to_owned(),

@@ -1,4 +1,4 @@
-//! What a worker must not say: another version, unknown ids, stale leases, wrong sizes and hashes, too much.
+//! Invalid requests of workers: another version, unknown ids, stale leases, wrong sizes and hashes, oversized bodies.
 
 use super::raw::Request;
 
@@ -10,7 +10,7 @@ const SAID: &str =
     r#"{"worker":"{worker}","rays_per_second":null,"held_leases":[],"reports":[],"wants_work":false,"wait_ms":0}"#;
 const OTHER_HASH: &str = "0000000000000000000000000000000000000000000000000000000000000000";
 
-/// A message with one thing replaced.
+/// Replaces one part of a message.
 fn changed(route: &str, name: &str, message: &str, from: &str, to: &str) -> Request {
     assert!(message.contains(from), "{name}: {from:?} must be in the message");
     let head = format!("{route}\n{JSON}");
@@ -22,13 +22,13 @@ fn hello() -> Vec<Request> {
         ("a version that is past", "{version}", "0"),
         ("a version to come", "{version}", "4000000000"),
         ("no version", "\"picture_version\":{version},", ""),
-        ("a version in words", "{version}", "\"one\""),
+        ("a version that is not a number", "{version}", "\"one\""),
         ("no name", "\"name\":\"n\",", ""),
         ("a number for a name", "\"n\"", "1"),
-        ("a process below none", "\"process\":1", "\"process\":-1"),
-        ("nodes below none", "null", "-5"),
-        ("one key more", "\"process\":1", "\"process\":1,\"key\":2"),
-        ("a key twice", "\"process\":1", "\"process\":1,\"process\":2"),
+        ("a negative process id", "\"process\":1", "\"process\":-1"),
+        ("a negative number of nodes", "null", "-5"),
+        ("an additional member", "\"process\":1", "\"process\":1,\"key\":2"),
+        ("a duplicate member", "\"process\":1", "\"process\":1,\"process\":2"),
     ]
     .into_iter()
     .map(|(name, from, to)| changed(REGISTER, name, HELLO, from, to))
@@ -37,31 +37,31 @@ fn hello() -> Vec<Request> {
 
 fn sync() -> Vec<Request> {
     [
-        ("a worker nobody knows", "{worker}", "{nobody}"),
-        ("a worker that is none", "{worker}", "me"),
+        ("an unknown worker", "{worker}", "{nobody}"),
+        ("an invalid worker id", "{worker}", "me"),
         ("no worker", "\"worker\":\"{worker}\",", ""),
-        ("a speed in words", "null", "\"fast\""),
-        ("leases that are none", "\"held_leases\":[]", "\"held_leases\":[\"x\"]"),
-        ("leases that are no list", "\"held_leases\":[]", "\"held_leases\":{}"),
-        ("results that are no list", "\"reports\":[]", "\"reports\":null"),
+        ("a speed that is not a number", "null", "\"fast\""),
+        ("invalid lease ids", "\"held_leases\":[]", "\"held_leases\":[\"x\"]"),
+        ("leases that are not a list", "\"held_leases\":[]", "\"held_leases\":{}"),
+        ("results that are not a list", "\"reports\":[]", "\"reports\":null"),
         ("a result without an outcome", "\"reports\":[]", "\"reports\":[{\"lease\":\"{stale}\"}]"),
-        ("an outcome nobody knows", "\"reports\":[]", "\"reports\":[{\"lease\":\"{stale}\",\"outcome\":\"won\"}]"),
+        ("an unknown outcome", "\"reports\":[]", "\"reports\":[{\"lease\":\"{stale}\",\"outcome\":\"won\"}]"),
         (
-            "a blob of a size below none",
+            "a blob with a negative size",
             "\"reports\":[]",
             "\"reports\":[{\"lease\":\"{stale}\",\"outcome\":{\"blob\":{\"hash\":\"{hash}\",\"size_bytes\":-1}}}]",
         ),
-        ("a wish in words", "\"wants_work\":false", "\"wants_work\":\"no\""),
-        ("a wait below none", "\"wait_ms\":0", "\"wait_ms\":-1"),
-        ("one key more", "\"wait_ms\":0", "\"wait_ms\":0,\"key\":2"),
-        ("a key twice", "\"wait_ms\":0", "\"wait_ms\":0,\"wait_ms\":1"),
+        ("wants_work that is not a boolean", "\"wants_work\":false", "\"wants_work\":\"no\""),
+        ("a negative wait", "\"wait_ms\":0", "\"wait_ms\":-1"),
+        ("an additional member", "\"wait_ms\":0", "\"wait_ms\":0,\"key\":2"),
+        ("a duplicate member", "\"wait_ms\":0", "\"wait_ms\":0,\"wait_ms\":1"),
     ]
     .into_iter()
     .map(|(name, from, to)| changed(SYNC, name, SAID, from, to))
     .collect()
 }
 
-/// Results without effect: they are answered, and named lost.
+/// Results without effect: the response lists them as lost.
 fn stale() -> Vec<Request> {
     let result = |name: &str, lease: &str, outcome: &str| {
         let results = format!("\"reports\":[{{\"lease\":\"{lease}\",\"outcome\":{outcome}}}]");
@@ -70,18 +70,18 @@ fn stale() -> Vec<Request> {
     let picture = r#"{"picture":{"hash":"{hash}","size_bytes":21}}"#;
     vec![
         result("a picture under a stale lease", "{stale}", picture),
-        result("a picture under nobody's lease", "{nobody}", picture),
+        result("a picture under an unknown lease", "{nobody}", picture),
         result("a blob under a stale lease", "{stale}", &picture.replace("picture", "blob")),
         result("a picture of the wrong size", "{stale}", &picture.replace("21", "22")),
-        result("a picture that was never put", "{stale}", &picture.replace("{hash}", OTHER_HASH)),
-        result("a picture whose name is no hash", "{stale}", &picture.replace("{hash}", "../../etc/passwd")),
+        result("a picture that was never uploaded", "{stale}", &picture.replace("{hash}", OTHER_HASH)),
+        result("a picture whose name is not a hash", "{stale}", &picture.replace("{hash}", "../../etc/passwd")),
         result("a failure under a stale lease", "{stale}", r#"{"failed":{"message":"no"}}"#),
         result("bad blobs under a stale lease", "{stale}", r#"{"bad_blobs":{"tiles":[0,1,4294967295]}}"#),
-        result("a hand-back under a stale lease", "{stale}", "\"released\""),
+        result("a release under a stale lease", "{stale}", "\"released\""),
         changed(SYNC, "a stale lease that is held", SAID, "\"held_leases\":[]", "\"held_leases\":[\"{stale}\"]")
             .foreign(),
-        changed(SYNC, "a speed beyond all", SAID, "null", "1e308").foreign(),
-        changed(SYNC, "a speed below none", SAID, "null", "-1").foreign(),
+        changed(SYNC, "a speed out of range", SAID, "null", "1e308").foreign(),
+        changed(SYNC, "a negative speed", SAID, "null", "-1").foreign(),
     ]
 }
 
@@ -92,25 +92,25 @@ fn bytes() -> Vec<Request> {
         let upper = "A".repeat(64);
         let long = "0".repeat(65);
         for (name, hash) in [
-            ("a name that is no hash", "nonsense"),
+            ("a name that is not a hash", "nonsense"),
             ("a hash in capitals", upper.as_str()),
             ("a hash too long", long.as_str()),
-            ("a way up", "%2e%2e%2ffarm.sqlite"),
+            ("a path traversal", "%2e%2e%2ffarm.sqlite"),
             ("the hash of other bytes", OTHER_HASH),
         ] {
             all.push(Request::new(format!("PUT {folder}: {name}"), format!("PUT {path}/{hash}")).with("bytes"));
         }
         let head = format!("PUT {path}/{{hash}}\ncontent-length: 100");
-        all.push(Request::new(format!("PUT {folder}: bytes that stop midway"), head).with("bytes").stopped());
+        all.push(Request::new(format!("PUT {folder}: incomplete bytes"), head).with("bytes").stopped());
         let head = format!("PUT {path}/{OTHER_HASH}");
         all.push(Request::new(format!("PUT {folder}: no bytes"), head));
         let head = format!("PUT {path}/{OTHER_HASH}\ntransfer-encoding: chunked");
         let bomb = [&b"200000\r\n"[..], &vec![0; 0x20_0000], b"\r\n0\r\n\r\n"].concat();
         all.push(Request::new(format!("PUT {folder}: megabytes of nothing"), head).with(bomb));
     }
-    all.push(Request::new("GET blobs: nobody's", format!("GET /v1/worker/blobs/{OTHER_HASH}")));
+    all.push(Request::new("GET blobs: unknown", format!("GET /v1/worker/blobs/{OTHER_HASH}")));
     all.push(Request::new("GET blobs: a name that is no hash", "GET /v1/worker/blobs/nonsense"));
-    all.push(Request::new("GET jobs: nobody's", "GET /v1/worker/jobs/{nobody}"));
+    all.push(Request::new("GET jobs: unknown", "GET /v1/worker/jobs/{nobody}"));
     all.push(Request::new("GET jobs: no id", "GET /v1/worker/jobs/nonsense"));
     for head in [REGISTER, SYNC, "GET /v1/worker/jobs/{job}", "PUT /v1/worker/blobs/{hash}"] {
         for token in ["Bearer nonsense", "Bearer ", "Basic dXNlcjpwYXNz", "nonsense"] {
@@ -121,7 +121,7 @@ fn bytes() -> Vec<Request> {
     all
 }
 
-/// The table.
+/// Invalid requests of this file.
 pub(super) fn requests() -> Vec<Request> {
     [hello(), sync(), stale(), bytes()].concat()
 }

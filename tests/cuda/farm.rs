@@ -1,4 +1,4 @@
-//! Farms with a GPU: its pictures, a frame shared with a CPU, and what becomes of the work of one that fails.
+//! Tests farms with a GPU: its pictures, a frame shared with a CPU, and the work of a GPU that fails.
 
 use std::fs;
 use std::path::Path;
@@ -12,7 +12,7 @@ use crate::support::{Farm, eventually, sdfarm, wait};
 
 const FARM: [&str; 6] = ["--workers", "0", "--device", "cpu", "--tile", "32"];
 
-/// A worker that nobody reaps but the test.
+/// Worker process that only the test reaps.
 struct Worker(Child);
 
 impl Worker {
@@ -25,13 +25,13 @@ impl Worker {
 
 impl Drop for Worker {
     fn drop(&mut self) {
-        // Both fail only where it has ended already.
+        // Both fail only if the process has already exited.
         let _ = self.0.kill();
         let _ = self.0.wait();
     }
 }
 
-/// More rays than a worker is given at once while its speed is unknown.
+/// More rays than one batch of a worker whose speed is unknown.
 fn long_job(seed: u64) -> Value {
     jobs::seeded(&jobs::as_exr(&jobs::sized(&jobs::named("csg"), 640, 20)), seed)
 }
@@ -45,7 +45,7 @@ fn workers(farm: &Farm) -> Vec<Value> {
 }
 
 #[test]
-fn pool_of_a_gpu_gives_the_cpus_bytes_and_says_what_it_can_not_render() {
+fn gpu_pool_gives_cpu_bytes_and_reports_unsupported_scenes() {
     let folder = tempfile::tempdir().expect("a folder");
     let farm = Farm::start_by(with_gpu(&["serve"]), folder.path(), &["--workers", "1", "--device", "cuda"]);
     farm.ready(1);
@@ -64,11 +64,11 @@ fn pool_of_a_gpu_gives_the_cpus_bytes_and_says_what_it_can_not_render() {
 }
 
 #[test]
-fn gpu_and_cpu_share_a_frame_and_nobody_sees_the_seams() {
+fn gpu_and_cpu_share_a_frame_without_seams() {
     let folder = tempfile::tempdir().expect("a folder");
     let farm = Farm::start_on(folder.path(), &FARM);
     let job = long_job(1);
-    // The program is made before, so that each is at it at once.
+    // The program is compiled before, so that both workers start at the same time.
     render(with_gpu(&ON_GPU), &jobs::sized(&job, 64, 1)).expect("a GPU renders it");
     let _gpu = Worker::start(with_gpu(&["worker", "--device", "cuda"]), &farm, &folder.path().join("gpu"));
     let _cpu = Worker::start(sdfarm(&["worker", "--device", "cpu"]), &farm, &folder.path().join("cpu"));
@@ -77,14 +77,14 @@ fn gpu_and_cpu_share_a_frame_and_nobody_sees_the_seams() {
     farm.succeeded(&id);
     assert!(farm.picture(&id) == render_on_cpu(&job), "other bytes than a CPU's");
     for worker in workers(&farm) {
-        assert!(worker["rays_per_second"].is_number(), "it rendered a share: {worker}");
+        assert!(worker["rays_per_second"].is_number(), "it rendered a part: {worker}");
     }
 }
 
 #[test]
-fn gpu_lost_in_the_middle_of_a_job_retires_its_worker_and_costs_no_tile() {
+fn lost_gpu_retires_its_worker_and_costs_no_tile() {
     let folder = tempfile::tempdir().expect("a folder");
-    // No lease runs out: what the worker holds, and what it is offered while it retires, it hands back.
+    // No lease expires: the worker releases its leases, also those granted while it retires.
     let farm = Farm::start_on(folder.path(), &[&FARM[..], &["--lease-seconds", "3600"]].concat());
     let (sign, log) = (folder.path().join("sign"), folder.path().join("gpu"));
     let gpu = with_fault(&format!("lost_when:{}", sign.display()), &["worker", "--device", "cuda"]);
@@ -98,7 +98,7 @@ fn gpu_lost_in_the_middle_of_a_job_retires_its_worker_and_costs_no_tile() {
     assert_eq!(wait(&mut gpu.0).code(), Some(3), "{}", fs::read_to_string(&log).expect("a log"));
     let told = fs::read_to_string(&log).expect("a log");
     assert!(told.contains("CUDA_ERROR_LAUNCH_FAILED") && !told.contains("panicked"), "{told}");
-    assert!(workers(&farm).is_empty(), "it has said goodbye");
+    assert!(workers(&farm).is_empty(), "it has deregistered");
     let left = view(&farm, &id);
     assert!(left["state"] == "running" && left["tiles"]["done"].as_u64() < left["tiles"]["total"].as_u64(), "{left}");
     farm.set_pool(1);
@@ -107,7 +107,7 @@ fn gpu_lost_in_the_middle_of_a_job_retires_its_worker_and_costs_no_tile() {
 }
 
 #[test]
-fn pool_keeps_a_bad_gpu_out_and_the_farm_up() {
+fn pool_excludes_a_bad_gpu_and_keeps_serving() {
     let folder = tempfile::tempdir().expect("a folder");
     let serve = with_fault("wrong_bits", &["serve"]);
     let farm = Farm::start_by(serve, folder.path(), &["--workers", "1", "--device", "cuda"]);
@@ -121,7 +121,7 @@ fn pool_keeps_a_bad_gpu_out_and_the_farm_up() {
 }
 
 #[test]
-fn pool_left_to_choose_takes_the_cpu_where_the_gpu_is_bad() {
+fn auto_pool_uses_the_cpu_if_the_gpu_is_bad() {
     let folder = tempfile::tempdir().expect("a folder");
     let farm = Farm::start_by(with_fault("wrong_bits", &["serve"]), folder.path(), &[]);
     farm.ready(1);

@@ -1,14 +1,13 @@
 // A stand-in for NVIDIA's driver (libcuda) with one GPU, for machines without one: its memory is
-// the host's, its programs are the shared objects that nvrtc.cpp makes, and whatever is asked of a
-// stream happens at once. So the way to the GPU and back is the real one, but for the hardware.
-//
-// FAKE_CUDA, read at each call, is a fault to play:
+// the host's, its programs are the shared objects that nvrtc.cpp builds, and operations of a stream
+// complete immediately. Everything except the hardware is the real code path.
+// FAKE_CUDA, read at each call, is a fault to simulate:
 //   no_device      the driver finds no GPU
 //   init_fails     the driver does not start
 //   newer          the GPU is newer than the compiler
-//   memory:BYTES   the GPU has not as much memory for one piece
-//   wrong_bits     a bit of whatever is copied from the GPU is wrong
-//   lost_when:FILE the GPU fails at the first launch after the file was made, and for good
+//   memory:BYTES   one allocation has at most this size
+//   wrong_bits     one bit of all data copied from the GPU is flipped
+//   lost_when:FILE the GPU fails permanently at the first launch after the file is created
 // FAKE_CUDA_COUNT names a file that grows by a line with each launch.
 
 #include <atomic>
@@ -52,13 +51,13 @@ static const struct {
      "system has unsupported display driver / cuda driver combination"},
 };
 
-// A kernel with all its threads, as nvrtc.cpp makes it.
+// A kernel with all its threads, as nvrtc.cpp builds it.
 using Kernel = void (*)(void** arguments, const unsigned* grid, const unsigned* block);
 using Clock = std::chrono::steady_clock;
 
 struct Module {
     void* library;
-    // Open as long as the library is: the loader knows it by this number.
+    // Open as long as the library, because the loader's path contains this number.
     int file;
 };
 
@@ -68,17 +67,17 @@ struct Event {
 
 static std::atomic<bool> is_lost;
 static thread_local void* current_context;
-// Anything that is not null will do as a context or a stream.
+// Any value that is not null can be a context or a stream.
 static int something;
 
-// What FAKE_CUDA says behind `fault`; null if it names another fault, or none.
+// Returns the text after `fault` in FAKE_CUDA; null if it names another fault, or none.
 static const char* played(const char* fault) {
     const char* script = std::getenv("FAKE_CUDA");
     const size_t length = std::strlen(fault);
     return script && std::strncmp(script, fault, length) == 0 ? script + length : nullptr;
 }
 
-// After a fault of the GPU every call says so.
+// After a fault of the GPU, every call reports it.
 static Result state() { return is_lost ? LAUNCH_FAILED : SUCCESS; }
 
 static Result allocate(void** place, size_t size) {
@@ -120,7 +119,7 @@ Result cuDeviceGetAttribute(int* value, int attribute, int) {
         case 16: return *value = 1, SUCCESS;          // multiprocessors
         case 39: return *value = 2048, SUCCESS;       // threads of a multiprocessor
         case 75: return *value = played("newer") ? 12 : 9, SUCCESS;  // compute capability
-        case 76: return *value = 0, SUCCESS;          // and behind its point
+        case 76: return *value = 0, SUCCESS;          // its minor version
         case 115: return *value = 1, SUCCESS;         // whether memory comes from pools
         default: return INVALID_VALUE;
     }
@@ -211,7 +210,7 @@ Result cuOccupancyMaxActiveBlocksPerMultiprocessorWithFlags(int* blocks, void*, 
     return *blocks = 1024 / threads, SUCCESS;
 }
 
-// As on a real GPU, a launch that fails is heard of later.
+// As on a real GPU, a failed launch is reported later.
 Result cuLaunchKernel(Kernel kernel, unsigned columns, unsigned rows, unsigned layers, unsigned width,
                       unsigned height, unsigned depth, unsigned, void*, void** arguments, void**) {
     if (is_lost) return LAUNCH_FAILED;
@@ -219,7 +218,7 @@ Result cuLaunchKernel(Kernel kernel, unsigned columns, unsigned rows, unsigned l
     const char* sign = played("lost_when:");
     if (sign && access(sign, F_OK) == 0) return is_lost = true, SUCCESS;
     const unsigned grid[] = {columns, rows, layers}, block[] = {width, height, depth};
-    // A program's place in the grid is one variable, for whichever thread launches it.
+    // A program's position in the grid is one variable, shared by all launching threads.
     static std::mutex one_at_a_time;
     const std::lock_guard<std::mutex> guard(one_at_a_time);
     kernel(arguments, grid, block);

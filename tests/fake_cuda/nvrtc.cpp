@@ -1,8 +1,7 @@
-// A stand-in for CUDA's run-time compiler (libnvrtc): the host's compiler makes a shared object of
-// the program's text, which the stand-in of the driver (driver.cpp) loads. No result is invented:
-// what is rendered is what the text says.
-//
-// FAKE_NVRTC=refuse refuses every program. FAKE_NVRTC_COUNT names a file that grows by a line with
+// A stand-in for CUDA's run-time compiler (libnvrtc): the host's compiler builds a shared object from
+// the program's source, and the stand-in driver (driver.cpp) loads it. No result is invented: the
+// source itself is executed.
+// FAKE_NVRTC=refuse rejects every program. FAKE_NVRTC_COUNT names a file that grows by a line with
 // each program.
 
 #include <cstdio>
@@ -21,8 +20,8 @@ struct Program {
     std::string text, log, code;
 };
 
-// What the driver's stand-in looks for: each kernel as a function that runs all its threads, one
-// after another, and the place of the numbers.
+// Symbols for the stand-in driver: each kernel as a function that runs all its threads, one after
+// another, and the address of the uniforms.
 static const char* const DOORS = R"(
 #include <stddef.h>
 #include <utility>
@@ -114,7 +113,7 @@ Result nvrtcCreateProgram(Program** program, const char* text, const char*, int,
     return SUCCESS;
 }
 
-// A program whose sums were contracted would render other bits on a GPU: that is refused here.
+// A program compiled with contraction would render other bits on a GPU, so it is rejected here.
 Result nvrtcCompileProgram(Program* program, int count, const char* const* options) {
     bool is_exact = false, is_for_this_gpu = false;
     for (int option = 0; option < count; ++option) {
@@ -134,7 +133,7 @@ Result nvrtcGetProgramLog(Program* program, char* log) {
     return SUCCESS;
 }
 
-// The driver is told no length; so it stands before the code.
+// The driver gets no length, so it is stored before the code.
 Result nvrtcGetCUBINSize(Program* program, size_t* size) {
     *size = sizeof *size + program->code.size();
     return SUCCESS;

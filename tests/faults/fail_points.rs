@@ -1,4 +1,4 @@
-//! A process that dies between two steps: every named fail point once, and the job ends as if nothing had been.
+//! Kills a process at each fail point once; the job must finish with the same pictures as an undisturbed one.
 
 use std::path::Path;
 
@@ -9,17 +9,18 @@ use crate::faults::remote::Remote;
 use crate::jobs;
 use crate::support::{Farm, eventually, finish, rendered_here, sdfarm, text};
 
-/// Short, so that what a dead worker held is soon leased again.
+/// Short lease, so that a killed worker's tiles are soon leased again.
 const LEASE_SECONDS: [&str; 2] = ["--lease-seconds", "1"];
 
-/// Of two frames, with more rays than a worker that nobody knows is given at once: so there are blobs and stitches.
+/// Job of two frames with more rays than a worker of unknown speed gets in one batch, so that there are blobs and
+/// stitches.
 fn shared_job(seed: u64) -> Value {
     let mut job = jobs::seeded(&jobs::many_rays(), seed);
     job["frames"] = serde_json::json!({ "count": 2 });
     job
 }
 
-/// A farm that a fail point may strike.
+/// Starts a farm with armed fail points.
 fn armed(folder: &Path, points: &str, arguments: &[&str]) -> Farm {
     let mut command = sdfarm(&[fail_point::FLAG, "serve"]);
     command.env(fail_point::ENV_VAR, points);
@@ -31,7 +32,7 @@ fn check(farm: &Farm, id: &str, job: &Value, point: &str) {
     for frame in 0..2 {
         let answer = farm.get(&format!("/v1/jobs/{id}/frames/{frame}/image"));
         assert_eq!(answer.status, 200, "{}", answer.text());
-        assert!(answer.body == rendered_here(job, frame), "{point}: frame {frame} is not as it should be");
+        assert!(answer.body == rendered_here(job, frame), "{point}: frame {frame} differs from an undisturbed render");
     }
     assert!(!farm.log().contains("panicked"), "{point}: {}", farm.log());
 }
@@ -41,7 +42,7 @@ fn server_dies_at(point: FailPoint, seed: u64) {
     let folder = tempfile::tempdir().expect("a folder");
     let pool = ["--workers", "2", "--tile", "96"];
     let job = shared_job(seed);
-    // What the pool's own workers make does not pass these.
+    // Pictures of the pool's own workers do not pass these points.
     let from_elsewhere = [FailPoint::BlobStored, FailPoint::PictureStored].contains(&point);
     let flags = if from_elsewhere { ["--workers", "0", "--tile", "96"] } else { pool };
     let mut farm = armed(folder.path(), &format!("{name}=kill@1"), &flags);
@@ -59,7 +60,7 @@ fn server_dies_at(point: FailPoint, seed: u64) {
 }
 
 #[test]
-fn server_that_dies_between_two_steps_loses_nothing() {
+fn server_killed_between_two_steps_loses_nothing() {
     for (seed, point) in [FailPoint::SubmitCommitted, FailPoint::Claimed, FailPoint::BlobStored].into_iter().enumerate()
     {
         server_dies_at(point, seed as u64);
@@ -67,14 +68,14 @@ fn server_that_dies_between_two_steps_loses_nothing() {
 }
 
 #[test]
-fn server_that_dies_between_commit_and_answer_loses_nothing() {
+fn server_killed_between_commit_and_response_loses_nothing() {
     for (seed, point) in [FailPoint::PictureStored, FailPoint::Sweeping].into_iter().enumerate() {
         server_dies_at(point, 10 + seed as u64);
     }
 }
 
 #[test]
-fn server_that_dies_while_it_starts_starts_again() {
+fn server_killed_during_its_start_starts_again() {
     let folder = tempfile::tempdir().expect("a folder");
     for (number, point) in
         ["migrating", "migrated", "group_committed", "database_write", "database_commit"].into_iter().enumerate()
@@ -92,7 +93,7 @@ fn server_that_dies_while_it_starts_starts_again() {
 }
 
 #[test]
-fn worker_that_dies_between_two_steps_costs_no_picture_a_bit() {
+fn worker_killed_between_two_steps_changes_no_picture() {
     for (seed, point) in [FailPoint::BlobPut, FailPoint::PicturePut, FailPoint::Stitching].into_iter().enumerate() {
         let name = point.name();
         let farm = Farm::start(&[&["--workers", "0", "--tile", "96"][..], &LEASE_SECONDS].concat());

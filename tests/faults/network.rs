@@ -1,5 +1,5 @@
-//! A network that fails in every way between a remote worker and its server, and workers that stand still:
-//! what is heard twice, late or not at all changes no picture.
+//! Tests all faults of a network between a remote worker and its server, and workers that are suspended: messages that
+//! arrive twice, late, or not at all change no picture.
 
 use std::io::{Read, Write};
 use std::net::{Shutdown, TcpListener, TcpStream};
@@ -15,31 +15,31 @@ use crate::jobs;
 use crate::skip::skip;
 use crate::support::{Farm, eventually, rendered_here, sdfarm, send_signal, wait};
 
-/// With the shortest leases there are.
+/// Uses the shortest possible leases.
 const FLAGS: [&str; 6] = ["--workers", "0", "--tile", "96", "--lease-seconds", "1"];
 
-/// What becomes of what passes a proxy.
+/// Behavior of a proxy.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Mood {
-    /// It passes.
+    /// Forwards everything.
     Honest,
-    /// Connections are taken, and nothing is ever said.
+    /// Accepts connections and forwards nothing.
     Silent,
-    /// The server hears, and its answer is cut off: the worker can't know that it was heard.
+    /// Forwards requests and cuts off responses: the worker cannot know that its request arrived.
     Deaf,
-    /// What the worker says stops midway.
+    /// Cuts off requests midway.
     Cut,
-    /// Everything arrives late.
+    /// Forwards everything late.
     Slow,
 }
 
 const MOODS: [Mood; 5] = [Mood::Honest, Mood::Silent, Mood::Deaf, Mood::Cut, Mood::Slow];
 
-/// A proxy between a worker and its server.
+/// Proxy between a worker and its server.
 struct Proxy {
     address: String,
     mood: Arc<AtomicU8>,
-    /// Connections that it has spoilt.
+    /// Number of disturbed connections.
     spoilt: Arc<AtomicUsize>,
 }
 
@@ -69,7 +69,7 @@ fn mood(moods: &AtomicU8) -> Mood {
     MOODS[usize::from(moods.load(Ordering::SeqCst))]
 }
 
-/// Carries a connection both ways, as the mood of the moment has it.
+/// Forwards a connection both ways, with the current behavior.
 fn carry(client: &TcpStream, server: &str, moods: &Arc<AtomicU8>, spoilt: &Arc<AtomicUsize>) {
     let Ok(upstream) = TcpStream::connect(server) else { return };
     let back = {
@@ -78,7 +78,7 @@ fn carry(client: &TcpStream, server: &str, moods: &Arc<AtomicU8>, spoilt: &Arc<A
         std::thread::spawn(move || pipe(&from, &to, &moods, &spoilt, true))
     };
     pipe(client, &upstream, moods, spoilt, false);
-    // It has ended by itself, whatever it found.
+    // The thread has ended with or without an error.
     let _ = back.join();
 }
 
@@ -105,12 +105,12 @@ fn pipe(mut from: &TcpStream, mut to: &TcpStream, moods: &AtomicU8, spoilt: &Ato
             break;
         }
     }
-    // Both ends, so that the other direction ends as well; they may be closed already.
+    // Both ends are closed, so that the other direction ends as well; they may be closed already.
     let _ = from.shutdown(Shutdown::Both);
     let _ = to.shutdown(Shutdown::Both);
 }
 
-/// Half open: the connection stands, and nothing comes of it until the mood passes or its owner gives up.
+/// Keeps a connection half open: nothing is forwarded until the behavior changes or a side closes it.
 fn continue_silently(mut from: &TcpStream, moods: &AtomicU8) {
     let mut bytes = [0; 4096];
     from.set_read_timeout(Some(Duration::from_millis(20))).expect("settable");
@@ -124,7 +124,7 @@ fn continue_silently(mut from: &TcpStream, moods: &AtomicU8) {
     }
 }
 
-/// A worker from elsewhere, ended with the test.
+/// Remote worker that is killed on drop.
 struct Worker(Child);
 
 impl Worker {
@@ -154,7 +154,7 @@ fn job(seed: u64) -> Value {
     jobs::seeded(&jobs::many_rays(), seed)
 }
 
-/// How many leases have run out.
+/// Number of expired leases.
 fn expired(farm: &Farm) -> u64 {
     let metrics = farm.get("/metrics").text();
     let count = metrics.lines().find_map(|line| line.strip_prefix("sdfarm_leases_expired_total "));
@@ -192,7 +192,7 @@ fn failing_network_changes_no_picture() {
                 (spoilt > before).then_some(())
             });
         }
-        // What is held runs out while the network is away; over a slow one, or if all was heard, the job may end.
+        // Leases expire while the network is down; if it is slow, or all requests arrived, the job may finish.
         eventually("a lease runs out, or the job ends", || {
             (expired(&farm) > expired_before || !is_running(&farm, &id)).then_some(())
         });
@@ -204,7 +204,7 @@ fn failing_network_changes_no_picture() {
 }
 
 #[test]
-fn worker_that_stood_still_for_two_leases_has_no_effect() {
+fn worker_suspended_for_two_leases_has_no_effect() {
     let farm = Farm::start(&FLAGS);
     let sleeper = Worker::start(&farm.address);
     farm.joined(1);
@@ -221,7 +221,7 @@ fn worker_that_stood_still_for_two_leases_has_no_effect() {
     check(&farm, &id, &job);
     let done = farm.get(&format!("/v1/jobs/{id}")).json();
     sleeper.signal(Signal::CONT);
-    // The farm does not know it any more, so what it says has no effect, and it registers anew.
+    // The farm no longer knows the worker, so its report has no effect, and it registers again.
     farm.joined(2);
     assert_eq!(farm.get(&format!("/v1/jobs/{id}")).json(), done, "nothing changed");
     drop(heir);
@@ -230,7 +230,7 @@ fn worker_that_stood_still_for_two_leases_has_no_effect() {
     check(&farm, &id, &next);
 }
 
-/// A network of its own, with a lossy line to it, while it lives.
+/// Network namespace with a lossy link to it, which is deleted on drop.
 struct Namespace(&'static str);
 
 impl Namespace {
@@ -244,23 +244,23 @@ impl Namespace {
         is_linked.then_some(made)
     }
 
-    /// Loses so many packets of a hundred, both ways.
+    /// Drops this percentage of packets, in both directions.
     fn lose(&self, percent: u32) -> bool {
         let loss = format!("{percent}%");
         run("tc", &["-n", self.0, "qdisc", "replace", "dev", "sdfarm-in", "root", "netem", "loss", &loss])
             && run("tc", &["qdisc", "replace", "dev", "sdfarm-out", "root", "netem", "loss", &loss])
     }
 
-    /// Parts the two ends, or joins them again; nobody is told.
+    /// Takes the link down or up; neither end is notified.
     fn part(&self, is_parted: bool) {
         let state = if is_parted { "down" } else { "up" };
-        assert!(ip(&["-n", self.0, "link", "set", "sdfarm-in", state]), "the line can't be set {state}");
+        assert!(ip(&["-n", self.0, "link", "set", "sdfarm-in", state]), "the link cannot be set {state}");
     }
 }
 
 impl Drop for Namespace {
     fn drop(&mut self) {
-        // Both go with it; it may have been made in part.
+        // Deleting the namespace deletes both ends; it may be incomplete.
         let _ = ip(&["link", "del", "sdfarm-out"]);
         let _ = ip(&["netns", "del", self.0]);
     }
@@ -275,9 +275,9 @@ fn run(program: &str, arguments: &[&str]) -> bool {
 }
 
 #[test]
-fn lossy_and_parted_networks_change_no_picture() {
+fn lossy_and_partitioned_networks_change_no_picture() {
     let Some(namespace) = Namespace::new("sdfarm-proof") else {
-        return skip("netns", "a network of its own needs `ip netns`, which is not to be had here");
+        return skip("netns", "a network namespace needs `ip netns`, which is not available here");
     };
     let farm = Farm::start_beyond_loopback(&FLAGS);
     let port = farm.address.rsplit(':').next().expect("a port");
@@ -297,7 +297,7 @@ fn lossy_and_parted_networks_change_no_picture() {
     }
     for (seed, percent) in [(210, 10), (211, 25)] {
         if !namespace.lose(percent) {
-            return skip("netem", "losing packets needs `tc` with netem, which is not to be had here");
+            return skip("netem", "dropping packets needs `tc` with netem, which is not available here");
         }
         let job = job(seed);
         let id = farm.accept(&job.to_string());

@@ -1,4 +1,5 @@
-//! The n-th write fails: no panic, and the job ends as it should. A few n in every run of the tests; in the long ones
+//! Makes the n-th write fail: there must be no panic, and the job must finish. Every test run uses a few n; long runs
+//! use
 //! every n, until a run passes without a failure.
 
 use std::path::Path;
@@ -10,12 +11,12 @@ use crate::faults::remote::Remote;
 use crate::jobs;
 use crate::support::{Farm, eventually, finish, rendered_here, sdfarm, text};
 
-/// No job writes so often.
+/// More passes than any job needs.
 const MOST: u64 = 400;
 const FLAGS: [&str; 4] = ["--tile", "96", "--lease-seconds", "3"];
 const POOL: [&str; 2] = ["--workers", "2"];
 
-/// Who renders: the pool's workers write to the server's folders, others through the server.
+/// Workers of the farm: pool workers write to the server's folders, remote ones through the server.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum By {
     Pool,
@@ -37,12 +38,12 @@ fn command(point: &str, pass: u64) -> std::process::Command {
     command
 }
 
-/// Whether a server can be started whose n-th write fails. One that can't says why, in order.
+/// Whether a server starts if its n-th write fails. If not, it must exit with a message.
 fn starts(folder: &Path, point: &str, pass: u64) -> bool {
     let data = folder.join("probe");
     let mut probe = command(point, pass);
     probe.args(["--listen", "127.0.0.1:0", "--data"]).arg(&data).args(["--workers", "0"]);
-    // Ends at once where it serves: its standard output is not what is looked at.
+    // Without logs, standard error has only the error message.
     probe.env("SDFARM_LOG", "off");
     let mut child = probe
         .stdin(std::process::Stdio::null())
@@ -54,18 +55,18 @@ fn starts(folder: &Path, point: &str, pass: u64) -> bool {
     let mut out = std::io::BufReader::new(child.stdout.take().expect("piped"));
     std::io::BufRead::read_line(&mut out, &mut line).expect("readable");
     if line.contains("http://") {
-        child.kill().expect("a child of ours");
-        child.wait().expect("a child of ours");
+        child.kill().expect("a child process");
+        child.wait().expect("a child process");
         return true;
     }
-    let output = child.wait_with_output().expect("a child of ours");
+    let output = child.wait_with_output().expect("a child process");
     let told = text(&output.stderr);
     assert_eq!(output.status.code(), Some(1), "{point}@{pass}: {told}");
     assert!(told.contains("error: ") && !told.contains("panicked"), "{point}@{pass}: {told}");
     false
 }
 
-/// Hands in a job until it is taken, and asks for its picture until it is there; each refusal is a problem.
+/// Submits a job until it is accepted, and requests its picture until it is stored; each rejection must be a problem.
 fn insist(farm: &Farm, job: &Value) -> (String, Vec<u8>) {
     let ask = |method: &str, path: &str, body: &str, status: u16| {
         eventually(path, || {
@@ -93,75 +94,75 @@ fn strike(point: &str, pass: u64, job: &Value, by: By, wanted: &[u8]) -> bool {
     let (id, picture) = insist(&farm, job);
     assert!(picture == wanted, "{point}@{pass}: other bytes than an undisturbed run's");
     farm.succeeded(&id);
-    assert!(farm.terminate().success(), "{point}@{pass}: does not end in order");
+    assert!(farm.terminate().success(), "{point}@{pass}: does not shut down gracefully");
     let log = std::fs::read_to_string(folder.path().join("log")).expect("a log");
     assert!(!log.contains("panicked"), "{point}@{pass}: {log}");
     log.contains(fail_point::LOG_PREFIX)
 }
 
-/// These passes, each of which there is.
+/// Makes each of these passes fail; all of them must occur.
 fn strike_at(point: &str, passes: &[u64], job: &Value, by: By) {
     let wanted = rendered_here(job, 0);
     for &pass in passes {
-        assert!(strike(point, pass, job, by, &wanted), "{point} is not passed {pass} times");
+        assert!(strike(point, pass, job, by, &wanted), "{point} is not reached {pass} times");
     }
 }
 
-/// Every pass there is.
+/// Makes every pass fail, one at a time.
 fn sweep(point: &str, job: &Value, by: By) {
     let wanted = rendered_here(job, 0);
     let last = (1..MOST).find(|&pass| !strike(point, pass, job, by, &wanted));
-    let last = last.unwrap_or_else(|| panic!("{point} strikes on and on"));
+    let last = last.unwrap_or_else(|| panic!("{point} never stops failing"));
     eprintln!("{point} by {by:?}: each of {} failed once", last - 1);
-    assert!(last > 1, "{point} is never passed");
+    assert!(last > 1, "{point} is never reached");
 }
 
 #[test]
-fn a_write_to_the_store_may_fail() {
+fn failed_store_write_is_recovered() {
     strike_at("store_put", &[1, 3], &jobs::many_rays(), By::Pool);
     strike_at("store_put", &[2], &jobs::many_rays(), By::Remotes);
 }
 
 #[test]
-fn a_read_of_the_store_may_fail() {
+fn failed_store_read_is_recovered() {
     strike_at("store_get", &[2], &jobs::many_rays(), By::Pool);
     strike_at("store_get", &[1], &jobs::many_rays(), By::Remotes);
 }
 
 #[test]
-fn a_write_to_the_database_may_fail() {
+fn failed_database_write_is_recovered() {
     strike_at("database_write", &[1, 4, 7], &jobs::quick(), By::Pool);
     strike_at("database_commit", &[1, 3, 5], &jobs::quick(), By::Pool);
 }
 
 #[test]
-#[ignore = "long: every write to the store fails once; a minute"]
-fn every_write_to_the_store_may_fail_once() {
+#[ignore = "long: every write to the store fails once; 60 s"]
+fn every_failed_store_write_is_recovered() {
     sweep("store_put", &jobs::many_rays(), By::Pool);
     sweep("store_put", &jobs::many_rays(), By::Remotes);
 }
 
 #[test]
-#[ignore = "long: every read of the store fails once; a minute"]
-fn every_read_of_the_store_may_fail_once() {
+#[ignore = "long: every read of the store fails once; 60 s"]
+fn every_failed_store_read_is_recovered() {
     sweep("store_get", &jobs::many_rays(), By::Pool);
     sweep("store_get", &jobs::many_rays(), By::Remotes);
 }
 
 #[test]
-#[ignore = "long: every write to the database fails once; a minute"]
-fn every_write_to_the_database_may_fail_once() {
+#[ignore = "long: every write to the database fails once; 60 s"]
+fn every_failed_database_write_is_recovered() {
     sweep("database_write", &jobs::quick(), By::Pool);
 }
 
 #[test]
-#[ignore = "long: every commit of the database fails once; a minute"]
-fn every_commit_of_the_database_may_fail_once() {
+#[ignore = "long: every commit of the database fails once; 60 s"]
+fn every_failed_database_commit_is_recovered() {
     sweep("database_commit", &jobs::quick(), By::Pool);
 }
 
 #[test]
-fn slow_store_delays_a_job_and_no_more() {
+fn slow_store_only_delays_a_job() {
     let folder = tempfile::tempdir().expect("a folder");
     let mut command = sdfarm(&[fail_point::FLAG, "serve"]);
     command.env(fail_point::ENV_VAR, "store_put=slow:300,store_get=slow:300");

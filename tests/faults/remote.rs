@@ -1,4 +1,4 @@
-//! Workers from elsewhere: what they make goes through the server, not into its folders.
+//! Tests that remote workers store their results through the server, not in its folders.
 
 use std::process::{Child, Stdio};
 
@@ -8,11 +8,11 @@ use rustix::process::Signal;
 use crate::jobs;
 use crate::support::{Farm, rendered_here, sdfarm, send_signal, wait};
 
-/// Such a worker, killed when this is dropped.
+/// Remote worker that is killed on drop.
 pub(crate) struct Remote(Child);
 
 impl Remote {
-    /// Starts one that a fail point may strike.
+    /// Starts a worker with armed fail points.
     pub(crate) fn start(farm: &Farm, points: Option<&str>) -> Self {
         let mut command = sdfarm(&["worker", "--server", &farm.address, "--device", "cpu", "--threads", "1"]);
         if let Some(points) = points {
@@ -22,7 +22,7 @@ impl Remote {
         Self(started.expect("the program starts"))
     }
 
-    /// Starts two ordinary ones, which a farm then has.
+    /// Starts two workers and waits until the farm has them.
     pub(crate) fn pair(farm: &Farm) -> [Self; 2] {
         let pair = [Self::start(farm, None), Self::start(farm, None)];
         farm.joined(2);
@@ -30,7 +30,7 @@ impl Remote {
     }
 
     pub(crate) fn has_ended(&mut self) -> bool {
-        self.0.try_wait().expect("a child of ours").is_some()
+        self.0.try_wait().expect("a child process").is_some()
     }
 }
 
@@ -41,7 +41,7 @@ impl Drop for Remote {
     }
 }
 
-/// How many blobs and pictures a server was brought.
+/// Number of blobs and pictures uploaded to a server.
 fn brought(farm: &Farm) -> usize {
     let metrics = farm.get("/metrics").text();
     let puts = metrics.lines().filter(|line| line.starts_with("sdfarm_http_answers_total") && line.contains("\"PUT\""));
@@ -49,7 +49,7 @@ fn brought(farm: &Farm) -> usize {
 }
 
 #[test]
-fn pool_writes_into_the_folders_and_others_through_the_server() {
+fn only_remote_workers_upload_through_the_server() {
     let job = jobs::many_rays();
     let wanted = rendered_here(&job, 0);
     for workers in ["2", "0"] {

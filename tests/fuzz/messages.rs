@@ -1,4 +1,4 @@
-//! Job files, and what workers and servers say to each other.
+//! Fuzzes job files, and the messages between workers and servers.
 
 use proto::Problem;
 use proto::worker_protocol::{RegisterRequest, SyncRequest, SyncResponse};
@@ -12,15 +12,15 @@ fn job_files() -> Vec<Vec<u8>> {
     shipped.filter(|text| text.len() < 8 << 10).chain([jobs::quick().to_string().into_bytes()]).collect()
 }
 
-/// A job that is taken can be looked at in every way a server does before it is rendered.
+/// An accepted job must pass every operation of a server before rendering.
 fn try_job_files(effort: Effort) {
     fuzz("job files", effort, &job_files(), |text| match scene::parse(text) {
         Ok(job) => {
             job.warnings();
             assert!(job.nodes() > 0 && job.frames.count > 0 && job.image.width > 0);
-            let again = scene::parse(text).expect("what was taken once is taken again");
+            let again = scene::parse(text).expect("an accepted job is accepted again");
             assert_eq!(again.name, job.name);
-            assert!(job.at(0).is_ok(), "a job that is taken has a first frame");
+            assert!(job.at(0).is_ok(), "an accepted job has a first frame");
         }
         Err(scene::ParseError::NotJson(fault)) => assert!(!fault.message.is_empty()),
         Err(scene::ParseError::Invalid(faults)) => {
@@ -30,13 +30,13 @@ fn try_job_files(effort: Effort) {
 }
 
 #[test]
-fn fuzzed_job_files_are_taken_or_rejected() {
+fn fuzzed_job_files_are_accepted_or_rejected() {
     try_job_files(Effort::Runs(300));
 }
 
 #[test]
-#[ignore = "long: fuzzing for a minute"]
-fn long_fuzzed_job_files_are_taken_or_rejected() {
+#[ignore = "long: fuzzing for 60 s"]
+fn long_fuzzed_job_files_are_accepted_or_rejected() {
     try_job_files(Effort::Long);
 }
 
@@ -64,16 +64,16 @@ fn requests() -> Vec<Vec<u8>> {
     .collect()
 }
 
-/// What is understood is said back, and understood alike.
+/// A parsed message must serialize, and parse again to the same value.
 fn try_messages(effort: Effort) {
     fuzz("messages of workers", effort, &requests(), |text| {
         if let Ok(request) = serde_json::from_slice::<SyncRequest>(text) {
             let said = serde_json::to_vec(&request).expect("writable");
-            serde_json::from_slice::<SyncRequest>(&said).expect("what is understood can be said");
+            serde_json::from_slice::<SyncRequest>(&said).expect("a parsed message serializes");
         }
         if let Ok(reply) = serde_json::from_slice::<SyncResponse>(text) {
             let said = serde_json::to_vec(&reply).expect("writable");
-            serde_json::from_slice::<SyncResponse>(&said).expect("what is understood can be said");
+            serde_json::from_slice::<SyncResponse>(&said).expect("a parsed message serializes");
         }
         drop(serde_json::from_slice::<RegisterRequest>(text));
         drop(serde_json::from_slice::<Problem>(text));
@@ -81,12 +81,12 @@ fn try_messages(effort: Effort) {
 }
 
 #[test]
-fn fuzzed_messages_of_workers_are_understood_or_rejected() {
+fn fuzzed_worker_messages_are_parsed_or_rejected() {
     try_messages(Effort::Runs(2000));
 }
 
 #[test]
-#[ignore = "long: fuzzing for a minute"]
-fn long_fuzzed_messages_of_workers_are_understood_or_rejected() {
+#[ignore = "long: fuzzing for 60 s"]
+fn long_fuzzed_worker_messages_are_parsed_or_rejected() {
     try_messages(Effort::Long);
 }

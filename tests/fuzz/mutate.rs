@@ -1,6 +1,6 @@
-//! How inputs are spoilt: bits, bytes, pieces of others, and words that formats care for.
+//! Mutates inputs: bits, bytes, pieces of other inputs, and tokens with a meaning in the formats.
 
-/// What readers trip over.
+/// Tokens that often cause errors in parsers.
 const WORDS: [&[u8]; 28] = [
     b"0",
     b"-1",
@@ -31,10 +31,10 @@ const WORDS: [&[u8]; 28] = [
     b"\xef\xbb\xbf",
     b"1e-320",
 ];
-/// Changes to one input, at most.
+/// Maximum number of changes to one input.
 const CHANGES: u64 = 6;
 
-/// Numbers that look drawn by lot; the same for the same seed.
+/// Pseudorandom number generator; the same seed gives the same numbers.
 pub(super) struct SeededRng(u64);
 
 impl SeededRng {
@@ -50,7 +50,7 @@ impl SeededRng {
         (self.0 % limit.max(1) as u64) as usize
     }
 
-    /// One input of the corpus, changed a few times.
+    /// Returns an input of the corpus with a few changes.
     pub(super) fn spoil(&mut self, corpus: &[Vec<u8>], most_bytes: usize) -> Vec<u8> {
         let mut input = corpus[self.below(corpus.len())].clone();
         for _ in 0..=self.below(CHANGES as usize) {

@@ -1,4 +1,4 @@
-//! Tile blobs, and pictures written and read back.
+//! Fuzzes tile blobs, and pictures that are written and read back.
 
 use std::io::Cursor;
 
@@ -12,13 +12,13 @@ use worker::{CancelFlag, TilePixels};
 use super::{Effort, fuzz};
 use crate::jobs;
 
-/// A tile of these planes, with samples of all sorts.
+/// Creates a tile with these planes and varied samples.
 fn tile(rect: Rect, planes: usize) -> TilePixels {
     let samples = |plane: usize| (0..rect.pixels()).map(move |pixel| (pixel as f32 - 7.5) * (plane as f32).exp2());
     TilePixels { rect, planes: (0..planes).map(|plane| samples(plane).collect()).collect() }
 }
 
-/// A blob is read as what it was written from, or refused.
+/// A blob must decode to the value it was encoded from, or be rejected.
 fn try_blobs(effort: Effort) {
     let shapes = [(0, 0, 1, 1, 4), (32, 64, 5, 3, 4), (0, 0, 8, 8, 7), (65_000, 0, 16, 2, 64)];
     let corpus: Vec<Vec<u8>> =
@@ -26,43 +26,43 @@ fn try_blobs(effort: Effort) {
     fuzz("blobs", effort, &corpus, |bytes| {
         let whole = blob::decode(bytes);
         if let Ok(pixels) = &whole {
-            assert_eq!(blob::encode(pixels), bytes, "what was read is not what was written");
+            assert_eq!(blob::encode(pixels), bytes, "decoding and encoding changed the blob");
         }
         if let Ok(mut reader) = blob::BlobReader::open_at(Cursor::new(bytes), 0) {
             let (rows, last) = (reader.rect().height, reader.planes() - 1);
-            // A header may promise more than there is; then the rows are refused, before memory is taken for them.
+            // A header may declare more rows than exist; they are rejected before memory is allocated for them.
             if u64::from(rows) * u64::from(reader.rect().width) <= bytes.len() as u64 {
                 let mut read = Vec::new();
                 let got = reader.read_rows(last, 0..rows, &mut read);
-                assert!(got.is_ok() || whole.is_err(), "a whole blob is read in bands, too");
+                assert!(got.is_ok() || whole.is_err(), "a complete blob is also read in bands");
             }
         }
     });
 }
 
 #[test]
-fn fuzzed_blobs_are_read_whole_or_rejected() {
+fn fuzzed_blobs_are_decoded_or_rejected() {
     try_blobs(Effort::Runs(2000));
 }
 
 #[test]
-#[ignore = "long: fuzzing for a minute"]
-fn long_fuzzed_blobs_are_read_whole_or_rejected() {
+#[ignore = "long: fuzzing for 60 s"]
+fn long_fuzzed_blobs_are_decoded_or_rejected() {
     try_blobs(Effort::Long);
 }
 
 const SIZE: Rect = Rect { x: 0, y: 0, width: 9, height: 5 };
 
-/// A small picture's job, in a format.
+/// Job of a small picture in this format.
 pub(super) fn job(image: serde_json::Value) -> scene::Job {
     let mut job = jobs::quick();
     job["image"] = image;
     job["image"]["width"] = SIZE.width.into();
     job["image"]["height"] = SIZE.height.into();
-    scene::parse(job.to_string().as_bytes()).expect("a sound job")
+    scene::parse(job.to_string().as_bytes()).expect("a valid job")
 }
 
-/// A tile whose samples are these bytes, over and over; what a renderer never gives, not a number, is left out.
+/// Creates a tile whose samples repeat these bytes, without NaN, which a renderer never returns.
 pub(super) fn tile_of(bytes: &[u8], planes: usize) -> TilePixels {
     let floats: Vec<f32> = bytes.as_chunks::<4>().0.iter().map(|&bytes| f32::from_le_bytes(bytes)).collect();
     let sound = floats.into_iter().map(|sample| if sample.is_nan() { 0.5 } else { sample }).chain([0.25]);
@@ -92,10 +92,10 @@ fn try_png(effort: Effort) {
             let file = written(job, tile_of(bytes, job.image.channels().len()));
             let mut reader = png::Decoder::new(Cursor::new(&file)).read_info().expect("a PNG");
             let mut pixels = vec![0; reader.output_buffer_size().expect("small")];
-            let frame = reader.next_frame(&mut pixels).expect("a whole PNG");
+            let frame = reader.next_frame(&mut pixels).expect("a complete PNG");
             assert_eq!((frame.width, frame.height), (SIZE.width, SIZE.height));
             reader.finish().expect("a PNG's end");
-            assert!(reader.info().utf8_text.iter().any(|text| text.keyword == "sdfarm"), "it says where it is from");
+            assert!(reader.info().utf8_text.iter().any(|text| text.keyword == "sdfarm"), "it has the provenance text");
         }
     });
 }
@@ -106,7 +106,7 @@ fn fuzzed_samples_are_written_as_png_and_read_back() {
 }
 
 #[test]
-#[ignore = "long: fuzzing for a minute"]
+#[ignore = "long: fuzzing for 60 s"]
 fn long_fuzzed_samples_are_written_as_png_and_read_back() {
     try_png(Effort::Long);
 }
@@ -124,7 +124,7 @@ fn try_exr(effort: Effort) {
             .first_valid_layer()
             .all_attributes()
             .from_buffered(Cursor::new(&file))
-            .expect("a whole EXR");
+            .expect("a complete EXR");
         let channels = &image.layer_data.channel_data.list;
         assert_eq!(channels.len(), tile.planes.len());
         for (name, plane) in job.image.channels().iter().zip(&tile.planes) {
@@ -142,7 +142,7 @@ fn fuzzed_samples_are_written_as_exr_and_read_back() {
 }
 
 #[test]
-#[ignore = "long: fuzzing for a minute"]
+#[ignore = "long: fuzzing for 60 s"]
 fn long_fuzzed_samples_are_written_as_exr_and_read_back() {
     try_exr(Effort::Long);
 }

@@ -1,4 +1,4 @@
-//! Requests as bytes on the wire: the parsers of lines, headers, ranges, cursors and queries, where the server has them.
+//! Fuzzes raw requests to a server: the parsers of request lines, headers, ranges, cursors, and queries.
 
 use std::io::{Read, Write};
 use std::net::{Shutdown, TcpStream};
@@ -8,7 +8,8 @@ use super::{Effort, fuzz};
 use crate::jobs;
 use crate::support::Farm;
 
-/// Neither the pool nor what listens elsewhere is asked for: chance would start hundreds of processes.
+/// Requests of the corpus. They include neither pool changes nor webhooks, because mutations could start hundreds of
+/// processes.
 fn corpus(job: &str) -> Vec<Vec<u8>> {
     let get = |path: &str, headers: &str| format!("GET {path} HTTP/1.1\r\nhost: 127.0.0.1\r\n{headers}\r\n");
     let text = r#"{"scene":{},"image":{"width":8,"height":8}}"#;
@@ -37,7 +38,7 @@ fn try_requests(effort: Effort) {
     fuzz("requests", effort, &corpus(&job), |bytes| {
         let mut connection = TcpStream::connect(&address).expect("the server listens");
         connection.set_read_timeout(Some(Duration::from_secs(5))).expect("settable");
-        // It may refuse before it has read everything.
+        // The server may reject the request before it has read everything.
         let _ = connection.write_all(bytes);
         let _ = connection.shutdown(Shutdown::Write);
         let mut answer = Vec::new();
@@ -50,12 +51,12 @@ fn try_requests(effort: Effort) {
 }
 
 #[test]
-fn fuzzed_requests_are_answered_and_the_server_lives_on() {
+fn fuzzed_requests_get_responses_without_server_errors() {
     try_requests(Effort::Runs(300));
 }
 
 #[test]
-#[ignore = "long: fuzzing for a minute"]
-fn long_fuzzed_requests_are_answered_and_the_server_lives_on() {
+#[ignore = "long: fuzzing for 60 s"]
+fn long_fuzzed_requests_get_responses_without_server_errors() {
     try_requests(Effort::Long);
 }

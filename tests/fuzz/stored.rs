@@ -1,4 +1,4 @@
-//! Stored pictures with spoilt files: the child that draws previews of them draws something, or says that it can't.
+//! Fuzzes stored pictures: the helper that draws their previews must draw or report an error.
 
 use std::io::{Read, Write};
 use std::process::Stdio;
@@ -9,10 +9,10 @@ use super::pictures::{job, samples, tile_of, written};
 use super::{Effort, fuzz};
 use crate::support::sdfarm;
 
-/// No preview is wider.
+/// Maximum width of a preview.
 const WIDTH_PX: u32 = 7;
 
-/// Sound files of every kind that is stored.
+/// Valid files of every stored kind.
 fn files() -> Vec<Vec<u8>> {
     let images: [Value; 4] = [
         json!({ "format": "png" }),
@@ -28,7 +28,7 @@ fn files() -> Vec<Vec<u8>> {
     images.map(file).to_vec()
 }
 
-/// What the child answers, and how it ended. Its standard input stays open as long as it lives.
+/// Runs the helper; returns its output and its exit code. Its standard input stays open until it exits.
 fn sketched(line: &str) -> (Vec<u8>, String, Option<i32>) {
     let mut command = sdfarm(&[proto::preview_helper::HELPER_COMMAND]);
     let mut child = command
@@ -38,11 +38,11 @@ fn sketched(line: &str) -> (Vec<u8>, String, Option<i32>) {
         .spawn()
         .expect("the program starts");
     let mut input = child.stdin.take().expect("piped");
-    writeln!(input, "{line}").expect("a child that reads");
+    writeln!(input, "{line}").expect("the helper reads");
     let (mut answer, mut words) = (Vec::new(), String::new());
     child.stdout.take().expect("piped").read_to_end(&mut answer).expect("readable");
     child.stderr.take().expect("piped").read_to_string(&mut words).expect("text");
-    let status = child.wait().expect("it ends");
+    let status = child.wait().expect("it exits");
     (answer, words, status.code())
 }
 
@@ -64,7 +64,7 @@ fn try_stored_pictures(effort: Effort) {
             _ => panic!("{code:?}: {words}"),
         }
     });
-    assert!(drawn >= files().len(), "sound files are drawn");
+    assert!(drawn >= files().len(), "valid files are drawn");
 }
 
 #[test]
@@ -73,7 +73,7 @@ fn fuzzed_stored_pictures_are_drawn_or_rejected() {
 }
 
 #[test]
-#[ignore = "long: fuzzing for a minute"]
+#[ignore = "long: fuzzing for 60 s"]
 fn long_fuzzed_stored_pictures_are_drawn_or_rejected() {
     try_stored_pictures(Effort::Long);
 }

@@ -1,4 +1,4 @@
-//! Back-up, restoring and the doctor, by the real binary on real farms.
+//! Tests backup, restore, and the doctor with the real binary on real farms.
 
 use std::fs;
 use std::os::unix::fs::MetadataExt;
@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use crate::support::{Farm, eventually, run, sdfarm, succeed, text};
 
-/// A small job of several frames, unlike those of other seeds.
+/// Small job of several frames, whose pictures differ for each seed.
 fn job(seed: u32, frames: u32) -> String {
     format!(
         r#"{{"name": "kept", "scene": {{"camera": {{"position": [0, 0, 4], "look_at": [0, 0, 0]}},
@@ -36,14 +36,14 @@ fn frame(farm: &Farm, job: &str, number: u32) -> Vec<u8> {
     answer.body
 }
 
-/// What `sdfarm doctor` says, and its exit code; its port is any free one.
+/// Runs `sdfarm doctor` with a free port; returns its output and its exit code.
 fn doctor(data: &Path, flags: &[&str]) -> (String, Option<i32>) {
     let output = run(&[&["doctor", "--data", word(data), "--listen", "127.0.0.1:0"], flags].concat());
     (text(&output.stdout) + &text(&output.stderr), output.status.code())
 }
 
 #[test]
-fn a_farm_is_backed_up_while_it_runs_and_restored_with_every_picture() {
+fn running_farm_is_backed_up_and_restored_completely() {
     let folder = tempfile::tempdir().expect("a folder");
     let (data, copy, new) = (folder.path().join("data"), folder.path().join("copy"), folder.path().join("new/data"));
     let farm = start(folder.path());
@@ -51,23 +51,23 @@ fn a_farm_is_backed_up_while_it_runs_and_restored_with_every_picture() {
     farm.succeeded(&first);
     fs::write(data.join("secret"), "of a webhook").expect("writes");
     let told = succeed(&["backup", word(&copy), "--data", word(&data)]);
-    assert!(told.starts_with("3 pictures are in ") && told.contains(": 3 taken now"), "{told}");
+    assert!(told.starts_with("3 pictures are in ") && told.contains(": 3 copied now"), "{told}");
 
-    // Only what is new is taken, and what no job has any more is dropped.
+    // Only new pictures are copied, and pictures that no job uses are dropped.
     let second = farm.accept(&job(2, 2));
     farm.succeeded(&second);
     let dropped = farm.accept(&job(3, 1));
     farm.succeeded(&dropped);
     let told = succeed(&["backup", word(&copy), "--data", word(&data)]);
-    assert!(told.starts_with("6 pictures") && told.contains(": 3 taken now"), "{told}");
+    assert!(told.starts_with("6 pictures") && told.contains(": 3 copied now"), "{told}");
     assert_eq!(farm.send("DELETE", &format!("/v1/jobs/{dropped}"), &[], Vec::new()).status, 204);
     let told = succeed(&["backup", word(&copy), "--data", word(&data)]);
-    assert!(told.starts_with("5 pictures") && told.contains("0 taken now (0 bytes), 1 dropped"), "{told}");
+    assert!(told.starts_with("5 pictures") && told.contains("0 copied now (0 bytes), 1 dropped"), "{told}");
     let wanted: Vec<Vec<u8>> = (0..3).map(|number| frame(&farm, &first, number)).collect();
     drop(farm);
 
     let told = succeed(&["restore", word(&copy), "--data", word(&new)]);
-    assert!(told.contains("5 pictures are whole"), "{told}");
+    assert!(told.contains("5 pictures are intact"), "{told}");
     assert_eq!(fs::read_to_string(new.join("secret")).expect("restored"), "of a webhook");
     let again = run(&["restore", word(&copy), "--data", word(&new)]);
     assert_eq!(again.status.code(), Some(1));
@@ -77,13 +77,13 @@ fn a_farm_is_backed_up_while_it_runs_and_restored_with_every_picture() {
 
     let farm = start(&folder.path().join("new"));
     let got: Vec<Vec<u8>> = (0..3).map(|number| frame(&farm, &first, number)).collect();
-    assert_eq!(got, wanted, "every picture is there, byte by byte");
+    assert_eq!(got, wanted, "every picture is restored, byte by byte");
     assert_eq!(farm.get(&format!("/v1/jobs/{dropped}")).status, 404);
     assert!(farm.terminate().success());
 }
 
 #[test]
-fn a_backup_that_was_damaged_is_noticed() {
+fn damaged_backup_is_reported() {
     let folder = tempfile::tempdir().expect("a folder");
     let (data, copy) = (folder.path().join("data"), folder.path().join("copy"));
     let farm = start(folder.path());
@@ -92,7 +92,7 @@ fn a_backup_that_was_damaged_is_noticed() {
     succeed(&["backup", word(&copy), "--data", word(&data)]);
     assert!(farm.terminate().success());
 
-    // A copy of its own first: linked files are one.
+    // The file is replaced, because the backup's file is a hard link to the store's.
     let picture = &pictures(&copy)[0];
     let bytes = fs::read(picture).expect("reads");
     fs::remove_file(picture).expect("removes");
@@ -101,7 +101,7 @@ fn a_backup_that_was_damaged_is_noticed() {
     let output = run(&["restore", word(&copy), "--data", word(&new)]);
     assert_eq!(output.status.code(), Some(1));
     assert!(text(&output.stderr).contains("1 pictures are lost"), "{}", text(&output.stderr));
-    assert_eq!(pictures(&new).len(), 1, "what is damaged is not restored");
+    assert_eq!(pictures(&new).len(), 1, "a damaged picture is not restored");
 
     let database = fs::read_dir(&copy)
         .expect("a folder")
@@ -115,7 +115,7 @@ fn a_backup_that_was_damaged_is_noticed() {
 }
 
 #[test]
-fn nothing_but_a_farm_is_backed_up_and_nothing_but_a_backup_is_overwritten() {
+fn backup_rejects_other_folders_as_source_or_target() {
     let folder = tempfile::tempdir().expect("a folder");
     let (data, copy) = (folder.path().join("data"), folder.path().join("copy"));
     let refused = |arguments: &[&str], why: &str| {
@@ -135,7 +135,7 @@ fn nothing_but_a_farm_is_backed_up_and_nothing_but_a_backup_is_overwritten() {
 }
 
 #[test]
-fn a_backup_shares_the_bytes_of_pictures_on_the_same_disk() {
+fn backup_on_the_same_disk_links_the_pictures() {
     let folder = tempfile::tempdir().expect("a folder");
     let (data, copy) = (folder.path().join("data"), folder.path().join("copy"));
     let farm = start(folder.path());
@@ -148,7 +148,7 @@ fn a_backup_shares_the_bytes_of_pictures_on_the_same_disk() {
 }
 
 #[test]
-fn the_doctor_finds_what_is_lost_and_has_it_rendered_again() {
+fn doctor_finds_lost_pictures_and_requeues_them() {
     let folder = tempfile::tempdir().expect("a folder");
     let data = folder.path().join("data");
     let farm = start(folder.path());
@@ -162,12 +162,12 @@ fn the_doctor_finds_what_is_lost_and_has_it_rendered_again() {
     assert!(text(&output.stderr).contains("stop it first"), "{}", text(&output.stderr));
     assert!(farm.terminate().success());
 
-    // One is gone, one has other bytes of the same number, and something lies there that belongs to nothing.
+    // One picture is missing, one has other bytes of the same length, and one file is an orphan.
     let there = pictures(&data);
     fs::remove_file(&there[0]).expect("removes");
     let length = fs::metadata(&there[1]).expect("there").len();
     fs::write(&there[1], vec![0; length as usize]).expect("writes");
-    fs::write(data.join("pictures").join("f".repeat(64)), "nobody's").expect("writes");
+    fs::write(data.join("pictures").join("f".repeat(64)), "an orphan").expect("writes");
     let (told, code) = doctor(&data, &[]);
     assert_eq!(code, Some(1), "{told}");
     assert!(told.contains("1 pictures are missing") && !told.contains("are damaged"), "{told}");
@@ -184,14 +184,14 @@ fn the_doctor_finds_what_is_lost_and_has_it_rendered_again() {
     let farm = start(folder.path());
     farm.succeeded(&id);
     let got: Vec<Vec<u8>> = (0..3).map(|number| frame(&farm, &id, number)).collect();
-    assert_eq!(got, wanted, "they are the same pictures again");
+    assert_eq!(got, wanted, "the pictures are the same as before");
     assert!(farm.terminate().success());
     let (told, code) = doctor(&data, &["--deep"]);
     assert_eq!(code, Some(0), "{told}");
 }
 
 #[test]
-fn the_doctor_says_when_the_database_is_damaged_or_the_port_is_taken() {
+fn doctor_reports_a_damaged_database_and_a_used_port() {
     let folder = tempfile::tempdir().expect("a folder");
     let data = folder.path().join("data");
     assert!(start(folder.path()).terminate().success());
@@ -211,9 +211,9 @@ fn the_doctor_says_when_the_database_is_damaged_or_the_port_is_taken() {
     assert!(told.contains("ERROR    database") && told.contains("sdfarm restore"), "{told}");
 }
 
-/// While jobs come, are rendered and go, each backup is a whole farm.
+/// While jobs are submitted, rendered, and deleted, each backup is a complete farm.
 #[test]
-fn backups_of_a_busy_farm_are_whole() {
+fn backups_of_a_busy_farm_are_complete() {
     let folder = tempfile::tempdir().expect("a folder");
     let (data, copy) = (folder.path().join("data"), folder.path().join("copy"));
     let farm = start(folder.path());

@@ -1,4 +1,4 @@
-//! The files that operators get: alerts, board, units. What they name exists, and the papers name it too.
+//! Tests the files shipped for operators (alerts, board, units): the names in them exist and are documented.
 
 use std::collections::BTreeSet;
 use std::fs;
@@ -13,8 +13,7 @@ fn read(path: &str) -> String {
     fs::read_to_string(root().join(path)).unwrap_or_else(|error| panic!("{path}: {error}"))
 }
 
-/// The metrics that `docs/operations.md` tells of, as Prometheus stores them; a test of the server holds that list
-/// against what is measured.
+/// Metrics in `docs/operations.md`, as Prometheus stores them; a test of the server compares that list with the code.
 fn metrics() -> BTreeSet<String> {
     let page = read("docs/operations.md");
     let mut names = BTreeSet::new();
@@ -32,14 +31,14 @@ fn metrics() -> BTreeSet<String> {
     names
 }
 
-/// The metrics that an expression asks for.
+/// Metrics in an expression.
 fn asked(expression: &str) -> impl Iterator<Item = &str> {
     let words = expression.split(|letter: char| !letter.is_ascii_alphanumeric() && letter != '_');
     words.filter(|word| word.starts_with("sdfarm_") || word.starts_with("process_"))
 }
 
 #[test]
-fn alerts_ask_for_metrics_that_are_there_and_each_has_a_runbook_and_a_test() {
+fn alerts_use_known_metrics_and_have_runbooks_and_tests() {
     let (rules, tests, page) =
         (read("docker/prometheus/alerts.yml"), read("docker/prometheus/alerts_test.yml"), read("docs/operations.md"));
     let (known, mut names) = (metrics(), Vec::new());
@@ -57,7 +56,7 @@ fn alerts_ask_for_metrics_that_are_there_and_each_has_a_runbook_and_a_test() {
 }
 
 #[test]
-fn the_board_asks_for_metrics_that_are_there() {
+fn board_uses_known_metrics() {
     let board: Value = serde_json::from_str(&read("docker/grafana/sdfarm.json")).expect("JSON");
     let known = metrics();
     let (mut ids, mut shown) = (BTreeSet::new(), BTreeSet::new());
@@ -88,7 +87,7 @@ fn the_board_asks_for_metrics_that_are_there() {
 }
 
 #[test]
-fn systemd_takes_the_units() {
+fn systemd_accepts_the_units() {
     if Command::new("systemd-analyze").arg("--version").output().is_err() {
         return skip("systemd", "systemd-analyze is not installed; the units are not checked");
     }

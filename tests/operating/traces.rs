@@ -1,4 +1,5 @@
-//! One trace from the request that hands in a job to the stored picture, and logs that a program can read: on a real farm.
+//! Tests, on a real farm, that one trace covers a job from its submission to the stored picture, and that logs are
+//! JSON.
 
 use std::collections::HashMap;
 use std::io::{BufRead, BufReader, Read, Write};
@@ -11,7 +12,7 @@ use serde_json::Value;
 
 use crate::support::{Farm, sdfarm, send_signal, wait};
 
-/// What a collector takes of a span.
+/// Part of a span that the collector stores.
 #[derive(Clone, Debug, Default)]
 struct Span {
     trace: String,
@@ -20,7 +21,7 @@ struct Span {
     name: String,
 }
 
-/// A collector that takes spans by OTLP over HTTP.
+/// Collector that receives spans by OTLP over HTTP.
 struct Collector {
     address: String,
     spans: Arc<Mutex<Vec<Span>>>,
@@ -42,11 +43,11 @@ impl Collector {
     }
 
     fn of_trace(&self, trace: &str) -> Vec<Span> {
-        self.spans.lock().expect("whole").iter().filter(|span| span.trace == trace).cloned().collect()
+        self.spans.lock().expect("not poisoned").iter().filter(|span| span.trace == trace).cloned().collect()
     }
 }
 
-/// Takes requests until the client hangs up.
+/// Receives requests until the client closes the connection.
 fn serve(stream: TcpStream, taken: &Mutex<Vec<Span>>) {
     let mut reader = BufReader::new(stream.try_clone().expect("a socket"));
     let mut stream = stream;
@@ -67,14 +68,14 @@ fn serve(stream: TcpStream, taken: &Mutex<Vec<Span>>) {
             }
         }
         let mut body = vec![0; length];
-        reader.read_exact(&mut body).expect("a whole body");
-        taken.lock().expect("whole").extend(spans(&body));
+        reader.read_exact(&mut body).expect("a complete body");
+        taken.lock().expect("not poisoned").extend(spans(&body));
         let _ =
             stream.write_all(b"HTTP/1.1 200 OK\r\ncontent-type: application/x-protobuf\r\ncontent-length: 0\r\n\r\n");
     }
 }
 
-/// Protocol buffers: a message's fields that are bytes, by number.
+/// Returns the byte fields of a Protocol Buffers message, by number.
 fn fields(mut message: &[u8]) -> Vec<(u64, &[u8])> {
     let mut found = Vec::new();
     while !message.is_empty() {
@@ -97,7 +98,7 @@ fn fields(mut message: &[u8]) -> Vec<(u64, &[u8])> {
 fn number(message: &mut &[u8]) -> u64 {
     let mut value = 0;
     for shift in (0..64).step_by(7) {
-        let (byte, rest) = message.split_first().expect("a whole number");
+        let (byte, rest) = message.split_first().expect("a complete number");
         *message = rest;
         value |= u64::from(byte & 0x7f) << shift;
         if byte & 0x80 == 0 {
@@ -107,7 +108,7 @@ fn number(message: &mut &[u8]) -> u64 {
     value
 }
 
-/// The spans of an export request: resource spans (1), scope spans (2), spans (2).
+/// Returns the spans of an export request: resource spans (1), scope spans (2), spans (2).
 fn spans(body: &[u8]) -> Vec<Span> {
     let mut found = Vec::new();
     for (_, resource) in fields(body).into_iter().filter(|(field, _)| *field == 1) {
@@ -128,7 +129,7 @@ fn spans(body: &[u8]) -> Vec<Span> {
 const TRACE: &str = "4bf92f3577b34da6a3ce929d0e0e4736";
 const CLIENT: &str = "00f067aa0ba902b7";
 
-/// Hands in a small job as a client would that has a trace of its own.
+/// Submits a small job like a client that has its own trace.
 fn hand_in(farm: &Farm) -> String {
     let job = r#"{"scene": {"camera": {"position": [0, 0, 4], "look_at": [0, 0, 0]},
         "objects": [{"material": {"normals": {}}, "shape": {"sphere": {"radius": 1}}}]},
@@ -145,7 +146,7 @@ fn hand_in(farm: &Farm) -> String {
     id
 }
 
-/// The names of a span and of those above it, up to the client's own.
+/// Names of a span and its ancestors, up to the client's span.
 fn names_up_from(name: &str, spans: &[Span]) -> Vec<String> {
     let by_id: HashMap<&str, &Span> = spans.iter().map(|span| (span.id.as_str(), span)).collect();
     let mut span = spans.iter().find(|span| span.name == name).unwrap_or_else(|| panic!("no {name} in {spans:?}"));
@@ -154,19 +155,19 @@ fn names_up_from(name: &str, spans: &[Span]) -> Vec<String> {
         names.push(above.name.clone());
         span = above;
     }
-    assert_eq!(span.parent, CLIENT, "the client's own span is above all");
+    assert_eq!(span.parent, CLIENT, "the client's span is the root");
     names
 }
 
 #[test]
-fn one_trace_shows_a_job_from_its_request_to_its_picture_and_logs_name_it() {
+fn one_trace_covers_a_job_from_request_to_picture() {
     let collector = Collector::start();
     let folder = tempfile::tempdir().expect("a folder");
     let flags = ["--device", "cpu", "--workers", "1", "--log", "json", "-v", "--otlp", &collector.address];
     let farm = Farm::start_on(folder.path(), &flags);
     let id = hand_in(&farm);
     let path = folder.path().join("log");
-    // What is left of the traces is sent when the processes end.
+    // The remaining traces are sent when the processes exit.
     assert!(farm.terminate().success());
 
     let spans = collector.of_trace(TRACE);
@@ -178,7 +179,7 @@ fn one_trace_shows_a_job_from_its_request_to_its_picture_and_logs_name_it() {
 }
 
 #[test]
-fn trace_goes_on_where_a_remote_worker_brings_its_picture() {
+fn trace_continues_when_a_remote_worker_uploads_its_picture() {
     let collector = Collector::start();
     let farm = Farm::start(&["--workers", "0", "--otlp", &collector.address]);
     let worker = ["worker", "--server", &farm.address, "--device", "cpu", "--otlp", &collector.address];
@@ -192,7 +193,7 @@ fn trace_goes_on_where_a_remote_worker_brings_its_picture() {
     assert_eq!(names_up_from("store", &spans), names, "{spans:?}");
 }
 
-/// Every line is an object, and lines about the job name it, its frame and its worker.
+/// Asserts that every line is an object, and that lines about the job name it, its frame, and its worker.
 fn check_log(log: &str, id: &str) {
     let lines: Vec<Value> =
         log.lines().map(|line| serde_json::from_str(line).unwrap_or_else(|error| panic!("{error}: {line}"))).collect();
@@ -207,6 +208,6 @@ fn check_log(log: &str, id: &str) {
     let posted = lines.iter().find(|line| line["request_id"] == "the-request").expect("the request's line");
     assert_eq!((&posted["method"], &posted["path"]), (&"POST".into(), &"/v1/jobs".into()), "{posted}");
     let looked = format!("/v1/jobs/{id}");
-    let looked = lines.iter().find(|line| line["path"] == looked.as_str()).expect("a line of a look at the job");
+    let looked = lines.iter().find(|line| line["path"] == looked.as_str()).expect("a line for the GET of the job");
     assert_eq!(looked["job"], id, "{looked}");
 }

@@ -1,4 +1,4 @@
-//! `sdfarm audit`: who did what, newest first; needs a key of scope admin where there are keys.
+//! `sdfarm audit`: lists the audit log, newest first. If the farm has keys, it needs one of scope admin.
 
 use clap::Args;
 use proto::audit::AuditEntry;
@@ -11,13 +11,13 @@ use crate::terminal::{print_line, print_note};
 pub(crate) struct Arguments {
     #[command(flatten)]
     server: ServerArguments,
-    /// Most entries to list.
+    /// Maximum number of entries to list.
     #[arg(long, value_name = "N", env = "SDFARM_LIMIT", default_value_t = 50, value_parser = clap::value_parser!(u32).range(1..=1000))]
     limit: u32,
     /// Continue an earlier list at the cursor that it printed.
     #[arg(long, env = "SDFARM_CURSOR")]
     cursor: Option<String>,
-    /// Print the server's answer as JSON.
+    /// Print the server's response as JSON.
     #[arg(long, env = "SDFARM_JSON", value_parser = clap::builder::FalseyValueParser::new(), action = clap::ArgAction::SetTrue)]
     json: bool,
 }

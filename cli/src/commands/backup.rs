@@ -1,4 +1,4 @@
-//! `sdfarm backup`: copies a farm while it runs.
+//! `sdfarm backup`: backs up a farm while it runs.
 
 use std::path::PathBuf;
 
@@ -9,8 +9,7 @@ use crate::terminal::{print_line, print_note};
 /// Arguments of `backup`.
 #[derive(Debug, Args)]
 pub(crate) struct Arguments {
-    /// Folder of the copy: an empty one, or that of an earlier backup, to which only new pictures are
-    /// added.
+    /// Folder of the backup: an empty one, or that of an earlier backup, to which only new pictures are added.
     #[arg(value_name = "FOLDER")]
     folder: PathBuf,
     /// The farm's data folder; a server may be using it.
@@ -18,11 +17,11 @@ pub(crate) struct Arguments {
     data: PathBuf,
 }
 
-/// Copies it.
+/// Backs up the farm and prints a summary.
 pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     let backup = server::back_up(&arguments.data, &arguments.folder).await?;
     print_line(&format!(
-        "{} pictures are in {}: {} taken now ({} bytes), {} dropped",
+        "{} pictures are in {}: {} copied now ({} bytes), {} dropped",
         backup.pictures,
         arguments.folder.display(),
         backup.copied,
@@ -30,11 +29,11 @@ pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
         backup.removed
     ))?;
     for hash in &backup.missing {
-        print_note(&format!("picture {hash} is gone from the store, or damaged there"));
+        print_note(&format!("picture {hash} is missing from the store, or damaged"));
     }
     if !backup.missing.is_empty() {
         anyhow::bail!(
-            "{} pictures could not be taken; the rest is safe: see `sdfarm doctor --deep`",
+            "{} pictures could not be copied; the others were: see `sdfarm doctor --deep`",
             backup.missing.len()
         );
     }

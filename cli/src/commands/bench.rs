@@ -1,4 +1,4 @@
-//! `sdfarm bench`: how fast this machine renders, at each SIMD level it has.
+//! `sdfarm bench`: measures how fast this machine renders at each SIMD level it has.
 
 mod farm;
 mod paper;
@@ -50,39 +50,39 @@ pub(crate) struct Arguments {
     /// Threads that render [default: one for each core].
     #[arg(long, value_name = "N", env = "SDFARM_THREADS", value_parser = clap::value_parser!(u32).range(1..=i64::from(MAX_THREADS)))]
     threads: Option<u32>,
-    /// Times that each frame is rendered.
+    /// Number of times to render each frame.
     #[arg(long, value_name = "N", env = "SDFARM_RUNS", default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..=1000))]
     runs: u32,
-    /// Seconds of each measurement of distances.
+    /// Seconds to measure distances at each level.
     #[arg(long, value_name = "SECONDS", env = "SDFARM_SECONDS", default_value_t = 1, value_parser = clap::value_parser!(u64).range(1..=60))]
     seconds: u64,
-    /// Measure a whole farm with such workers: from POST to the stored picture, and frames a second.
+    /// Measure a whole farm: the time from POST to the stored picture, and frames per second.
     #[arg(long, env = "SDFARM_FARM", value_parser = clap::builder::FalseyValueParser::new(), action = clap::ArgAction::SetTrue)]
     farm: bool,
     /// Frames of the animation that --farm measures.
     #[arg(long, value_name = "N", env = "SDFARM_FRAMES", default_value_t = 120, value_parser = clap::value_parser!(u32).range(1..=10_000))]
     frames: u32,
-    /// Print JSON.
+    /// Print the results as JSON.
     #[arg(long, env = "SDFARM_JSON", value_parser = clap::builder::FalseyValueParser::new(), action = clap::ArgAction::SetTrue)]
     json: bool,
 }
 
-/// Tables that are measured as a whole.
+/// Subcommands that measure one complete table.
 #[derive(Debug, Subcommand)]
 enum BenchSuite {
     /// Measure the paper's Table 1 on this machine, next to the published figures.
     Paper(paper::Arguments),
     /// Measure a server's queue: jobs and tiles per second, and response times.
     Queue(queue::Arguments),
-    /// How long it takes until an animated job stands as it does in a frame.
+    /// Measure how long an animated job takes to evaluate at a frame.
     Setup(setup::Arguments),
 }
 
-/// The levels to measure.
+/// SIMD levels to measure.
 #[derive(Clone, Debug)]
 struct SimdLevels(Vec<Simd>);
 
-/// Everything measured.
+/// All results.
 #[derive(Debug, Default, Serialize)]
 struct Reports {
     points: Vec<PointsReport>,
@@ -91,7 +91,7 @@ struct Reports {
     farms: Vec<FarmReport>,
 }
 
-/// Measures it.
+/// Runs the measurements and prints them.
 pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
     match &arguments.table {
         Some(BenchSuite::Paper(arguments)) => return paper::run(arguments),
@@ -141,7 +141,7 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
     table(&reports)
 }
 
-/// A file of this name, else the shipped scene.
+/// Reads the file with this name, otherwise the shipped scene.
 fn read(name: &str) -> anyhow::Result<Job> {
     if name == "-" || Path::new(name).exists() {
         return JobFile::read(name)?.parse();
@@ -149,7 +149,7 @@ fn read(name: &str) -> anyhow::Result<Job> {
     scene::parse(&shipped::job_file(name)?).with_context(|| format!("the shipped scene {name} is damaged"))
 }
 
-/// Job file of a shipped scene or a path.
+/// Returns the text of a job file or a shipped scene.
 fn text(name: &str) -> anyhow::Result<Vec<u8>> {
     if Path::new(name).exists() {
         return std::fs::read(name).with_context(|| format!("could not read {name}"));
@@ -163,7 +163,7 @@ fn farm_table(reports: &Reports) -> anyhow::Result<()> {
     {
         print_line(&format!("{job} on a farm of {}", devices.join(", ")))?;
         print_line(&format!("  POST to stored   median {median:.1} ms ({least:.1} to {greatest:.1}) of {jobs} jobs"))?;
-        print_line(&format!("  animation        {frames} frames, {frames_per_second:.1} stored a second"))?;
+        print_line(&format!("  animation        {frames} frames, {frames_per_second:.1} stored per second"))?;
     }
     Ok(())
 }
@@ -180,16 +180,16 @@ fn measure(job: &Job, level: Simd, arguments: &Arguments, reports: &mut Reports)
 fn gpu_table(reports: &Reports) -> anyhow::Result<()> {
     for report in &reports.gpu_renders {
         let GpuReport { job, gpu, block, registers, local_bytes, occupancy, .. } = report;
-        let compiled = report.compile_ms.map_or("was kept".to_owned(), |ms| format!("{ms:.1} ms"));
+        let compiled = report.compile_ms.map_or("earlier (cached)".to_owned(), |ms| format!("{ms:.1} ms"));
         let share = report.peak_share.map_or_else(|| "-".to_owned(), |share| format!("{:.1} %", share * 100.0));
         print_line(&format!("{job} on {gpu}"))?;
-        print_line(&format!("  program       compiled {compiled}, loaded {:.1} ms", report.load_ms))?;
+        print_line(&format!("  program       compiled {compiled}, loaded in {:.1} ms", report.load_ms))?;
         print_line(&format!(
             "  resources     blocks {block}, {registers} registers, {local_bytes} bytes spilled, occupancy {:.0} %",
             occupancy * 100.0
         ))?;
         print_line(&format!(
-            "  frame         kernels {:.3} ms (least {:.3}), longest launch {:.2} ms, pixels here after {:.2} ms",
+            "  frame         kernels {:.3} ms (least {:.3}), longest launch {:.2} ms, pixels copied after {:.2} ms",
             report.kernel_ms, report.least_kernel_ms, report.longest_launch_ms, report.median_ms
         ))?;
         print_line(&format!(
@@ -211,7 +211,7 @@ fn table(reports: &Reports) -> anyhow::Result<()> {
     if reports.renders.is_empty() {
         return Ok(());
     }
-    print_line("\nframes as their jobs ask for them, rendered and not encoded")?;
+    print_line("\nframes at their jobs' settings, rendered but not encoded")?;
     let heads = ["median ms", "least ms", "M rays/s", "M evaluations/s"];
     let [median, least, rays, evaluations] = heads;
     print_line(&format!(

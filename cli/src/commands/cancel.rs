@@ -1,4 +1,4 @@
-//! `sdfarm cancel`: stops a job.
+//! `sdfarm cancel`: cancels a job.
 
 use clap::Args;
 
@@ -17,7 +17,7 @@ pub(crate) struct Arguments {
     server: ServerArguments,
 }
 
-/// Stops it.
+/// Cancels the job.
 pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     let client = arguments.server.client()?;
     let job = client.cancel(arguments.id.find(&client).await?).await?;

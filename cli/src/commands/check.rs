@@ -17,20 +17,20 @@ use crate::terminal::{print_line, print_note};
 pub(crate) struct Arguments {
     /// The job file; - for standard input.
     job: String,
-    /// Spend 0.7 s instead of 0.2 s on the estimate of its time.
+    /// Spend 0.7 s instead of 0.2 s on the estimate of the job's time.
     #[arg(long, env = "SDFARM_ESTIMATE", value_parser = clap::builder::FalseyValueParser::new(), action = clap::ArgAction::SetTrue)]
     estimate: bool,
-    /// Print all as JSON.
+    /// Print the errors, or the size and the warnings, as JSON.
     #[arg(long, env = "SDFARM_JSON", value_parser = clap::builder::FalseyValueParser::new(), action = clap::ArgAction::SetTrue)]
     json: bool,
 }
 
-/// Most time for rendering a sample, in milliseconds.
+/// Time limit for rendering a sample with `--estimate`, in milliseconds.
 const RENDER_MS: u64 = 700;
-/// The same, where nobody asked for an estimate.
+/// Time limit for rendering a sample without `--estimate`, in milliseconds.
 const QUICK_RENDER_MS: u64 = 200;
 
-/// Checks it.
+/// Checks the job file.
 pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let file = JobFile::read(&arguments.job)?;
     let job = match file.parse() {
@@ -45,7 +45,7 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let warnings = job.warnings();
     let threads = std::thread::available_parallelism().map_or(1, usize::from);
     let sample = sample(&job, threads, if arguments.estimate { RENDER_MS } else { QUICK_RENDER_MS });
-    // That a sample takes too long says much of the job, and nothing against it.
+    // A job is valid even if no sample of it finishes in time.
     let outlook = Outlook::new(&job, threads, sample.as_ref().ok());
     if arguments.json {
         return print_line(&format!("{:#}", outlook.json(&warnings)));
@@ -53,14 +53,14 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
     for warning in &warnings {
         print_note(&format!("{}: warning: {warning}", file.name));
     }
-    print_line(&format!("{}: sound", file.name))?;
+    print_line(&format!("{}: valid", file.name))?;
     for line in outlook.lines() {
         print_line(&format!("  {line}"))?;
     }
     Ok(())
 }
 
-/// The faults of a job, as JSON.
+/// Formats the errors of a job as JSON.
 fn refusal(faults: &[ValidationErrorView]) -> String {
     format!("{:#}", json!({ "valid": false, "errors": faults }))
 }

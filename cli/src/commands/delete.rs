@@ -20,14 +20,14 @@ pub(crate) struct Arguments {
     dry_run: bool,
 }
 
-/// Forgets it.
+/// Deletes the job, or lists what would be deleted.
 pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     let client = arguments.server.client()?;
     let id = arguments.id.find(&client).await?;
     if arguments.dry_run {
         let preview = client.delete_dry_run(id).await?;
         return print_line(&format!(
-            "would remove {} and {}, {}, and {} of the database",
+            "would delete {} and {}, {}, and {} of the database",
             counted(preview.pictures, "picture"),
             counted(preview.blobs, "blob"),
             counted(preview.size_bytes, "byte"),

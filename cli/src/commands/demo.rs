@@ -20,9 +20,9 @@ use crate::signals::Signals;
 use crate::terminal::{print_line, print_note};
 use crate::{follow, shipped};
 
-/// The scene of a first picture: everything that the renderer does is in it.
+/// Scene of a first picture: it shows every feature of the renderer.
 const DEFAULT_SCENE: &str = "fjord";
-/// Its width in pixels unless another is asked for: some fifteen seconds of two cores.
+/// Default width of its picture, in pixels: about 15 s on two cores.
 const DEFAULT_WIDTH_PX: u32 = 800;
 /// Narrowest and widest picture.
 const WIDTHS_PX: std::ops::RangeInclusive<i64> = 16..=16_384;
@@ -30,13 +30,13 @@ const WIDTHS_PX: std::ops::RangeInclusive<i64> = 16..=16_384;
 /// Arguments of `demo`.
 #[derive(Debug, Args)]
 pub(crate) struct Arguments {
-    /// Which shipped scene to render.
+    /// Shipped scene to render.
     #[arg(long, value_name = "NAME", env = "SDFARM_SCENE", default_value = DEFAULT_SCENE)]
     scene: String,
     /// List the shipped scenes, and render none.
     #[arg(long, env = "SDFARM_LIST", value_parser = clap::builder::FalseyValueParser::new(), action = clap::ArgAction::SetTrue)]
     list: bool,
-    /// How wide the picture is, in pixels; its height follows [default: 800 for fjord, else as wide as the scene says].
+    /// Width of the picture, in pixels; its height follows [default: 800 for fjord, otherwise the scene's width].
     #[arg(long, value_name = "PIXELS", env = "SDFARM_WIDTH", value_parser = clap::value_parser!(u32).range(WIDTHS_PX))]
     width: Option<u32>,
     /// Replace a file of the picture's name in the current folder.
@@ -53,11 +53,11 @@ pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     let width = arguments.width.or(is_first.then_some(DEFAULT_WIDTH_PX));
     let text = sized(shipped::job_file(&arguments.scene)?, width)?;
     let job = scene::parse(&text).with_context(|| format!("the shipped scene {} is damaged", arguments.scene))?;
-    // Better known now than after rendering.
+    // Checked before rendering, so that no rendered picture is lost.
     check_writable("./")?;
     let mut signals = Signals::install()?;
 
-    let data = tempfile::tempdir().context("could not make a folder for the farm: free some space there")?;
+    let data = tempfile::tempdir().context("could not create a folder for the farm: free some space there")?;
     let config = Config {
         listen: ([127, 0, 0, 1], 0).into(),
         data: data.path().to_owned(),
@@ -85,14 +85,14 @@ pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     };
     let took = start.elapsed();
     shutdown.cancel();
-    serving.await.context("the farm stopped in disorder")??;
+    serving.await.context("the farm did not shut down gracefully")??;
     let path = save(&done?, &arguments.scene, &job, arguments.force)?;
     print_line(&format!("saved {} after {:.1} s", path.display(), took.as_secs_f64()))?;
     print_note(&next_step());
     Ok(())
 }
 
-/// The job file with its picture so wide, and as high as its shape asks for.
+/// Scales the job's picture to this width, and keeps its aspect ratio.
 fn sized(text: Vec<u8>, width: Option<u32>) -> anyhow::Result<Vec<u8>> {
     let Some(width) = width.map(u64::from) else { return Ok(text) };
     let mut job: Value = serde_json::from_slice(&text).context("a shipped scene is damaged")?;
@@ -104,12 +104,12 @@ fn sized(text: Vec<u8>, width: Option<u32>) -> anyhow::Result<Vec<u8>> {
     Ok(serde_json::to_vec(&job)?)
 }
 
-/// What to do after a first picture.
+/// Suggests the next commands after a first picture.
 fn next_step() -> String {
     let program = std::env::args().next().unwrap_or_else(|| "sdfarm".to_owned());
     format!(
-        "next: `{program} serve` runs a farm that stays, with its start page at http://127.0.0.1:8080;\n\
-         `{program} demo --list` names the other scenes, `{program} demo --scene octopus` renders one"
+        "next: `{program} serve` runs a permanent farm, with its start page at http://127.0.0.1:8080;\n\
+         `{program} demo --list` lists the other scenes, `{program} demo --scene octopus` renders one"
     )
 }
 
@@ -138,12 +138,12 @@ fn save(picture: &[u8], scene: &str, job: &Job, force: bool) -> anyhow::Result<P
     fs::canonicalize(&path).with_context(|| format!("could not find {name} again"))
 }
 
-/// The plain name if it is free, else one with a number.
+/// Returns the plain name if it is free, otherwise one with a number.
 fn free_name(plain: PathBuf, stem: &str, extension: &str, picture: &[u8]) -> anyhow::Result<PathBuf> {
     let numbered = (2..1000).map(|number| PathBuf::from(format!("{stem}-{number}.{extension}")));
     let is_free = |path: &Path| !path.exists() || fs::read(path).is_ok_and(|there| there == picture);
     std::iter::once(plain).chain(numbered).find(|path| is_free(path)).ok_or_else(|| {
-        UsageError(format!("every name from {stem}.{extension} on is taken here: say --force to replace the first"))
+        UsageError(format!("every name from {stem}.{extension} on exists here: use --force to replace the first"))
             .into()
     })
 }

@@ -15,14 +15,13 @@ pub(crate) struct Arguments {
     /// The farm's data folder; a server may be using it.
     #[arg(long, value_name = "FOLDER", env = "SDFARM_DATA", default_value = "./sdfarm-data")]
     data: PathBuf,
-    /// Address the server is to listen on.
+    /// Address that the server will listen on.
     #[arg(long, value_name = "ADDRESS:PORT", env = "SDFARM_LISTEN", default_value = "127.0.0.1:8080")]
     listen: SocketAddr,
     /// Read every byte of every picture.
     #[arg(long, env = "SDFARM_DEEP", value_parser = clap::builder::FalseyValueParser::new(), action = clap::ArgAction::SetTrue)]
     deep: bool,
-    /// Repair what can be repaired: delete orphans, and have missing pictures rendered again. No server
-    /// may be running.
+    /// Repair the data folder: delete orphans, and requeue the frames of missing pictures. No server may be running.
     #[arg(long, env = "SDFARM_REPAIR", value_parser = clap::builder::FalseyValueParser::new(), action = clap::ArgAction::SetTrue)]
     repair: bool,
     /// Print the findings as JSON.
@@ -47,26 +46,26 @@ pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
         }
     }
     let wrong = findings.iter().filter(|finding| finding.severity == Severity::Error).count();
-    anyhow::ensure!(wrong == 0, "{wrong} findings are wrong: see their cures above");
+    anyhow::ensure!(wrong == 0, "{wrong} errors were found: see their fixes above");
     Ok(())
 }
 
 fn check_port(listen: SocketAddr, is_served: bool) -> Finding {
     match TcpListener::bind(listen) {
         Ok(_) => Finding::ok("port", format!("{listen} is free")),
-        Err(_) if is_served => Finding::ok("port", format!("{listen} is taken, and the farm is served")),
+        Err(_) if is_served => Finding::ok("port", format!("{listen} is in use, and the farm's server is running")),
         Err(error) => Finding::error(
             "port",
-            format!("a server can't listen on {listen}: {error}"),
-            "stop what listens there, or choose another address with --listen",
+            format!("a server cannot listen on {listen}: {error}"),
+            "stop the program that listens there, or choose another address with --listen",
         ),
     }
 }
 
-/// A machine without a GPU is fine; one with an unusable GPU gets a warning.
+/// A machine without a GPU is ok; one with an unusable GPU gets a warning.
 fn check_gpus() -> Finding {
     match worker::cuda::devices() {
-        Ok(count) => Finding::ok("gpu", format!("the driver lends {count} GPUs")),
+        Ok(count) => Finding::ok("gpu", format!("the driver provides {count} GPUs")),
         Err(error) => {
             let has_one = std::path::Path::new("/proc/driver/nvidia/gpus").is_dir();
             if has_one {
@@ -76,7 +75,7 @@ fn check_gpus() -> Finding {
                     "install the NVIDIA driver and CUDA's run-time compiler, or render on the CPU",
                 )
             } else {
-                Finding::ok("gpu", "there is none: workers render on the CPU")
+                Finding::ok("gpu", "no GPU was found: workers render on the CPU")
             }
         }
     }
@@ -91,7 +90,7 @@ fn severity_name(finding: &Finding) -> &'static str {
 }
 
 fn line(finding: &Finding) -> String {
-    let cure = finding.cure.as_ref().map_or_else(String::new, |cure| format!("\n                   cure: {cure}"));
+    let cure = finding.cure.as_ref().map_or_else(String::new, |cure| format!("\n                   fix: {cure}"));
     format!("{:<7}  {:<8}  {}{cure}", severity_name(finding), finding.subject, finding.message)
 }
 

@@ -1,4 +1,4 @@
-//! `sdfarm explain`: what becomes of a job.
+//! `sdfarm explain`: shows a job's size, or its GPU program.
 
 use clap::Args;
 use worker::cuda::KernelSource;
@@ -13,7 +13,7 @@ use crate::terminal::{print_line, print_note};
 pub(crate) struct Arguments {
     /// The job file; - for standard input.
     job: String,
-    /// Print the program that a GPU is given; the numbers of the scene are its array k.
+    /// Print the GPU program; its array k holds the numbers of the scene.
     #[arg(long, env = "SDFARM_CUDA", value_parser = clap::builder::FalseyValueParser::new(), action = clap::ArgAction::SetTrue)]
     cuda: bool,
     /// Frame number, from 0: the kernel is the same for all frames.
@@ -21,7 +21,7 @@ pub(crate) struct Arguments {
     frame: u32,
 }
 
-/// Prints it.
+/// Prints the size or the program.
 pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let job = JobFile::read(&arguments.job)?.parse()?;
     check_frame(&job, arguments.frame)?;
@@ -33,12 +33,12 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let (nodes, frames) = (counted(job.nodes(), "node"), counted(job.frames.count, "frame"));
     print_line(&format!("{}: {nodes}, {frames}", job.name))?;
     let rays = counted(job.rays_per_frame(), "camera ray");
-    print_line(&format!("a frame: {}×{} pixels, {rays}", image.width, image.height))?;
+    print_line(&format!("each frame: {}×{} pixels, {rays}", image.width, image.height))?;
     let distance =
         source.distance_operations.map_or_else(|| "with loops".to_owned(), |count| counted(count, "operation"));
     let (statements, numbers) =
         (counted_len(source.statements, "statement"), counted_len(source.parameters.len(), "number"));
-    print_line(&format!("a distance: {distance}; the whole program: {statements} on {numbers}"))?;
-    print_note("the program itself: add --cuda");
+    print_line(&format!("each distance: {distance}; the complete program: {statements} on {numbers}"))?;
+    print_note("add --cuda to print the program");
     Ok(())
 }

@@ -1,4 +1,4 @@
-//! `sdfarm fetch`: saves a stored picture, or all of a job's.
+//! `sdfarm fetch`: saves a stored picture, or all pictures of a job.
 
 use std::path::Path;
 
@@ -17,22 +17,22 @@ pub(crate) struct Arguments {
     id: JobName,
     #[command(flatten)]
     server: ServerArguments,
-    /// Where to save: a file for one picture, a folder (`DIR/`) for all of them, a file that ends in .zip for all of
-    /// them as one archive; - for standard output.
+    /// Output: a file for one picture, a folder (`DIR/`) for all of them, a file that ends in .zip for one archive of
+    /// all; - for standard output.
     #[arg(long, short, value_name = "FILE", env = "SDFARM_OUTPUT")]
     output: String,
-    /// Which frame, from 0 [default: 0; of a folder, all].
+    /// Frame number, from 0 [default: 0; for a folder, all frames].
     #[arg(long, value_name = "N", env = "SDFARM_FRAME")]
     frame: Option<u32>,
-    /// Save every picture, each in a file of its own; what -o names is a folder.
+    /// Save every picture in its own file; -o names the folder.
     #[arg(long, env = "SDFARM_ALL", conflicts_with = "frame", value_parser = clap::builder::FalseyValueParser::new(), action = clap::ArgAction::SetTrue)]
     all: bool,
-    /// Save the stored pictures although the job has not finished.
+    /// Save the stored pictures even if the job has not finished.
     #[arg(long, env = "SDFARM_PARTIAL", value_parser = clap::builder::FalseyValueParser::new(), action = clap::ArgAction::SetTrue)]
     partial: bool,
 }
 
-/// Saves it.
+/// Saves the pictures.
 pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     let client = arguments.server.client()?;
     let id = arguments.id.find(&client).await?;

@@ -1,4 +1,4 @@
-//! `sdfarm file`: saves the file of a job as it was submitted.
+//! `sdfarm file`: saves a job's file as it was submitted.
 
 use anyhow::Context;
 use clap::Args;
@@ -16,12 +16,12 @@ pub(crate) struct Arguments {
     id: JobName,
     #[command(flatten)]
     server: ServerArguments,
-    /// Where to save the job file; - for standard output.
+    /// File to write the job file to; - for standard output.
     #[arg(long, short, value_name = "FILE", env = "SDFARM_OUTPUT", default_value = "-")]
     output: String,
 }
 
-/// Saves it.
+/// Saves the job file.
 pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     let Arguments { id, server, output: path } = arguments;
     let client = server.client()?;

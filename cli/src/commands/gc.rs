@@ -15,7 +15,7 @@ pub(crate) struct Arguments {
     /// Only list what would be deleted.
     #[arg(long, env = "SDFARM_DRY_RUN", value_parser = clap::builder::FalseyValueParser::new(), action = clap::ArgAction::SetTrue)]
     dry_run: bool,
-    /// Print the server's answer as JSON.
+    /// Print the server's response as JSON.
     #[arg(long, env = "SDFARM_JSON", value_parser = clap::builder::FalseyValueParser::new(), action = clap::ArgAction::SetTrue)]
     json: bool,
 }

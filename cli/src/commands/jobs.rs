@@ -13,21 +13,21 @@ use crate::terminal::{print_line, print_note};
 pub(crate) struct Arguments {
     #[command(flatten)]
     server: ServerArguments,
-    /// Only jobs in this state.
+    /// List only jobs in this state.
     #[arg(long, env = "SDFARM_STATE", value_parser = state_parser())]
     state: Option<JobState>,
-    /// Most jobs to list.
+    /// Maximum number of jobs to list.
     #[arg(long, value_name = "N", env = "SDFARM_LIMIT", default_value_t = 20, value_parser = clap::value_parser!(u32).range(1..=1000))]
     limit: u32,
     /// Continue an earlier list at the cursor that it printed.
     #[arg(long, env = "SDFARM_CURSOR")]
     cursor: Option<String>,
-    /// Print the server's answer as JSON.
+    /// Print the server's response as JSON.
     #[arg(long, env = "SDFARM_JSON", value_parser = clap::builder::FalseyValueParser::new(), action = clap::ArgAction::SetTrue)]
     json: bool,
 }
 
-/// Lists them.
+/// Lists the jobs.
 pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     let client = arguments.server.client()?;
     let page = client.jobs(arguments.state, arguments.limit, arguments.cursor.as_deref()).await?;
@@ -46,6 +46,6 @@ pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
 
 fn state_parser() -> impl TypedValueParser<Value = JobState> {
     PossibleValuesParser::new(JobState::ALL.map(JobState::name)).map(|name| {
-        JobState::ALL.into_iter().find(|state| state.name() == name).expect("the parser lets only these names pass")
+        JobState::ALL.into_iter().find(|state| state.name() == name).expect("the parser accepts only these names")
     })
 }

@@ -22,15 +22,15 @@ pub(crate) struct Arguments {
 
 #[derive(Debug, Subcommand)]
 enum KeyCommand {
-    /// Make a key, and print its secret: the only time it is shown.
+    /// Create a key and print its secret, which cannot be shown again.
     New(New),
     /// List the keys, newest first.
     List(List),
-    /// Revoke a key by its id, or all keys of a name; a running server knows within a second.
+    /// Revoke a key by its id, or all keys of a name; a running server rejects them within a second.
     Revoke(Revoke),
 }
 
-/// The folder that the keys are of.
+/// Data folder that holds the keys.
 #[derive(Debug, Args)]
 struct Folder {
     /// Folder of the server's database and pictures.
@@ -65,7 +65,7 @@ struct New {
 struct List {
     #[command(flatten)]
     folder: Folder,
-    /// Print them as JSON.
+    /// Print the keys as JSON.
     #[arg(long, env = "SDFARM_JSON", value_parser = clap::builder::FalseyValueParser::new(), action = clap::ArgAction::SetTrue)]
     json: bool,
 }
@@ -87,7 +87,7 @@ impl FromStr for KeyLifetime {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        let wrong = || format!("{text:?} is no time: write it as 30m, 12h, 90d or 52w");
+        let wrong = || format!("{text:?} is not a duration: write it as 30m, 12h, 90d or 52w");
         let unit = text.chars().last().ok_or_else(wrong)?;
         let seconds = match unit {
             'm' => 60,
@@ -123,7 +123,7 @@ async fn create(new: New) -> anyhow::Result<()> {
     };
     let issued = folder.create(order).await.map_err(as_usage_error)?;
     folder.close().await?;
-    print_note(&format!("{}; the secret is shown this once: give it to its bearer as SDFARM_KEY", line(&issued.key)));
+    print_note(&format!("{}; the secret is shown only now: give it to its user as SDFARM_KEY", line(&issued.key)));
     print_line(&issued.secret)
 }
 
@@ -135,7 +135,7 @@ async fn list(list: List) -> anyhow::Result<()> {
         return print_line(&serde_json::to_string_pretty(&keys)?);
     }
     if keys.is_empty() {
-        print_note("there are no keys: whoever reaches the server may use it");
+        print_note("there are no keys: every client that reaches the server may use it");
     }
     keys.iter().try_for_each(|key| print_line(&line(key)))
 }
@@ -147,7 +147,7 @@ async fn revoke(revoke: Revoke) -> anyhow::Result<()> {
     keys.iter().try_for_each(|key| print_line(&line(key)))
 }
 
-/// One key in a line.
+/// Formats one key as a line.
 fn line(key: &ApiKeyView) -> String {
     let state = match key.state {
         ApiKeyState::Live => "live",
@@ -155,7 +155,7 @@ fn line(key: &ApiKeyView) -> String {
         ApiKeyState::Revoked => "revoked",
     };
     let scopes: Vec<&str> = key.scopes.iter().map(|scope| scope.name()).collect();
-    let mut line = format!("{}  {state:7}  {}  {}  made {}", key.id, key.name, scopes.join(","), key.created_at);
+    let mut line = format!("{}  {state:7}  {}  {}  created {}", key.id, key.name, scopes.join(","), key.created_at);
     if let Some(expires) = &key.expires_at {
         line = format!("{line}  expires {expires}");
     }
@@ -165,7 +165,7 @@ fn line(key: &ApiKeyView) -> String {
     }
 }
 
-/// A rejected request is a usage error; a failed one is not.
+/// Makes a rejected request a usage error, but not a failed one.
 fn as_usage_error(error: OfflineApiKeysError) -> anyhow::Error {
     match error {
         OfflineApiKeysError::Refused(reason) => UsageError(reason).into(),
@@ -175,7 +175,7 @@ fn as_usage_error(error: OfflineApiKeysError) -> anyhow::Error {
 
 fn scope_parser() -> impl TypedValueParser<Value = Scope> {
     PossibleValuesParser::new(Scope::ALL.map(Scope::name)).map(|name| {
-        Scope::ALL.into_iter().find(|scope| scope.name() == name).expect("the parser lets only these names pass")
+        Scope::ALL.into_iter().find(|scope| scope.name() == name).expect("the parser accepts only these names")
     })
 }
 
@@ -184,7 +184,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn lives_are_read_with_their_unit() {
+    fn key_lifetimes_are_parsed_with_their_unit() {
         for (text, hours) in [("12h", 12), ("90d", 90 * 24), ("2w", 14 * 24), ("120m", 2)] {
             assert_eq!(text.parse(), Ok(KeyLifetime(Duration::from_hours(hours))), "{text}");
         }

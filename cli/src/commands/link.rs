@@ -1,4 +1,4 @@
-//! `sdfarm link`: has a server sign a link to a picture, which any client can follow until it expires.
+//! `sdfarm link`: creates a signed link to a picture, which works without a key until it expires.
 
 use anyhow::Context;
 use clap::Args;
@@ -18,18 +18,18 @@ pub(crate) struct Arguments {
     id: JobName,
     #[command(flatten)]
     server: ServerArguments,
-    /// Which frame, from 0.
+    /// Frame number, from 0.
     #[arg(long, value_name = "N", env = "SDFARM_FRAME", default_value_t = 0)]
     frame: u32,
     /// Validity of the link: 30m, 36h, 7d; at most 366d.
     #[arg(long, value_name = "AGE", env = "SDFARM_EXPIRES", default_value = "7d")]
     expires: Retention,
-    /// Link to the finished part so far instead of the stored picture.
+    /// Link to a preview of the finished part instead of the stored picture.
     #[arg(long, env = "SDFARM_PREVIEW", value_parser = clap::builder::FalseyValueParser::new(), action = clap::ArgAction::SetTrue)]
     preview: bool,
 }
 
-/// Prints it.
+/// Prints the link.
 pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     let Arguments { id, server, frame, expires, preview } = arguments;
     let seconds = match expires {
@@ -38,14 +38,14 @@ pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     };
     let expires_in_seconds = seconds
         .filter(|seconds| (1..=MAX_LINK_SECONDS).contains(seconds))
-        .ok_or_else(|| UsageError(format!("a link can't be valid for {expires}: say 1s to 366d")))?;
+        .ok_or_else(|| UsageError(format!("a link cannot be valid for {expires}: use 1s to 366d")))?;
     let shows = if preview { LinkContent::Preview } else { LinkContent::Image };
     let client = server.client()?;
     let id = id.find(&client).await?;
     let link = client
         .link(id, frame, &LinkRequest { expires_in_seconds, shows })
         .await
-        .with_context(|| format!("could not have a link to frame {frame} of job {id} signed"))?;
+        .with_context(|| format!("could not sign a link to frame {frame} of job {id}"))?;
     print_note(&format!("valid until {}", link.expires_at));
     print_line(&format!("{}{}", client.server(), link.url))
 }

@@ -1,4 +1,4 @@
-//! `sdfarm pause` and `sdfarm resume`: of a job, or of the whole farm.
+//! `sdfarm pause` and `sdfarm resume`: pause and resume a job, or the whole farm.
 
 use clap::Args;
 
@@ -17,7 +17,7 @@ pub(crate) struct Arguments {
     server: ServerArguments,
 }
 
-/// Does it.
+/// Pauses or resumes the job or the farm.
 pub(crate) async fn run(arguments: Arguments, pause: bool) -> anyhow::Result<()> {
     let client = arguments.server.client()?;
     let id = match arguments.id {
@@ -31,8 +31,8 @@ pub(crate) async fn run(arguments: Arguments, pause: bool) -> anyhow::Result<()>
         (None, false) => client.resume_farm().await?,
     };
     print_line(if farm.paused {
-        "the farm is paused: nothing more is started until `sdfarm resume`"
+        "the farm is paused: no new tiles are leased until `sdfarm resume`"
     } else {
-        "the farm goes on"
+        "the farm is resumed"
     })
 }

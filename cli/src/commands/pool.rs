@@ -1,4 +1,4 @@
-//! `sdfarm pool`: the workers that the server runs on its own machine.
+//! `sdfarm pool`: shows or sets the number of workers that the server runs on its own machine.
 
 use clap::Args;
 use proto::pool::{MAX_POOL_WORKERS, PoolSize};
@@ -17,7 +17,7 @@ pub(crate) struct Arguments {
     server: ServerArguments,
 }
 
-/// Shows or sets it.
+/// Shows the pool, or sets its size.
 pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     let client = arguments.server.client()?;
     let pool = match arguments.workers {

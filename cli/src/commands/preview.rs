@@ -19,7 +19,7 @@ pub(crate) struct Arguments {
     /// File for the preview, a PNG; - for standard output.
     #[arg(long, short, value_name = "FILE", env = "SDFARM_OUTPUT")]
     output: String,
-    /// Which frame, from 0.
+    /// Frame number, from 0.
     #[arg(long, value_name = "N", env = "SDFARM_FRAME", default_value_t = 0)]
     frame: u32,
     /// Maximum width, in pixels [default: 960].
@@ -27,7 +27,7 @@ pub(crate) struct Arguments {
     width: Option<u32>,
 }
 
-/// Saves it.
+/// Saves the preview.
 pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     let Arguments { id, server, output: path, frame, width } = arguments;
     let client = server.client()?;

@@ -10,9 +10,9 @@ use rustix::process::{Resource, Rlimit, nice, setrlimit};
 use crate::preview_helper;
 use crate::terminal::write_bytes;
 
-/// Bytes of the line; a job file in it is written as a JSON string.
+/// Maximum bytes of the request line; a job file in it is written as a JSON string.
 const MAX_LINE_BYTES: u64 = 64 << 20;
-/// Stack of the thread that works: deep job files are read on it.
+/// Stack size of the working thread, because it parses deeply nested job files.
 const STACK_BYTES: usize = 32 << 20;
 /// Limit of the address space for drawing.
 const MAX_HELPER_BYTES: u64 = 4 << 30;
@@ -23,8 +23,8 @@ const SAMPLE_NICENESS: i32 = 10;
 pub(crate) fn run() -> anyhow::Result<()> {
     let mut input = BufReader::new(std::io::stdin());
     let mut line = Vec::new();
-    input.by_ref().take(MAX_LINE_BYTES).read_until(b'\n', &mut line).context("could not read what to draw")?;
-    let sketch: HelperRequest = serde_json::from_slice(&line).context("could not understand what to draw")?;
+    input.by_ref().take(MAX_LINE_BYTES).read_until(b'\n', &mut line).context("could not read the request")?;
+    let sketch: HelperRequest = serde_json::from_slice(&line).context("could not parse the request")?;
     set_limits(&sketch)?;
     std::thread::spawn(move || {
         // A killed server leaves no helper behind: its end of the pipe closes.
@@ -36,13 +36,15 @@ pub(crate) fn run() -> anyhow::Result<()> {
     write_bytes(&answer.join().map_err(|_| anyhow::anyhow!("drawing panicked"))??)
 }
 
-/// Keeps a child within its bounds.
+/// Limits this helper's memory, or lowers its priority.
 fn set_limits(sketch: &HelperRequest) -> anyhow::Result<()> {
     match sketch {
         HelperRequest::Preview { .. } | HelperRequest::Thumbnail { .. } => {
             let most = Some(MAX_HELPER_BYTES);
             setrlimit(Resource::As, Rlimit { current: most, maximum: most }).context("could not limit memory")
         }
-        HelperRequest::MeasureCost { .. } => nice(SAMPLE_NICENESS).map(drop).context("could not give way to others"),
+        HelperRequest::MeasureCost { .. } => {
+            nice(SAMPLE_NICENESS).map(drop).context("could not lower this process's priority")
+        }
     }
 }

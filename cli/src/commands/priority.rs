@@ -1,4 +1,4 @@
-//! `sdfarm priority`: moves a job before or behind others.
+//! `sdfarm priority`: changes a job's priority.
 
 use clap::Args;
 use proto::job::JobPatch;
@@ -21,7 +21,7 @@ pub(crate) struct Arguments {
     server: ServerArguments,
 }
 
-/// Moves it.
+/// Changes the job's priority.
 pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     let patch = JobPatch { priority: Some(arguments.priority) };
     let client = arguments.server.client()?;

@@ -1,4 +1,4 @@
-//! `sdfarm render`: a picture here and now, without a server.
+//! `sdfarm render`: renders one picture on this machine, without a server.
 
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
@@ -30,12 +30,12 @@ pub(crate) struct Arguments {
     /// File for the picture: .png or .exr decides the format; - for standard output, in the job's format.
     #[arg(long, short, value_name = "FILE", env = "SDFARM_OUTPUT")]
     output: String,
-    /// Which frame, from 0.
+    /// Frame number, from 0.
     #[arg(long, value_name = "N", env = "SDFARM_FRAME", default_value_t = 0)]
     frame: u32,
     #[command(flatten)]
     renderer: RendererArguments,
-    /// Edge of the rendered tiles, in pixels; the picture is the same with each.
+    /// Edge of the rendered tiles, in pixels; every choice gives the same picture.
     #[arg(long, value_name = "PIXELS", env = "SDFARM_TILE", value_parser = clap::value_parser!(u32).range(1..))]
     tile: Option<u32>,
     /// Print the summary as JSON, and no progress.
@@ -43,7 +43,7 @@ pub(crate) struct Arguments {
     json: bool,
 }
 
-/// Summary of a render, for people and for programs.
+/// Summary of a render, for users and for programs.
 #[derive(Debug, Serialize)]
 struct Summary<'a> {
     output: &'a str,
@@ -57,7 +57,7 @@ struct Summary<'a> {
     warnings: Vec<String>,
 }
 
-/// Renders it.
+/// Renders the picture.
 pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let file = JobFile::read(&arguments.job)?;
     let mut job = file.parse()?;
@@ -106,7 +106,7 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
         print_note(&summary.words());
         if let (count @ 2.., frame) = (job.frames.count, arguments.frame) {
             print_note(&format!(
-                "that is frame {frame} of {count}: --frame names another, `sdfarm submit` renders all"
+                "this is frame {frame} of {count}: --frame selects another, `sdfarm submit` renders all"
             ));
         }
     }
@@ -126,7 +126,7 @@ impl Summary<'_> {
     }
 }
 
-/// A time that was measured: in milliseconds, from a second on in seconds.
+/// Formats a measured time: in milliseconds below 1 s, otherwise in seconds.
 fn took(ms: f64) -> String {
     if ms < 1000.0 { format!("{ms:.1} ms") } else { format!("{:.2} s", ms / 1000.0) }
 }
@@ -139,7 +139,7 @@ fn render(
     cancel: &CancelFlag,
     progress: &Progress,
 ) -> anyhow::Result<FrameTimes> {
-    // A large frame passes through a nameless file where its picture will be: there must be room there anyway.
+    // A large frame uses an unnamed temporary file in the picture's folder, which needs that space anyway.
     let scratch = output.folder().to_owned();
     let context = || format!("could not render {} to {}", arguments.job, arguments.output);
     let mut writer = BufWriter::new(output.file());
@@ -164,7 +164,7 @@ fn rays(job: &Job) -> u64 {
     u64::from(job.image.width) * u64::from(job.image.height) * u64::from(job.image.samples)
 }
 
-/// Turns the first signal into a cancel; the second one deletes the temporary file and ends the process.
+/// Makes the first signal a cancel, and the second one delete the temporary file and end the process.
 struct Stopper {
     temporary: Arc<Mutex<Option<PathBuf>>>,
     _runtime: Runtime,
@@ -187,7 +187,7 @@ impl Stopper {
             cancel.cancel();
             signals.next().await;
             if let Some(path) = in_haste.lock().ok().and_then(|mut path| path.take()) {
-                // The file may be gone already.
+                // The file may already be deleted.
                 let _ = std::fs::remove_file(path);
             }
             std::process::exit(1);

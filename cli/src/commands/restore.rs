@@ -1,4 +1,4 @@
-//! `sdfarm restore`: a farm from a backup.
+//! `sdfarm restore`: restores a farm from a backup.
 
 use std::path::PathBuf;
 
@@ -9,7 +9,7 @@ use crate::terminal::{print_line, print_note};
 /// Arguments of `restore`.
 #[derive(Debug, Args)]
 pub(crate) struct Arguments {
-    /// The backup's folder.
+    /// Folder of the backup.
     #[arg(value_name = "FOLDER")]
     folder: PathBuf,
     /// The farm's new data folder, which must be empty.
@@ -17,21 +17,21 @@ pub(crate) struct Arguments {
     data: PathBuf,
 }
 
-/// Restores it, and checks every byte.
+/// Restores the farm, and checks every byte.
 pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     let restored = server::restore(&arguments.folder, &arguments.data).await?;
     print_line(&format!(
-        "restored the farm of {} to {}: its database and {} pictures are whole",
+        "restored the farm of {} to {}: its database and {} pictures are intact",
         restored.made_at,
         arguments.data.display(),
         restored.pictures
     ))?;
     for hash in &restored.missing {
-        print_note(&format!("picture {hash} is gone from the backup, or damaged there"));
+        print_note(&format!("picture {hash} is missing from the backup, or damaged"));
     }
     if !restored.missing.is_empty() {
         anyhow::bail!(
-            "{} pictures are lost: `sdfarm doctor --repair --data {}` has their frames rendered again",
+            "{} pictures are lost: `sdfarm doctor --repair --data {}` requeues their frames",
             restored.missing.len(),
             arguments.data.display()
         );

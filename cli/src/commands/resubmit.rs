@@ -1,4 +1,4 @@
-//! `sdfarm resubmit`: submits the file of a job again, with changes or without.
+//! `sdfarm resubmit`: submits a job's file again, optionally with changes.
 
 use clap::Args;
 
@@ -14,15 +14,15 @@ pub(crate) struct Arguments {
     id: JobName,
     #[command(flatten)]
     server: ServerArguments,
-    /// Changes to its file, as a JSON merge patch: '{"image": {"samples": 64}}'; null removes a key.
+    /// Changes to its file, as a JSON merge patch: '{"image": {"samples": 64}}'; null removes a member.
     #[arg(long, value_name = "JSON", env = "SDFARM_PATCH")]
     patch: Option<String>,
-    /// Render it anew even if its pictures are stored already.
+    /// Render the job again even if its pictures are already stored.
     #[arg(long, env = "SDFARM_NO_CACHE", value_parser = clap::builder::FalseyValueParser::new(), action = clap::ArgAction::SetTrue)]
     no_cache: bool,
 }
 
-/// Submits it, and prints the new job's id.
+/// Submits the file, and prints the new job's id.
 pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     let client = arguments.server.client()?;
     let id = arguments.id.find(&client).await?;

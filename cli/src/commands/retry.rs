@@ -1,4 +1,4 @@
-//! `sdfarm retry`: has the dead tiles of a failed job rendered again.
+//! `sdfarm retry`: requeues the dead tiles of a failed job.
 
 use clap::Args;
 
@@ -17,7 +17,7 @@ pub(crate) struct Arguments {
     server: ServerArguments,
 }
 
-/// Has them rendered.
+/// Retries the job.
 pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     let client = arguments.server.client()?;
     let job = client.retry(arguments.id.find(&client).await?).await?;

@@ -8,7 +8,7 @@ use crate::terminal::print_line;
 #[derive(Debug, Args)]
 pub(crate) struct Arguments {}
 
-/// Prints it.
+/// Prints the schema.
 pub(crate) fn run(_: &Arguments) -> anyhow::Result<()> {
     print_line(&serde_json::to_string_pretty(&scene::schema())?)
 }

@@ -1,4 +1,4 @@
-//! `sdfarm selftest`: whether this machine renders the right bits.
+//! `sdfarm selftest`: checks that this machine renders bit-identical pictures.
 
 mod startup;
 
@@ -28,10 +28,10 @@ pub(crate) struct Arguments {
     /// Reference to compare with [default: levels on a CPU, hashes on a GPU].
     #[arg(long, env = "SDFARM_AGAINST")]
     against: Option<Reference>,
-    /// Edge of the tiles it renders, in pixels [default: as a server would cut them].
+    /// Edge of the rendered tiles, in pixels [default: a server's choice].
     #[arg(long, value_name = "PIXELS", env = "SDFARM_TILE", value_parser = clap::value_parser!(u32).range(1..))]
     tile: Option<u32>,
-    /// Print the hashes of the pixels instead of comparing them, as scenes/hashes.txt holds them.
+    /// Print the hashes of the pixels in the format of scenes/hashes.txt instead of comparing them.
     #[arg(long, hide = true)]
     print: bool,
     #[command(flatten)]
@@ -58,11 +58,11 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
         Reference::Levels if !arguments.print => compare_levels(arguments)?,
         _ => compare_full_size(arguments, against)?,
     };
-    anyhow::ensure!(differing == 0, "this machine does not render the right bits: let it render for no farm");
+    anyhow::ensure!(differing == 0, "this machine does not render bit-identical pictures: do not use it in a farm");
     Ok(())
 }
 
-/// Renders full-size pictures; how many of them differ.
+/// Renders full-size pictures; returns how many of them differ.
 fn compare_full_size(arguments: &Arguments, against: Reference) -> anyhow::Result<usize> {
     let renderer = arguments.renderer.renderer()?;
     let cpu = CpuRenderer::new(None, Simd::Auto)?;
@@ -97,7 +97,7 @@ fn compare_full_size(arguments: &Arguments, against: Reference) -> anyhow::Resul
     Ok(differing)
 }
 
-/// Renders small pictures at every level and compares them with the scalar one; how many values differ.
+/// Renders small pictures at every level and compares them with the scalar one; returns how many values differ.
 fn compare_levels(arguments: &Arguments) -> anyhow::Result<usize> {
     let few = ["csg", "five-spheres", "mandelbulb"].map(str::to_owned);
     let names = if arguments.scenes.is_empty() { few.as_slice() } else { &arguments.scenes };
@@ -130,7 +130,7 @@ fn job(name: &str) -> anyhow::Result<Job> {
     scene::parse(&shipped::job_file(name)?).context("a shipped scene is damaged")
 }
 
-/// The job with every layer; in a size that takes a moment, if a width is given.
+/// The job with every layer; scaled to this width, if given, so that it renders quickly.
 fn with_layers(mut job: Job, width: Option<u32>) -> Job {
     job.image.layers = LAYERS.to_vec();
     if let Some(width) = width {
@@ -148,7 +148,7 @@ fn render(renderer: &dyn Renderer, job: &Job, edge: Option<u32>) -> Result<Vec<T
     renderer.render_tiles(&runs, &CancelFlag::new(), &|_| {})
 }
 
-/// Number of bytes, and number of differing bytes.
+/// Returns the number of bytes, and of differing bytes.
 fn compared(got: &[TilePixels], want: &[TilePixels]) -> (u64, u64) {
     let bytes = |tiles: &[TilePixels]| {
         let values = tiles.iter().flat_map(|tile| tile.planes.iter().flatten());

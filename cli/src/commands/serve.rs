@@ -1,4 +1,4 @@
-//! `sdfarm serve`: the farm.
+//! `sdfarm serve`: runs the farm.
 
 use std::net::SocketAddr;
 use std::path::PathBuf;
@@ -30,13 +30,13 @@ pub(crate) struct Arguments {
     /// Folder of the database and the pictures; created if missing.
     #[arg(long, value_name = "FOLDER", env = "SDFARM_DATA", default_value = "./sdfarm-data")]
     data: PathBuf,
-    /// Workers on this machine [default: one a GPU, else one with every core].
+    /// Workers on this machine [default: one for each GPU, otherwise one with every core].
     #[arg(long, value_name = "N", env = "SDFARM_WORKERS", value_parser = clap::value_parser!(u32).range(0..=i64::from(MAX_POOL_WORKERS)))]
     workers: Option<u32>,
     /// Device of the workers: auto, cpu, cuda or cuda:N; several GPUs are assigned in turn.
     #[arg(long, env = "SDFARM_DEVICE", default_value = "auto")]
     device: DeviceChoice,
-    /// Vector instructions of the workers; the pictures are the same with each.
+    /// Vector instructions of the workers; every choice gives the same pictures.
     #[arg(long, env = "SDFARM_SIMD", default_value = "auto", value_parser = simd_parser())]
     simd: Simd,
     /// Threads that CPU workers share [default: one for each core].
@@ -45,13 +45,13 @@ pub(crate) struct Arguments {
     /// Edge of a tile, in pixels [default: about a second of work].
     #[arg(long, value_name = "PIXELS", env = "SDFARM_TILE", value_parser = clap::value_parser!(u32).range(1..))]
     tile: Option<u32>,
-    /// How long a worker may be silent before its tiles are leased to others.
+    /// Seconds without a sync after which a worker's tiles are leased to others.
     #[arg(long, value_name = "SECONDS", env = "SDFARM_LEASE_SECONDS", default_value_t = 30, value_parser = clap::value_parser!(u64).range(1..=3600))]
     lease_seconds: u64,
-    /// Certificates to show to those who connect, in PEM, the server's own first: it then speaks https.
+    /// Certificate chain (PEM), the server's own certificate first; enables https.
     #[arg(long, value_name = "FILE", env = "SDFARM_TLS_CERT", requires = "tls_key")]
     tls_cert: Option<PathBuf>,
-    /// The certificate's private key, in PEM. Both files are read again when they change.
+    /// Private key of the certificate (PEM); both files are reloaded when they change.
     #[arg(long, value_name = "FILE", env = "SDFARM_TLS_KEY", requires = "tls_cert")]
     tls_key: Option<PathBuf>,
     /// Maximum open connections; above it, the connections idle longest are closed.
@@ -63,7 +63,7 @@ pub(crate) struct Arguments {
     /// Retention of finished jobs that do not set their own: 36h, 30d, forever.
     #[arg(long, value_name = "AGE", env = "SDFARM_KEEP_JOBS", default_value = "forever")]
     keep_jobs: Retention,
-    /// Size of pictures and tiles above which the jobs that finished first are removed: 500MB, 20GiB [default: none].
+    /// Size of pictures and tiles above which the jobs that finished first are deleted: 500MB, 20GiB [default: none].
     #[arg(long, value_name = "SIZE", env = "SDFARM_MAX_STORE")]
     max_store: Option<Size>,
     /// Listen beyond loopback without keys: every client that reaches the port may use the farm.
@@ -76,7 +76,7 @@ pub(crate) struct Arguments {
     /// 10.0.0.0/8.
     #[arg(long, value_name = "RANGE", env = "SDFARM_ALLOW_WEBHOOK_TO", value_delimiter = ',')]
     allow_webhook_to: Vec<AddressRange>,
-    /// Secret that signs webhooks: whsec_ and base64 [default: created once, kept in the data folder].
+    /// Secret that signs webhooks: whsec_ and base64 [default: created once, stored in the data folder].
     #[arg(long, value_name = "SECRET", env = "SDFARM_WEBHOOK_SECRET", hide_env_values = true)]
     webhook_secret: Option<Secret>,
 }
@@ -111,9 +111,10 @@ impl Arguments {
     }
 }
 
-/// Reads `--listen`.
+/// Parses `--listen`.
 fn address(text: &str) -> Result<SocketAddr, String> {
-    text.parse().map_err(|_| "say an IP address and a port, as 127.0.0.1:8080, 0.0.0.0:8080 or [::1]:8080".to_owned())
+    text.parse()
+        .map_err(|_| "use an IP address and a port, such as 127.0.0.1:8080, 0.0.0.0:8080 or [::1]:8080".to_owned())
 }
 
 /// Serves until SIGINT or SIGTERM.
@@ -136,9 +137,9 @@ pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// This very program, which local workers run as.
+/// Path of this program, which local workers run.
 pub(crate) fn current_executable() -> anyhow::Result<PathBuf> {
-    std::env::current_exe().context("could not find this program's own file, which local workers run as")
+    std::env::current_exe().context("could not find this program's own file, which local workers run")
 }
 
 /// Devices of the local workers, in turn: each GPU, else the CPU.

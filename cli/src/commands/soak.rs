@@ -24,13 +24,13 @@ use kills::SoakPlan;
 
 /// Default duration of a soak in minutes.
 const DEFAULT_MINUTES: u32 = 2;
-/// Lines of the servers' log that are shown after a breach.
+/// Lines of the servers' log to show after a violation.
 const LAST_LINES: usize = 40;
 
 /// Arguments of `soak`.
 #[derive(Debug, Args)]
 pub(crate) struct Arguments {
-    /// Kill workers and the server at random instants and at the named points between two steps.
+    /// Kill workers and the server at random instants and at fail points.
     #[arg(long, env = "SDFARM_KILL", value_parser = clap::builder::FalseyValueParser::new(), action = clap::ArgAction::SetTrue)]
     kill: bool,
     /// Submit far more jobs than the farm can take.
@@ -45,13 +45,13 @@ pub(crate) struct Arguments {
     /// Kill the server this many times, however long that takes.
     #[arg(long, value_name = "N", env = "SDFARM_SERVER_KILLS", requires = "kill")]
     server_kills: Option<u32>,
-    /// Chooses jobs, victims and instants.
+    /// Seed that chooses jobs, victims, and instants.
     #[arg(long, value_name = "N", env = "SDFARM_SEED", default_value_t = 1)]
     seed: u64,
-    /// Workers of the farm.
+    /// Number of workers of the farm.
     #[arg(long, value_name = "N", env = "SDFARM_WORKERS", default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..=64))]
     workers: u32,
-    /// Data folder of the farm, which is kept; by default a temporary one.
+    /// Data folder of the farm, which is not deleted [default: a temporary one].
     #[arg(long, value_name = "FOLDER", env = "SDFARM_DATA")]
     data: Option<PathBuf>,
 }
@@ -70,16 +70,17 @@ impl Arguments {
     }
 }
 
-/// Soaks, and fails if anything was amiss.
+/// Runs the soak; any violation is an error.
 pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     let mut signals = Signals::install()?;
-    let temporary = tempfile::tempdir().context("could not make a folder for the farm: free some space there")?;
+    let temporary = tempfile::tempdir().context("could not create a folder for the farm: free some space there")?;
     let data = arguments.data.clone().unwrap_or_else(|| temporary.path().join("data"));
-    std::fs::create_dir_all(&data).with_context(|| format!("could not make {}", data.display()))?;
-    print_note("rendering what the pictures must be");
+    std::fs::create_dir_all(&data).with_context(|| format!("could not create {}", data.display()))?;
+    print_note("rendering the expected pictures");
     let (seed, plan) = (arguments.seed, arguments.plan());
-    let tasks =
-        tokio::task::spawn_blocking(move || workload::reference_jobs(seed, None)).await.context("that panicked")??;
+    let tasks = tokio::task::spawn_blocking(move || workload::reference_jobs(seed, None))
+        .await
+        .context("rendering panicked")??;
     let soaked = async {
         if arguments.overload {
             let report = overload::overload(&tasks, &data, arguments.time()).await?;
@@ -88,12 +89,12 @@ pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
         let tally = kills::soak(&plan, &tasks, &data).await?;
         Ok((tally.table(), tally.violations))
     };
-    let (table, breaches) = tokio::select! {
+    let (table, violations) = tokio::select! {
         soaked = soaked => soaked?,
         () = signals.next() => anyhow::bail!("interrupted"),
     };
     print_line(&table)?;
-    if breaches.is_empty() {
+    if violations.is_empty() {
         return Ok(());
     }
     let log = std::fs::read_to_string(data.join("soak.log")).unwrap_or_default();
@@ -101,5 +102,5 @@ pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     for line in &lines[lines.len().saturating_sub(LAST_LINES)..] {
         print_note(line);
     }
-    anyhow::bail!("the farm did not keep its word: {}", breaches.join("; "))
+    anyhow::bail!("violations were found: {}", violations.join("; "))
 }

@@ -1,4 +1,4 @@
-//! `sdfarm status`: how a farm is, on one screen.
+//! `sdfarm status`: shows the state of a farm on one screen.
 
 use clap::Args;
 use clap::builder::FalseyValueParser;
@@ -8,7 +8,7 @@ use crate::counted::{counted, counted_len};
 use crate::overview::{Overview, duration, fetch, scaled};
 use crate::terminal::print_line;
 
-/// Jobs and workers that are listed, at most.
+/// Maximum number of jobs, and of workers, to list.
 const LISTED: usize = 8;
 
 /// Arguments of `status`.
@@ -16,15 +16,15 @@ const LISTED: usize = 8;
 pub(crate) struct Arguments {
     #[command(flatten)]
     server: ServerArguments,
-    /// Print it as JSON.
+    /// Print the state as JSON.
     #[arg(long, env = "SDFARM_JSON", value_parser = FalseyValueParser::new(), action = clap::ArgAction::SetTrue)]
     json: bool,
-    /// Only ask whether database and store can be used, which needs no key: for health checks.
+    /// Check only that the database and the store are usable, which needs no key: for health checks.
     #[arg(long, env = "SDFARM_READY", value_parser = FalseyValueParser::new(), action = clap::ArgAction::SetTrue)]
     ready: bool,
 }
 
-/// Shows it; a farm that is not well is an error.
+/// Prints the state; an unhealthy farm is an error.
 pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     let client = arguments.server.client()?;
     if arguments.ready {
@@ -36,14 +36,14 @@ pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     } else {
         print_line(&lines(&overview).join("\n"))?;
     }
-    anyhow::ensure!(overview.is_healthy(), "the farm is not well: {}", overview.health);
+    anyhow::ensure!(overview.is_healthy(), "the farm is unhealthy: {}", overview.health);
     Ok(())
 }
 
-/// The screen.
+/// Formats the screen's lines.
 fn lines(overview: &Overview) -> Vec<String> {
     let Overview { queue, pool, disk, .. } = overview;
-    let work = queue.work_seconds.map_or_else(|| "nobody to do it".to_owned(), duration);
+    let work = queue.work_seconds.map_or_else(|| "an unknown time".to_owned(), duration);
     let (version, uptime) = (&overview.version, duration(overview.uptime_seconds));
     let paused = if overview.paused { ", paused" } else { "" };
     let mut lines = vec![
@@ -118,11 +118,11 @@ disk     1.0 GB free of 9.0 GB; pictures and tiles 570 B, database 0 B
 worker   pool-1               cpu      ready         8 leases  2.0 Mrays/s
 job      099a8058  running   25 %  1 min 15 s left  fjord
 job      099a8058  running   25 %  paused  lantern
-alert    the farm is paused: `sdfarm resume` lets it go on
+alert    the farm is paused: `sdfarm resume` continues it
 alert    2 tiles were rendered differently by two workers
 alert    1 of 2 local workers ready
-alert    little room is left on the disk
-alert    3 leases ran out
+alert    little disk space is left
+alert    3 leases expired
 alert    1 request failed in the server";
         assert_eq!(text, wanted);
     }

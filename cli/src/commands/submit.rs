@@ -19,7 +19,7 @@ use crate::{follow, frame_files};
 /// Delays between attempts to submit.
 const INITIAL_BACK_OFF: Duration = Duration::from_millis(200);
 const MAX_BACK_OFF: Duration = Duration::from_secs(3);
-/// How long a server that was reachable may be away: it restarts.
+/// Time limit for a server that was reachable to return: it may be restarting.
 const SUBMIT_TIMEOUT: Duration = Duration::from_secs(30);
 
 /// Arguments of `submit`.
@@ -32,11 +32,11 @@ pub(crate) struct Arguments {
     /// Wait until the job is finished.
     #[arg(long, env = "SDFARM_WAIT", value_parser = clap::builder::FalseyValueParser::new(), action = clap::ArgAction::SetTrue)]
     wait: bool,
-    /// Save the picture here when the job has succeeded: of several frames the first, or all of them in a folder where
-    /// it names one (`DIR/`); - for standard output.
+    /// Save the picture here when the job has succeeded: a file gets the first frame, a folder (`DIR/`) gets all
+    /// frames; - for standard output.
     #[arg(long, short, value_name = "FILE", env = "SDFARM_OUTPUT", requires = "wait")]
     output: Option<String>,
-    /// Render it again even if its pictures are already stored.
+    /// Render the job again even if its pictures are already stored.
     #[arg(long, env = "SDFARM_NO_CACHE", value_parser = clap::builder::FalseyValueParser::new(), action = clap::ArgAction::SetTrue)]
     no_cache: bool,
     /// Notify this address when the job has finished; up to four.
@@ -65,7 +65,7 @@ pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     for warning in &job.warnings {
         print_note(&format!("{}: warning: {warning}", file.name));
     }
-    // Standard output is the picture's where it was asked for there.
+    // If the picture goes to standard output, nothing else may.
     if arguments.output.as_deref() == Some("-") {
         print_note(&job.id.to_string());
     } else {
@@ -80,7 +80,7 @@ pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     }
 }
 
-/// Saves what the output names, and says what became of the other frames.
+/// Saves the requested pictures, and prints a notice about the other frames.
 async fn save(client: &Client, job: &JobView, output: &str) -> anyhow::Result<()> {
     if is_folder(output) {
         return frame_files::save(client, job.id, output, false).await;
@@ -122,7 +122,7 @@ fn check_output(job: &Job, output: &str) -> anyhow::Result<()> {
     let asked = job.image.format;
     match format_of(output)? {
         Some(named) if named != asked => Err(UsageError(format!(
-            "the job asks for {} and {output} is named otherwise: rename the file, or set image.format",
+            "the job's format is {}, but {output} has another extension: rename the file, or set image.format",
             match asked {
                 Format::Png => "png",
                 Format::Exr => "exr",

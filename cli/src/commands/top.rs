@@ -1,4 +1,4 @@
-//! `sdfarm top`: a farm, live in a terminal.
+//! `sdfarm top`: shows a farm live in the terminal.
 
 use std::io::IsTerminal;
 use std::time::Duration;
@@ -16,7 +16,7 @@ use crate::arguments::ServerArguments;
 use crate::error::UsageError;
 use crate::overview::{Overview, duration, fetch, scaled};
 
-/// Speeds that are remembered: the width of a wide terminal.
+/// Number of speeds kept for the chart: the width of a wide terminal.
 const HISTORY: usize = 400;
 /// Interval between checks for keystrokes.
 const KEYS_EVERY: Duration = Duration::from_millis(50);
@@ -58,7 +58,7 @@ pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     let client = arguments.server.client()?;
     let mut screen = Screen::default();
     screen.show(fetch(&client).await?);
-    let mut terminal = ratatui::try_init().context("could not take over the terminal")?;
+    let mut terminal = ratatui::try_init().context("could not switch the terminal to full screen")?;
     let done = async {
         let mut ticks = tokio::time::interval(Duration::from_secs(arguments.every));
         let mut keys = tokio::time::interval(KEYS_EVERY);
@@ -126,7 +126,7 @@ fn titled(title: String) -> Block<'static> {
 fn header(overview: &Overview) -> Vec<Line<'static>> {
     let queue = &overview.queue;
     let health = if overview.is_healthy() { overview.health.clone().green() } else { overview.health.clone().red() };
-    let work = queue.work_seconds.map_or_else(|| "nobody to do it".to_owned(), duration);
+    let work = queue.work_seconds.map_or_else(|| "an unknown time".to_owned(), duration);
     let pool = overview.pool;
     let paused = if overview.paused { "  PAUSED".yellow() } else { "".into() };
     vec![
@@ -145,7 +145,7 @@ fn header(overview: &Overview) -> Vec<Line<'static>> {
         .into(),
         format!("tiles  {} ready, {} leased; work for {work}", queue.tiles_ready, queue.tiles_leased).into(),
         format!(
-            "pool   {} of {} ready; {} held back, {} fenced",
+            "pool   {} of {} ready; {} rate limited, {} fenced",
             pool.ready, pool.workers, overview.totals.rate_limited, overview.totals.fenced
         )
         .into(),
@@ -246,7 +246,7 @@ mod tests {
     }
 
     #[test]
-    fn an_unreachable_server_is_reported_and_the_last_values_stay() {
+    fn unreachable_server_is_reported_with_the_last_values() {
         let mut screen = Screen::default();
         screen.show(crate::overview::tests::unhealthy());
         screen.trouble = Some("no server responds".to_owned());
@@ -255,7 +255,7 @@ mod tests {
     }
 
     #[test]
-    fn a_terminal_of_any_size_is_drawn_on() {
+    fn every_terminal_size_can_be_drawn() {
         let mut screen = Screen::default();
         screen.show(crate::overview::tests::unhealthy());
         for (width, height) in [(1, 1), (20, 5), (300, 100)] {

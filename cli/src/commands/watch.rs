@@ -17,7 +17,7 @@ pub(crate) struct Arguments {
     server: ServerArguments,
 }
 
-/// Follows it; a job that failed or was cancelled is a failure.
+/// Follows the job; a failed or cancelled job is an error.
 pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     let client = arguments.server.client()?;
     let job = follow::wait_for_success(&client, arguments.id.find(&client).await?).await?;

@@ -1,4 +1,4 @@
-//! `sdfarm webhook secret`: shows what a server signs its webhooks with, for those who receive them.
+//! `sdfarm webhook secret`: prints the secret that signs a server's webhooks, for their receivers.
 
 use std::path::PathBuf;
 
@@ -16,7 +16,7 @@ pub(crate) struct Arguments {
 
 #[derive(Debug, Subcommand)]
 enum WebhookCommand {
-    /// Print the secret that webhooks are signed with.
+    /// Print the secret that signs webhooks.
     Secret {
         /// Folder of the server's database and pictures.
         #[arg(long, value_name = "FOLDER", env = "SDFARM_DATA", default_value = "./sdfarm-data")]
@@ -24,7 +24,7 @@ enum WebhookCommand {
     },
 }
 
-/// Shows it.
+/// Prints the secret.
 pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let WebhookCommand::Secret { data } = &arguments.action;
     if !data.is_dir() {

@@ -1,4 +1,4 @@
-//! `sdfarm worker`: renders for a server.
+//! `sdfarm worker`: renders tiles for a server.
 
 use anyhow::Context;
 use clap::Args;
@@ -27,7 +27,7 @@ pub(crate) struct Arguments {
     access: AuthArguments,
     #[command(flatten)]
     renderer: RendererArguments,
-    /// A label for people [default: this host's name and the process id].
+    /// Name of the worker, for users [default: this host's name and the process id].
     #[arg(long, env = "SDFARM_NAME")]
     name: Option<String>,
     /// Run as a child of a server: exit when standard input closes.
@@ -39,13 +39,13 @@ pub(crate) struct Arguments {
 pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     if arguments.pool {
         // Render threads are started from here, and yield to the server and to previews.
-        nice(POOL_NICENESS).context("could not give way to the server")?;
+        nice(POOL_NICENESS).context("could not lower this process's priority")?;
     }
     let signals = Signals::install()?;
     let shutdown = CancellationToken::new();
     let renderer = arguments.renderer.renderer().map_err(|error| UnusableDevice(error.into()))?;
     if renderer.device() == CPU {
-        // A GPU has proved itself when it was started.
+        // A GPU was already tested when it was started.
         check(&*renderer).map_err(UnusableDevice)?;
     }
     // Pool workers send the pool's token; a key in the server's environment is not meant for them.

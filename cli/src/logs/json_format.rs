@@ -1,4 +1,4 @@
-//! A log line as one flat JSON object: time, level, message, the event's fields, and those of the spans around it.
+//! Writes a log line as one flat JSON object: time, level, message, the event's fields, and those of its spans.
 //!
 //! `job`, `frame`, `tile`, `worker` and `request_id` are at the same place in every line that concerns them.
 
@@ -12,7 +12,7 @@ use tracing_subscriber::fmt::time::{FormatTime, SystemTime};
 use tracing_subscriber::fmt::{FmtContext, FormatEvent, FormatFields, FormattedFields};
 use tracing_subscriber::registry::{LookupSpan, Scope};
 
-/// Writes such lines; spans' fields must have been formatted by `JsonFields`.
+/// Log format that writes flat JSON lines; spans' fields must have been formatted by `JsonFields`.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct FlatJsonFormat;
 

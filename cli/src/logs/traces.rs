@@ -1,4 +1,4 @@
-//! Export of traces to an OpenTelemetry collector by OTLP over HTTP, without delaying the traced work.
+//! Exports traces to an OpenTelemetry collector by OTLP over HTTP, without delaying the traced work.
 //!
 //! If the collector is unreachable, only the traces are lost.
 
@@ -35,17 +35,17 @@ impl fmt::Debug for TraceExporter {
 }
 
 impl TraceExporter {
-    /// Traces our own spans to the collector at this address.
+    /// Exports sdfarm's own spans to the collector at this address.
     pub(super) fn start<S>(address: &str) -> anyhow::Result<(Box<dyn Layer<S> + Send + Sync>, Self)>
     where
         S: Subscriber + for<'a> LookupSpan<'a> + Send + Sync,
     {
         if !address.starts_with("http://") && !address.starts_with("https://") {
             return Err(
-                UsageError(format!("--otlp {address:?} is no address: write it as http://127.0.0.1:4318")).into()
+                UsageError(format!("--otlp {address:?} is not an address: write it as http://127.0.0.1:4318")).into()
             );
         }
-        // Fails only where one was chosen before.
+        // Fails only if a propagator was set before.
         let _ = rustls::crypto::ring::default_provider().install_default();
         let base = address.trim_end_matches('/');
         let endpoint = if base.ends_with(PATH) { base.to_owned() } else { format!("{base}{PATH}") };
@@ -68,7 +68,7 @@ impl TraceExporter {
 
 impl Drop for TraceExporter {
     fn drop(&mut self) {
-        // If the collector is gone, its traces are lost.
+        // If the collector is unreachable, the traces are lost.
         let _ = self.0.shutdown_with_timeout(TIMEOUT);
     }
 }

@@ -1,6 +1,6 @@
 //! Parser of metrics in the OpenMetrics format: names, labels, values. Unreadable lines are skipped.
 
-/// One number.
+/// One sample: a metric's name, labels and value.
 #[derive(Clone, Debug, PartialEq)]
 struct MetricSample {
     name: String,
@@ -8,29 +8,29 @@ struct MetricSample {
     value: f64,
 }
 
-/// All samples.
+/// All samples of a response.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Metrics(Vec<MetricSample>);
 
 impl Metrics {
-    /// Reads them.
+    /// Parses the samples.
     pub(super) fn read(text: &str) -> Self {
         Self(text.lines().filter(|line| !line.starts_with('#')).filter_map(sample).collect())
     }
 
-    /// The sum of a metric's numbers that have these labels.
+    /// Sum of a metric's values that have these labels.
     pub(super) fn sum(&self, name: &str, labels: &[(&str, &str)]) -> f64 {
         let has = |sample: &MetricSample| labels.iter().all(|(key, value)| sample.get(key) == Some(value));
         self.0.iter().filter(|sample| sample.name == name && has(sample)).map(|sample| sample.value).sum()
     }
 
-    /// The sum of a metric's numbers whose label has such a value.
+    /// Sum of a metric's values whose label matches.
     pub(super) fn sum_where(&self, name: &str, label: &str, matches: &dyn Fn(&str) -> bool) -> f64 {
         let has = |sample: &MetricSample| sample.get(label).is_some_and(matches);
         self.0.iter().filter(|sample| sample.name == name && has(sample)).map(|sample| sample.value).sum()
     }
 
-    /// The value of a metric's label.
+    /// Value of a metric's label.
     pub(super) fn label(&self, name: &str, label: &str) -> Option<&str> {
         self.0.iter().find(|sample| sample.name == name)?.get(label)
     }
@@ -81,7 +81,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn numbers_are_read_with_their_labels() {
+    fn samples_are_parsed_with_their_labels() {
         let samples = Metrics::read(
             "# TYPE a counter\na_total 3\na_total{x=\"1\",y=\"a \\\"b\\\" } c\"} 4.5 1700000000\nb inf\nodd\nodd{x=} 1\n# EOF",
         );

@@ -1,5 +1,5 @@
 //! A small picture that a larger one is averaged into, pixel by pixel in any order, so that the large one is
-//! never in memory. What is left bare shows what lies below.
+//! never in memory. Uncovered areas show the picture below.
 //!
 //! All values are display values, 0 to 1, premultiplied by alpha; sRGB is applied last.
 
@@ -9,13 +9,13 @@ use image::{ExtendedColorType, ImageEncoder, Rgba32FImage};
 use scene::color::{DisplayTransform, level_of_256, srgb_from_linear};
 use scene::sampling::thresholds;
 
-/// Shown light, premultiplied, and alpha.
+/// Displayed color, premultiplied, and alpha.
 pub(super) type DisplayPixel = [f32; 4];
 
 /// Maximum number of rows: pictures may be far higher than wide.
 const MAX_ROWS: u64 = 4096;
 
-/// Shown where nothing is known: a middle gray.
+/// Color of unknown areas: a middle gray.
 const NO_DATA: DisplayPixel = [0.2, 0.2, 0.2, 1.0];
 
 /// Small picture made from a larger one.
@@ -23,7 +23,7 @@ const NO_DATA: DisplayPixel = [0.2, 0.2, 0.2, 1.0];
 pub(super) struct Canvas {
     from: [u64; 2],
     size: [u64; 2],
-    /// Light, and the covered fraction of the pixel.
+    /// Color, and the covered fraction of the pixel.
     sums: Vec<([f32; 4], f32)>,
 }
 
@@ -38,7 +38,7 @@ impl Canvas {
         Self { from, size: [columns, rows], sums: vec![([0.0; 4], 0.0); length] }
     }
 
-    /// Its columns and rows.
+    /// Number of columns and rows.
     pub(super) fn size(&self) -> [u32; 2] {
         self.size.map(|count| count as u32)
     }
@@ -132,11 +132,11 @@ mod tests {
     use scene::color::linear_from_srgb;
 
     fn decoded(png: &[u8]) -> image::DynamicImage {
-        image::load_from_memory_with_format(png, image::ImageFormat::Png).expect("a sound PNG")
+        image::load_from_memory_with_format(png, image::ImageFormat::Png).expect("a valid PNG")
     }
 
     #[test]
-    fn a_picture_of_one_light_stays_of_one_light_at_every_size() {
+    fn uniform_picture_stays_uniform_at_every_size() {
         for (width, height, width_px) in
             [(7, 5, 7), (7, 5, 3), (1, 9, 4), (640, 3, 100), (3, 640, 2), (10, 10, 1), (3, 9000, 3)]
         {
@@ -155,7 +155,7 @@ mod tests {
     }
 
     #[test]
-    fn a_picture_of_the_same_size_is_the_same_picture() {
+    fn picture_of_the_same_size_is_unchanged() {
         let mut canvas = Canvas::new(16, 2, 500);
         let light = |x: u32, y: u32| [x as f32 / 16.0, y as f32 / 2.0, 0.5, 1.0];
         for y in [1, 0] {
@@ -170,7 +170,7 @@ mod tests {
     }
 
     #[test]
-    fn half_a_pixel_of_a_tile_shows_half_of_what_lies_below() {
+    fn half_covered_pixel_blends_with_the_picture_below() {
         let mut canvas = Canvas::new(4, 1, 2);
         canvas.add(0, 0, [[1.0, 1.0, 1.0, 1.0]; 3].into_iter());
         let below = Rgba32FImage::from_pixel(2, 1, image::Rgba([0.0, 0.0, 0.0, 1.0]));
@@ -180,7 +180,7 @@ mod tests {
     }
 
     #[test]
-    fn light_behind_nothing_keeps_its_color_and_its_alpha() {
+    fn uncovered_color_keeps_its_alpha() {
         let mut canvas = Canvas::new(2, 1, 1);
         let grade = DisplayTransform::new(&serde_json::from_str(r#"{ "width": 2, "height": 1 }"#).expect("an image"));
         let pixels = [[0.5, 0.0, 0.0, 0.5], [f32::NAN, 0.0, 0.0, 0.0]];

@@ -1,4 +1,4 @@
-//! The coarse first pass: a frame rendered small, one sample a pixel, as large as a time limit allows.
+//! The coarse pass: a frame rendered small, with one sample per pixel, as large as a time limit allows.
 
 use std::path::Path;
 use std::sync::mpsc::{self, RecvTimeoutError};
@@ -14,26 +14,26 @@ use worker::{CancelFlag, CpuRenderer, Renderer, Simd, TilePixels, TileRequest, b
 
 use super::canvas::shown;
 
-/// Width of the first and smallest try, in pixels.
+/// Width of the first and smallest attempt, in pixels.
 const FIRST_PX: u32 = 32;
-/// Width of the last, in pixels.
+/// Width of the last attempt, in pixels.
 const LAST_PX: u32 = 480;
-/// Threads it is rendered on, at most.
+/// Maximum number of render threads.
 const MAX_THREADS: usize = 4;
-/// A try twice as wide takes about four times as long; a little more, to be on the safe side.
+/// Assumed cost of doubling the width: about four times, and a little more as a margin.
 const GROWTH_ESTIMATE: f64 = 4.5;
 
 /// Path of a coarse pass, and its cost limit.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct CoarseCache<'a> {
-    /// The file; read if it is there, else written.
+    /// File of the coarse pass; read if it exists, otherwise written.
     pub(super) file: &'a Path,
-    /// Most time for rendering, in milliseconds.
+    /// Time limit for rendering, in milliseconds.
     pub(super) limit_ms: u64,
 }
 
 impl CoarseCache<'_> {
-    /// The coarse pass of a frame, kept or made now; `None` where not even a small one can be made in time.
+    /// Returns the coarse pass of a frame, cached or rendered now; `None` if not even a small one renders in time.
     pub(super) fn pixels(self, job: &Job, frame: u32) -> anyhow::Result<Option<TilePixels>> {
         if let Some(kept) = std::fs::read(self.file).ok().and_then(|bytes| blob::decode(&bytes).ok())
             && kept.planes.len() == 4
@@ -51,7 +51,7 @@ impl CoarseCache<'_> {
     }
 }
 
-/// Renders ever larger until the next would take too long.
+/// Renders at doubling widths until the next would take too long.
 fn render(job: &Job, frame: u32, limit: Duration) -> anyhow::Result<Option<TilePixels>> {
     let start = Instant::now();
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
@@ -91,7 +91,7 @@ fn render(job: &Job, frame: u32, limit: Duration) -> anyhow::Result<Option<TileP
     })
 }
 
-/// The same job, at this width.
+/// Scales a job to this width.
 fn with_width(job: &Job, width: u32) -> Job {
     let mut small = job.clone();
     let height = u64::from(job.image.height) * u64::from(width) / u64::from(job.image.width);

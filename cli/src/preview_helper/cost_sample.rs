@@ -25,7 +25,7 @@ const CELL_PX: u32 = 64;
 const MAX_SAMPLES: u32 = 4;
 /// Maximum number of sampled frames of an animation, spread evenly from the first to the last.
 const MAX_FRAMES: u32 = 5;
-/// Most data of a frame that a worker holds, in bytes.
+/// Maximum data of a frame that a worker holds, in bytes.
 const MAX_FRAME_BYTES: u64 = 256 << 20;
 
 /// Samples a job on `threads` threads for about `render_ms`.
@@ -40,7 +40,7 @@ pub(crate) fn sample(job: &Job, threads: usize, render_ms: u64) -> anyhow::Resul
         sum.add(&measure(job, spread(index) as u32, &renderers, limit)?);
     }
     let frames = f64::from(count);
-    ensure!(sum.rays > 0, "its pixels take too long for a sample of them");
+    ensure!(sum.rays > 0, "its pixels take too long to render a sample of them");
     let frame_bytes = job.image.pixels() * u64::from(job.image.pixel_bytes());
     Ok(CostSample {
         rays: sum.rays,
@@ -105,7 +105,7 @@ fn measure(job: &Job, frame: u32, renderers: &[CpuRenderer], limit: Duration) ->
     Ok(FrameCost { rays, seconds_per_ray: rendering / rays.max(1) as f64, setup_seconds, encode_seconds_per_pixel })
 }
 
-/// Renders blocks until the time is over, on all renderers at once. `found` receives finished rays, and
+/// Renders blocks until the time limit, on all renderers at once. `found` receives finished rays, and
 /// finished blocks.
 fn render(
     job: &Job,
@@ -149,7 +149,7 @@ fn render(
     })
 }
 
-/// A block in each cell of a picture, ordered so that the first few are spread all over it.
+/// Returns a block in each cell of a picture, ordered so that the first few are spread all over it.
 fn blocks(width: u32, height: u32) -> Vec<Rect> {
     let mut dice = 0x9e37_79b9_7f4a_7c15_u64;
     let mut roll = |sides: u32| {
@@ -171,7 +171,7 @@ fn blocks(width: u32, height: u32) -> Vec<Rect> {
     rects
 }
 
-/// Time to encode a pixel into the picture's file, in seconds, measured on a picture made of blocks side by
+/// Time to encode a pixel into the picture's file, in seconds, measured on a picture that consists of blocks side by
 /// side.
 fn encode(mut picture: PictureSpec, mut blocks: Vec<TilePixels>) -> anyhow::Result<f64> {
     blocks.retain(|block| (block.rect.width, block.rect.height) == (BLOCK_PX, BLOCK_PX));
@@ -212,7 +212,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn blocks_lie_within_the_picture_and_are_a_sixteenth_of_a_large_one() {
+    fn blocks_cover_a_sixteenth_of_a_large_picture() {
         for (width, height) in [(1, 1), (7, 300), (16, 16), (64, 64), (100, 65), (1920, 1080)] {
             let rects = blocks(width, height);
             assert!(!rects.is_empty());

@@ -11,8 +11,8 @@ use worker::blob::{self, BlobError, BlobReader};
 use super::canvas::{Canvas, shown};
 use super::coarse::{self, CoarseCache};
 
-/// Draws it as a PNG of at most this width. Tiles that cannot be read, or do not belong to the frame, are
-/// left out.
+/// Draws the preview as a PNG of at most this width. Tiles that cannot be read, or do not belong to the frame, are
+/// skipped.
 pub(super) fn draw(
     job: &Job,
     frame: u32,
@@ -24,7 +24,7 @@ pub(super) fn draw(
     let (grade, opaque) = (DisplayTransform::new(still.image()), !still.scene().is_transparent());
     let mut canvas = Canvas::new(still.image().width, still.image().height, width_px);
     for tile in tiles {
-        // Swept away meanwhile, or torn: the coarse pass is shown there.
+        // The blob was deleted meanwhile or is damaged: the coarse pass is shown there.
         drop(add(&mut canvas, tile, grade, opaque));
     }
     let coarse = below.pixels(job, frame)?;

@@ -15,7 +15,7 @@ use super::canvas::{Canvas, DisplayPixel, shown};
 /// Maximum memory for a PNG's rows.
 const MAX_ROW_BYTES: usize = 64 << 20;
 
-/// Draws it as a PNG of at most this width.
+/// Draws the thumbnail as a PNG of at most this width.
 pub(super) fn draw(file: &Path, width_px: u32) -> anyhow::Result<Vec<u8>> {
     let context = || format!("could not read the stored picture {}", file.display());
     let mut input = BufReader::new(File::open(file).with_context(context)?);
@@ -38,7 +38,7 @@ fn of_png(input: BufReader<File>, width_px: u32) -> anyhow::Result<Canvas> {
         (ColorType::Rgb, BitDepth::Sixteen) => (3, 2),
         (ColorType::Rgba, BitDepth::Eight) => (4, 1),
         (ColorType::Rgba, BitDepth::Sixteen) => (4, 2),
-        other => bail!("its pixels are {other:?}, which no farm writes"),
+        other => bail!("its pixels are {other:?}, which sdfarm never writes"),
     };
     let most = if bytes == 1 { 255 } else { 65_535 };
     let unit = |value: usize| value as f32 / most as f32;
@@ -75,10 +75,10 @@ fn of_exr(input: BufReader<File>, width_px: u32) -> anyhow::Result<Canvas> {
     Ok(picture.layer_data.channel_data.pixels)
 }
 
-/// An EXR is linear: its light is shown as it is.
+/// An EXR is linear: its values are displayed without exposure or tone map.
 fn identity_transform() -> DisplayTransform {
     const PLAIN: &str = r#"{ "scene": { "camera": { "position": [0, 0, 3], "look_at": [0, 0, 0] },
         "objects": [{ "shape": { "sphere": { "radius": 1 } } }] }, "image": { "width": 1, "height": 1 } }"#;
-    let job: Job = scene::parse(PLAIN.as_bytes()).expect("a sound job");
+    let job: Job = scene::parse(PLAIN.as_bytes()).expect("a valid job");
     DisplayTransform::new(&job.image)
 }

@@ -1,4 +1,4 @@
-//! Measures a whole farm: from POST to the stored picture, and frames a second of an animation.
+//! Measures a whole farm: the time from POST to the stored picture, and frames per second of an animation.
 
 use std::time::{Duration, Instant};
 
@@ -13,12 +13,12 @@ use crate::commands::serve::current_executable;
 
 /// Interval between two reads of a measured job.
 const POLL_INTERVAL: Duration = Duration::from_millis(1);
-/// Jobs before the first that counts.
+/// Warm-up jobs that are not measured.
 const WARM_UP: usize = 3;
 /// Time limit for workers to start: a GPU's self-test is compiled at the first start.
 const START_TIMEOUT: Duration = Duration::from_mins(1);
 
-/// Times of a farm.
+/// Measured times of a farm.
 #[derive(Clone, Debug, Serialize)]
 pub(crate) struct FarmReport {
     /// The job's name.
@@ -27,17 +27,17 @@ pub(crate) struct FarmReport {
     pub(crate) devices: Vec<String>,
     /// Jobs measured one after another.
     pub(crate) jobs: usize,
-    /// From POST to `succeeded`, in milliseconds: least, median, greatest.
+    /// Time from POST to `succeeded`, in milliseconds: minimum, median, maximum.
     pub(crate) latency_ms: [f64; 3],
     /// Frames of the animation.
     pub(crate) frames: u32,
-    /// Its frames stored a second.
+    /// Stored frames of the animation per second.
     pub(crate) frames_per_second: f64,
 }
 
-/// Starts a farm in a fresh folder, and submits a job many times, then once with many frames.
+/// Starts a farm in a new folder, and submits a job many times, then once with many frames.
 pub(crate) async fn measure(text: &[u8], devices: Vec<String>, jobs: usize, frames: u32) -> anyhow::Result<FarmReport> {
-    let data = tempfile::tempdir().context("could not make a folder for the farm: free some space there")?;
+    let data = tempfile::tempdir().context("could not create a folder for the farm: free some space there")?;
     let config = Config {
         listen: ([127, 0, 0, 1], 0).into(),
         data: data.path().to_owned(),
@@ -51,7 +51,7 @@ pub(crate) async fn measure(text: &[u8], devices: Vec<String>, jobs: usize, fram
     let serving = tokio::spawn(server.run(shutdown.clone()));
     let measured = farm(&client, text, jobs.max(1), frames).await;
     shutdown.cancel();
-    serving.await.context("the farm stopped in disorder")??;
+    serving.await.context("the farm did not shut down gracefully")??;
     measured
 }
 
@@ -81,7 +81,7 @@ async fn farm(client: &Client, text: &[u8], jobs: usize, frames: u32) -> anyhow:
         }
     }
     latencies.sort_by(f64::total_cmp);
-    let mut animation: serde_json::Value = serde_json::from_slice(text).context("the job is no JSON")?;
+    let mut animation: serde_json::Value = serde_json::from_slice(text).context("the job is not JSON")?;
     animation["frames"] = serde_json::json!({ "count": frames });
     let start = Instant::now();
     let job = client.submit(animation.to_string().into_bytes(), true).await?;

@@ -1,4 +1,4 @@
-//! `sdfarm bench paper`: the paper's Table 1 on this machine, next to the published figures.
+//! `sdfarm bench paper`: measures the paper's Table 1 on this machine, next to the published figures.
 //!
 //! Robles, Lee, Yin and Dhar, "Procedural Rendering with Ray Marching", USC CSCI 580, 2022.
 
@@ -43,10 +43,10 @@ pub(crate) struct Arguments {
     /// Edges of the square pictures, in pixels.
     #[arg(long, value_name = "PIXELS", env = "SDFARM_RESOLUTIONS", value_delimiter = ',', default_value = "256,512,1024", value_parser = clap::value_parser!(u32).range(16..=8192))]
     resolutions: Vec<u32>,
-    /// Times that each frame is rendered; on one thread once.
+    /// Number of times to render each frame, except once on one thread.
     #[arg(long, value_name = "N", env = "SDFARM_RUNS", default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..=1000))]
     runs: u32,
-    /// Print JSON.
+    /// Print the results as JSON.
     #[arg(long, env = "SDFARM_JSON", value_parser = clap::builder::FalseyValueParser::new(), action = clap::ArgAction::SetTrue)]
     json: bool,
 }
@@ -63,20 +63,20 @@ struct Table {
     rows: Vec<Row>,
 }
 
-/// A resolution and a block.
+/// Row of the table: a resolution and block dimensions.
 #[derive(Debug, Serialize)]
 struct Row {
     /// Pixels along an edge.
     resolution: u32,
     /// Threads of a block: 16x8.
     block: String,
-    /// On one thread without vector instructions, in milliseconds.
+    /// Time on one thread without vector instructions, in milliseconds.
     serial_ms: f64,
-    /// On all threads with them, in milliseconds: the median.
+    /// Median time on all threads with vector instructions, in milliseconds.
     simd_ms: f64,
     simd_speed_up: f64,
     gpu: Option<GpuRow>,
-    /// The paper's figures, where it has this row.
+    /// The paper's figures, if it has this row.
     published: Option<Published>,
 }
 
@@ -95,7 +95,7 @@ struct GpuRow {
     profile: StepProfile,
 }
 
-/// Measures it.
+/// Measures and prints the table.
 pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let mut gpu = Gpu::find(arguments)?;
     let blocks = arguments.renderer.cuda.block().map_or(BLOCKS.to_vec(), |block| vec![block]);
@@ -111,13 +111,13 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
         }
         cpu = Some(simd);
     }
-    let cpu = cpu.context("no resolution was asked for: name one, such as --resolutions 256")?;
+    let cpu = cpu.context("no resolution was given: give one, such as --resolutions 256")?;
     let gpu = gpu.map(|gpu| gpu.name);
     let table = Table { scene: SCENE, samples: SAMPLES, gpu, simd: cpu.simd, threads: cpu.threads, rows };
     if arguments.json { print_line(&serde_json::to_string_pretty(&table)?) } else { table::say_all(&table) }
 }
 
-/// The scene at this size, as text and read.
+/// Returns the scene at this size, as text and parsed.
 fn job(resolution: u32) -> anyhow::Result<(String, Job)> {
     let damaged = || format!("the shipped scene {SCENE} is damaged");
     let mut job: serde_json::Value = serde_json::from_slice(&shipped::job_file(SCENE)?).with_context(damaged)?;
@@ -132,14 +132,14 @@ struct Gpu<'a> {
     arguments: &'a Arguments,
     ordinal: usize,
     name: String,
-    /// Counts the work of a frame.
+    /// Counts the operations of a frame.
     counter: CpuRenderer,
-    /// Holds what is profiled; `None` once that failed.
+    /// Folder of the profiles; `None` once profiling has failed.
     profiled: Option<tempfile::TempDir>,
 }
 
 impl<'a> Gpu<'a> {
-    /// The requested GPU, or any; prints a notice if there is none.
+    /// Returns the requested GPU, or the first; prints a notice if there is none.
     fn find(arguments: &'a Arguments) -> anyhow::Result<Option<Self>> {
         let ordinal = match arguments.renderer.device {
             DeviceChoice::Cpu => {
@@ -158,7 +158,7 @@ impl<'a> Gpu<'a> {
         let ordinal = ordinal.unwrap_or(0);
         let name = arguments.renderer.cuda.renderer(ordinal)?.gpu().to_owned();
         let counter = CpuRenderer::new(None, Simd::Auto)?;
-        let folder = tempfile::tempdir().context("could not make a folder for profiles: free some space there")?;
+        let folder = tempfile::tempdir().context("could not create a folder for profiles: free some space there")?;
         Ok(Some(Self { arguments, ordinal, name, counter, profiled: Some(folder) }))
     }
 
@@ -169,7 +169,7 @@ impl<'a> Gpu<'a> {
         Ok((report, self.profile(text, block)?))
     }
 
-    /// Counters of `ncu`; none if it is missing or not permitted.
+    /// Runs `ncu`; returns no counters if it is missing or not permitted.
     fn profile(&mut self, text: &str, block: BlockDim) -> anyhow::Result<StepProfile> {
         let Some(folder) = &self.profiled else { return Ok(StepProfile::default()) };
         let path: PathBuf = folder.path().join("job.json");

@@ -1,5 +1,6 @@
-//! `sdfarm bench queue`: the throughput and response times of a server's queue. A real server in a fresh
-//! folder, called over HTTP; its workers only simulate rendering, except the one that is stopped by a cancel.
+//! `sdfarm bench queue`: measures the throughput and response times of a server's queue.
+//!
+//! The server is real and called over HTTP; its workers only simulate rendering, except the one that a cancel stops.
 
 mod fake_worker;
 mod latency;
@@ -21,27 +22,27 @@ use crate::terminal::{print_line, print_note};
 /// Arguments of `bench queue`.
 #[derive(Debug, Args)]
 pub(crate) struct Arguments {
-    /// Clients that submit jobs concurrently.
+    /// Number of clients that submit jobs concurrently.
     #[arg(long, value_name = "N", env = "SDFARM_CLIENTS", default_value_t = 64, value_parser = clap::value_parser!(u32).range(1..=1024))]
     clients: u32,
-    /// Jobs that wait while claims are measured, each of a hundred tiles.
+    /// Number of queued jobs of 100 tiles each while claims are measured.
     #[arg(long, value_name = "N", env = "SDFARM_JOBS", default_value_t = 10_000, value_parser = clap::value_parser!(u32).range(1..=90_000))]
     jobs: u32,
-    /// Workers that pretend to render.
+    /// Number of workers that simulate rendering.
     #[arg(long, value_name = "N", env = "SDFARM_WORKERS", default_value_t = 8, value_parser = clap::value_parser!(u32).range(1..=256))]
     workers: u32,
-    /// Seconds of measuring tiles and status reads.
+    /// Seconds to measure tiles and status reads.
     #[arg(long, value_name = "SECONDS", env = "SDFARM_SECONDS", default_value_t = 10, value_parser = clap::value_parser!(u64).range(1..=600))]
     seconds: u64,
-    /// Jobs of which each latency is taken.
+    /// Number of jobs to measure each latency with.
     #[arg(long, value_name = "N", env = "SDFARM_RUNS", default_value_t = 200, value_parser = clap::value_parser!(u32).range(1..=10_000))]
     runs: u32,
-    /// Print JSON.
+    /// Print the results as JSON.
     #[arg(long, env = "SDFARM_JSON", value_parser = clap::builder::FalseyValueParser::new(), action = clap::ArgAction::SetTrue)]
     json: bool,
 }
 
-/// Times of one thing, in milliseconds.
+/// Distribution of a measured time, in milliseconds.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub(crate) struct Times {
     count: usize,
@@ -61,7 +62,7 @@ impl Times {
     }
 }
 
-/// Everything measured.
+/// All results.
 #[derive(Debug, Serialize)]
 struct QueueBenchReport {
     clients: u32,
@@ -76,7 +77,7 @@ struct QueueBenchReport {
     cancel: Times,
 }
 
-/// A server in a fresh folder, until it is stopped.
+/// Server in a new folder.
 pub(super) struct BenchFarm {
     pub(super) client: Client,
     shutdown: CancellationToken,
@@ -86,7 +87,7 @@ pub(super) struct BenchFarm {
 
 impl BenchFarm {
     pub(super) async fn start(workers: u32, tile_px: Option<u32>) -> anyhow::Result<Self> {
-        let data = tempfile::tempdir().context("could not make a folder for the farm: free some space there")?;
+        let data = tempfile::tempdir().context("could not create a folder for the farm: free some space there")?;
         let config = Config {
             listen: ([127, 0, 0, 1], 0).into(),
             data: data.path().to_owned(),
@@ -105,23 +106,23 @@ impl BenchFarm {
 
     pub(super) async fn stop(self) -> anyhow::Result<()> {
         self.shutdown.cancel();
-        Ok(self.serving.await.context("the farm stopped in disorder")??)
+        Ok(self.serving.await.context("the farm did not shut down gracefully")??)
     }
 }
 
-/// Measures it.
+/// Runs the measurements and prints them.
 pub(crate) async fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let seconds = Duration::from_secs(arguments.seconds);
     let farm = Arc::new(BenchFarm::start(0, Some(load::TILE_PX)).await?);
-    print_note(&format!("handing in {} jobs of 100 tiles", arguments.jobs));
+    print_note(&format!("submitting {} jobs of 100 tiles", arguments.jobs));
     let (submits_per_second, submit) = load::submit(&farm, arguments.clients, arguments.jobs).await?;
-    print_note("claiming among them");
+    print_note("measuring claims among them");
     let claim = load::claim(&farm).await?;
-    print_note("working off tiles, with questions how jobs stand");
+    print_note("completing tiles while clients read jobs");
     let load::Throughput { tiles_per_second, status_per_second, status } =
         load::work(&farm, arguments.workers, seconds).await?;
     Arc::into_inner(farm).context("a client still uses the farm")?.stop().await?;
-    print_note("timing starts and cancels");
+    print_note("measuring starts and cancels");
     let start = latency::start(arguments.runs).await?;
     let cancel = latency::cancel(arguments.runs.min(latency::MAX_CANCELS)).await?;
     let (clients, jobs) = (arguments.clients, arguments.jobs);
@@ -148,9 +149,9 @@ fn table(report: &QueueBenchReport) -> anyhow::Result<()> {
         });
         print_line(&format!("{what:<52} {rate:>9} {times}"))
     };
-    print_line(&format!("{:<52} {:>9} {:>10} {:>10} {:>10}", "", "a second", "median ms", "p99 ms", "longest"))?;
+    print_line(&format!("{:<52} {:>9} {:>10} {:>10} {:>10}", "", "per second", "median ms", "p99 ms", "longest"))?;
     row(
-        &format!("jobs handed in by {} clients", report.clients),
+        &format!("jobs submitted by {} clients", report.clients),
         Some(report.submits_per_second),
         Some(report.submit),
     )?;

@@ -1,4 +1,4 @@
-//! `sdfarm bench setup`: how long it takes until an animated job stands as it does in a frame.
+//! `sdfarm bench setup`: measures how long an animated job takes to evaluate at a frame.
 
 use std::fmt::Write as _;
 use std::hint::black_box;
@@ -11,11 +11,11 @@ use serde::Serialize;
 
 use crate::terminal::print_line;
 
-/// Frames of the job.
+/// Number of frames of the job.
 const FRAMES: u32 = 240;
 /// One in this many shapes is animated.
 const ANIMATED_ONE_IN: usize = 8;
-/// Shapes of an object.
+/// Number of shapes per object.
 const SHAPES_PER_OBJECT: usize = 16;
 
 /// Arguments of `bench setup`.
@@ -24,31 +24,31 @@ pub(crate) struct Arguments {
     /// Size of the job file, in KiB.
     #[arg(long, value_name = "KIB", env = "SDFARM_KIB", default_value_t = 30, value_parser = clap::value_parser!(u32).range(1..=1024))]
     kib: u32,
-    /// Times that each frame is set up.
+    /// Number of times to set up each frame.
     #[arg(long, value_name = "N", env = "SDFARM_RUNS", default_value_t = 20, value_parser = clap::value_parser!(u32).range(1..=1000))]
     runs: u32,
-    /// Print JSON.
+    /// Print the results as JSON.
     #[arg(long, env = "SDFARM_JSON", value_parser = clap::builder::FalseyValueParser::new(), action = clap::ArgAction::SetTrue)]
     json: bool,
 }
 
-/// What it took.
+/// Measured times.
 #[derive(Debug, Serialize)]
 struct SetupReport {
     size_bytes: usize,
     nodes: u32,
     frames: u32,
-    /// Reading the job file, all its checked frames included.
+    /// Parsing the job file and checking its frames.
     parse_us: Spread,
-    /// Taking the job to a frame: `Job::at`.
+    /// Evaluating the job at a frame: `Job::at`.
     at_us: Spread,
-    /// Making ready to render it then.
+    /// Preparing the renderer for the evaluated job.
     program_us: Spread,
-    /// The hash that its picture is known by, `Job::at` included.
+    /// Computing the picture's cache key, including `Job::at`.
     key_us: Spread,
 }
 
-/// Times of many runs, in microseconds.
+/// Distribution of the times of many runs, in microseconds.
 #[derive(Debug, Serialize)]
 struct Spread {
     least: f64,
@@ -72,10 +72,10 @@ impl Spread {
     }
 }
 
-/// Measures it.
+/// Runs the measurements and prints them.
 pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let text = job_file(arguments.kib as usize * 1024);
-    let parse = || scene::parse(text.as_bytes()).context("the job that is measured is wrong");
+    let parse = || scene::parse(text.as_bytes()).context("the measured job is invalid");
     let job = parse()?;
     let report = SetupReport {
         size_bytes: text.len(),
@@ -98,7 +98,7 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
     print_line(&format!("a job of {} bytes and {} nodes, {} frames", report.size_bytes, report.nodes, report.frames))?;
     print_line(&report.parse_us.line("read and checked"))?;
     print_line(&report.at_us.line("a frame"))?;
-    print_line(&report.program_us.line("a frame, made ready"))?;
+    print_line(&report.program_us.line("a frame, prepared"))?;
     print_line(&report.key_us.line("a frame's cache key"))
 }
 
@@ -113,7 +113,8 @@ fn timed(work: impl FnOnce()) -> f64 {
     start.elapsed().as_secs_f64() * 1e6
 }
 
-/// An animated job of about so many bytes: melted groups of moved, turned and plain shapes under a camera that moves.
+/// Generates an animated job of about this size: smooth unions of translated, rotated, and plain shapes, and an
+/// animated camera.
 fn job_file(size_bytes: usize) -> String {
     let mut text = format!(
         r#"{{ "name": "setup", "image": {{ "width": 1920, "height": 1080 }}, "frames": {{ "count": {FRAMES} }},
@@ -165,11 +166,11 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_measured_job_is_as_large_as_asked_for_and_moves() {
+    fn measured_job_has_the_requested_size_and_is_animated() {
         for kib in [1, 30] {
             let text = job_file(kib * 1024);
             assert!(text.len() >= kib * 1024 && text.len() < (kib + 2) * 1024, "{}", text.len());
-            let job = scene::parse(text.as_bytes()).expect("a sound job");
+            let job = scene::parse(text.as_bytes()).expect("a valid job");
             assert!(job.is_animated() && job.at(FRAMES - 1).is_ok());
         }
     }

@@ -1,17 +1,18 @@
-//! How large a job is, counted, and what it takes, judged by a sample.
+//! Size of a job, counted, and its time and memory, estimated from a sample.
 
 use proto::preview_helper::CostSample;
 use proto::tile::Tiling;
 use scene::{Bits, Format, Image, Job, Precision};
 use serde_json::{Value, json};
 
-/// An H200 renders about as much as so many cores of a server: `five-spheres` takes it 0.40 ms, and 16 cores 20.5 ms
+/// Number of server cores that render as fast as one H200: it takes 0.40 ms for `five-spheres`, and 16 cores take
+/// 20.5 ms
 /// (docs/benchmarks.md).
 const CORES_OF_AN_H200: f64 = 800.0;
-/// Bytes of a picture's file beside its pixels, at most.
+/// Maximum bytes of a picture's file in addition to its pixels.
 const FILE_HEAD_BYTES: u64 = 64 << 10;
 
-/// What would be rendered.
+/// Size of a job, and its estimate.
 #[derive(Debug)]
 pub(super) struct Outlook {
     nodes: u32,
@@ -22,15 +23,15 @@ pub(super) struct Outlook {
     frames: u32,
     rays: u64,
     tiles: u64,
-    /// Pixels of a frame while it is rendered.
+    /// Memory for the pixels of a frame while it is rendered.
     frame_bytes: u64,
-    /// The largest that a frame's file can be.
+    /// Maximum size of a frame's file.
     file_bytes: u64,
     threads: usize,
     judged: Option<Judged>,
 }
 
-/// What a sample says.
+/// Estimate from a sample.
 #[derive(Clone, Copy, Debug)]
 struct Judged {
     core_seconds: f64,
@@ -39,7 +40,7 @@ struct Judged {
 }
 
 impl Outlook {
-    /// That of a job on so many threads; without a sample nobody knows how long it takes.
+    /// Outlook of a job on `threads` threads; without a sample its time is unknown.
     pub(super) fn new(job: &Job, threads: usize, sample: Option<&CostSample>) -> Self {
         let image = job.image.clone();
         let Image { width, height, samples, .. } = image;
@@ -67,7 +68,7 @@ impl Outlook {
         }
     }
 
-    /// The same in lines for people.
+    /// Formats the outlook as lines for users.
     pub(super) fn lines(&self) -> Vec<String> {
         let Image { width, height, samples, .. } = self.image;
         let mut lines = vec![
@@ -87,14 +88,14 @@ impl Outlook {
         ];
         lines.push(match self.judged {
             Some(Judged { core_seconds, sample_rays, .. }) => format!(
-                "time: about {} of one core, {} on the {} of this machine, {} on an H200; judged by {}",
+                "time: about {} of one core, {} on the {} of this machine, {} on an H200; estimated from {}",
                 duration(core_seconds),
                 duration(self.seconds_here(core_seconds)),
                 count(self.threads as u64, "core"),
                 duration(core_seconds / CORES_OF_AN_H200),
                 count(sample_rays, "ray")
             ),
-            None => "time: unknown, for not even a small sample of it was rendered in time".to_owned(),
+            None => "time: unknown, because not even a small sample was rendered in time".to_owned(),
         });
         let memory = self.judged.map(|judged| format!("about {}; ", bytes(judged.memory_bytes))).unwrap_or_default();
         lines.push(format!(
@@ -105,7 +106,7 @@ impl Outlook {
         lines
     }
 
-    /// The same as JSON, with the job's warnings.
+    /// Formats the outlook as JSON, with the job's warnings.
     pub(super) fn json(&self, warnings: &[String]) -> Value {
         let estimate = self.judged.map(|Judged { core_seconds, memory_bytes, sample_rays }| {
             json!({
@@ -141,13 +142,13 @@ impl Outlook {
     }
 }
 
-/// Bytes of a pixel in its file, if nothing of it can be packed.
+/// Bytes of a pixel in its file without compression.
 fn file_pixel_bytes(image: &Image) -> u64 {
     let channels = image.channels().len() as u64;
     match (image.format, image.bits, image.precision) {
         (Format::Png, Bits::Eight, _) => 4,
         (Format::Png, Bits::Sixteen, _) => 8,
-        // Layers are 32-bit numbers, colors are what was asked for.
+        // Layers are 32-bit numbers; colors have the job's depth.
         (Format::Exr, _, Precision::Half) => 4 * 2 + (channels - 4) * 4,
         (Format::Exr, _, Precision::Float) => channels * 4,
     }
@@ -159,7 +160,7 @@ pub(super) fn count(number: u64, noun: &str) -> String {
     format!("{} {noun}{ending}", grouped(number))
 }
 
-/// A number with commas between thousands.
+/// Formats a number with commas between thousands.
 fn grouped(number: u64) -> String {
     let digits = number.to_string();
     let mut grouped = String::new();
@@ -172,12 +173,12 @@ fn grouped(number: u64) -> String {
     grouped
 }
 
-/// A number to two digits that count.
+/// Rounds a number to two significant digits.
 fn tidy(number: f64) -> f64 {
     format!("{number:.1e}").parse().unwrap_or(number)
 }
 
-/// Seconds as people say them: "0.4 ms", "2.5 s", "3 min", "4 h 10 min", "12 days".
+/// Formats seconds for users: "0.4 ms", "2.5 s", "3 min", "4 h 10 min", "12 days".
 fn duration(seconds: f64) -> String {
     let whole = |seconds: f64| seconds.round() as u64;
     match seconds {
@@ -190,7 +191,7 @@ fn duration(seconds: f64) -> String {
     }
 }
 
-/// Bytes as people say them.
+/// Formats bytes for users.
 fn bytes(bytes: u64) -> String {
     match bytes as f64 {
         b if b < 9_950_000.0 => format!("{} MB", tidy(b / 1e6)),
@@ -204,22 +205,22 @@ mod tests {
     use super::*;
 
     #[test]
-    fn numbers_are_reported_as_people_say_them() {
+    fn numbers_are_formatted_for_users() {
         assert_eq!(count(1, "frame"), "1 frame");
         assert_eq!(count(1_234_567, "ray"), "1,234,567 rays");
-        let told = [0.0, 0.0123, 0.5, 2.345, 61.0, 400.0, 9000.0, 1e6].map(duration);
-        assert_eq!(told, ["less than 1 ms", "12 ms", "500 ms", "2.3 s", "61 s", "7 min", "2 h 30 min", "12 days"]);
+        let formatted = [0.0, 0.0123, 0.5, 2.345, 61.0, 400.0, 9000.0, 1e6].map(duration);
+        assert_eq!(formatted, ["less than 1 ms", "12 ms", "500 ms", "2.3 s", "61 s", "7 min", "2 h 30 min", "12 days"]);
         assert_eq!([1_000, 33_177_600, 5_000_000_000].map(bytes), ["0.001 MB", "33 MB", "5.0 GB"]);
     }
 
     #[test]
-    fn size_is_counted_and_time_is_judged() {
+    fn size_is_counted_and_time_is_estimated() {
         let job = scene::parse(
             br#"{ "scene": { "camera": { "position": [0, 0, 5], "look_at": [0, 0, 0] },
                 "objects": [{ "shape": { "sphere": { "radius": 1 } } }] },
                 "image": { "width": 64, "height": 32, "samples": 4 }, "frames": { "count": 2 } }"#,
         )
-        .expect("sound");
+        .expect("a valid job");
         let sample = CostSample {
             rays: 10,
             thread_seconds_per_ray: 1e-3,

@@ -1,4 +1,4 @@
-//! Test tile that a worker renders before it asks for work: a machine with wrong results does not join the
+//! Test tile that a worker renders before it asks for work: a machine with incorrect results does not join the
 //! farm.
 //!
 //! It is small, so that a worker still starts quickly; `sdfarm selftest` compares far more.
@@ -8,11 +8,11 @@ use worker::Renderer;
 
 use super::{hash, job, render, with_layers};
 
-/// The shipped scene that it shows.
+/// Shipped scene of the test tile.
 const SCENE: &str = "csg";
-/// Its width.
+/// Width of the test tile, in pixels.
 const WIDTH_PX: u32 = 96;
-/// The hash of its pixels, with every layer, on every device.
+/// Hash of the test tile's pixels, with every layer, on every device.
 const EXPECTED_HASH: &str = "f8a67db79d18e1a055baa4c90ea3f297";
 
 /// Renders the tile; an error if it differs from the expected bytes.
@@ -21,8 +21,8 @@ pub(crate) fn check(renderer: &dyn Renderer) -> anyhow::Result<()> {
     let found = hash(&job, &render(renderer, &job, None)?);
     ensure!(
         found == EXPECTED_HASH,
-        "{} does not render the right bits: its first tile is {found}, and should be {EXPECTED_HASH}; look into it with \
-         `sdfarm selftest`, and let it render for no farm until that succeeds",
+        "{} does not render the expected bits: its test tile has hash {found}, not {EXPECTED_HASH}; run \
+         `sdfarm selftest`, and do not use it in a farm until that succeeds",
         renderer.device()
     );
     Ok(())
@@ -33,7 +33,7 @@ mod tests {
     use super::*;
     use worker::{CancelFlag, CpuRenderer, RenderError, Simd, TilePixels, TileRequest};
 
-    /// One bit of what it renders is wrong.
+    /// Renderer with one incorrect bit.
     struct Bad(CpuRenderer);
 
     impl Renderer for Bad {
@@ -56,9 +56,9 @@ mod tests {
 
     #[test]
     fn valid_machine_passes_and_one_wrong_bit_does_not() {
-        let sound = CpuRenderer::new(Some(1), Simd::Auto).expect("this machine renders");
-        check(&sound).expect("the right bits");
-        let told = check(&Bad(sound)).expect_err("a wrong bit").to_string();
-        assert!(told.contains("does not render the right bits"), "{told}");
+        let correct = CpuRenderer::new(Some(1), Simd::Auto).expect("this machine renders");
+        check(&correct).expect("the expected bits");
+        let told = check(&Bad(correct)).expect_err("an incorrect bit").to_string();
+        assert!(told.contains("does not render the expected bits"), "{told}");
     }
 }

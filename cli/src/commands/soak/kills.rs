@@ -1,4 +1,4 @@
-//! The soak itself: starts a server again after each kill, and checks the farm in between.
+//! Runs the soak: restarts the server after each kill, and checks the farm in between.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -18,19 +18,19 @@ use super::server::{Launch, POLL_INTERVAL, ServerLog, ServerProcess};
 use super::workload::ReferenceJob;
 use crate::terminal::print_note;
 
-/// A server must be ready by then.
+/// Time limit for a server to become ready.
 const READY_LIMIT: Duration = Duration::from_secs(2);
 /// Target number of unfinished jobs in the queue.
 const TARGET_QUEUE: usize = 4;
-/// The longest pause before a kill.
+/// Maximum pause before a kill.
 const KILL_INTERVAL: Duration = Duration::from_millis(400);
 /// Time limit for a fail point to trigger.
 const FAIL_POINT_TIMEOUT: Duration = Duration::from_secs(2);
 /// Time limit for the remaining jobs at the end.
 const LAST_JOBS_TIMEOUT: Duration = Duration::from_mins(5);
-/// Workers killed in a life of the server, where no number was given.
+/// Workers killed per server process if no number was given.
 const WORKERS_A_SERVER: u64 = 3;
-/// Workers killed in a life of the server, once it is killed no more.
+/// Workers killed per server process after the last server kill.
 const WORKERS_LAST: u64 = 20;
 /// Fail points that kill the server, in addition to random instants.
 const SERVER_POINTS: [&str; 9] = [
@@ -50,21 +50,21 @@ const WORKER_POINTS: [&str; 3] = ["blob_put", "picture_put", "stitching"];
 /// Settings of a soak.
 #[derive(Clone, Debug)]
 pub(super) struct SoakPlan {
-    /// Kill anything at all.
+    /// Whether to kill processes.
     pub(super) kill: bool,
-    /// Workers to kill.
+    /// Number of workers to kill.
     pub(super) worker_kills: u32,
-    /// Servers to kill.
+    /// Number of times to kill the server.
     pub(super) server_kills: u32,
-    /// Stop after this time.
+    /// Time after which to stop.
     pub(super) time: Option<Duration>,
-    /// Workers of the pool.
+    /// Number of workers of the pool.
     pub(super) workers: u32,
-    /// Chooses everything.
+    /// Seed of all random choices.
     pub(super) seed: u64,
 }
 
-/// The soak under way.
+/// State of a running soak.
 struct Soak<'a> {
     plan: &'a SoakPlan,
     reference_jobs: &'a [ReferenceJob],
@@ -73,14 +73,14 @@ struct Soak<'a> {
     log: Arc<ServerLog>,
     start: Instant,
     accepted: BTreeSet<JobId>,
-    /// Jobs that were accepted and are not checked yet, with their task.
+    /// Accepted jobs that are not checked yet, with their task.
     waiting: BTreeMap<JobId, usize>,
     done: BTreeMap<i64, DoneTile>,
     tally: SoakReport,
     next_task: usize,
 }
 
-/// Works and kills until the plan is fulfilled, then lets everything finish.
+/// Submits jobs and kills processes until the plan is fulfilled, then waits for all jobs.
 pub(super) async fn soak(plan: &SoakPlan, tasks: &[ReferenceJob], data: &Path) -> anyhow::Result<SoakReport> {
     let mut soak = Soak {
         plan,
@@ -95,13 +95,13 @@ pub(super) async fn soak(plan: &SoakPlan, tasks: &[ReferenceJob], data: &Path) -
         tally: SoakReport::default(),
         next_task: 0,
     };
-    let mut told = 0;
+    let mut reported = 0;
     while !soak.is_fulfilled() && soak.tally.violations.is_empty() {
         soak.run_server_once().await?;
         soak.count_fail_points();
         let kills = soak.tally.all_server_kills();
-        if kills >= told + 10 {
-            told = kills;
+        if kills >= reported + 10 {
+            reported = kills;
             print_note(&format!("{} workers and {kills} servers killed", soak.tally.all_worker_kills()));
         }
     }
@@ -126,7 +126,7 @@ impl Soak<'_> {
 
     /// Runs one server from its start to its end.
     async fn run_server_once(&mut self) -> anyhow::Result<()> {
-        let (points, strikes_server) = self.choose_points();
+        let (points, kills_server) = self.choose_points();
         let Some(mut server) = self.start(&points).await? else { return Ok(()) };
         let last = Instant::now() + FAIL_POINT_TIMEOUT;
         for _ in 0..self.kills_per_server() {
@@ -146,7 +146,7 @@ impl Soak<'_> {
             return self.end(server).await;
         }
         tokio::time::sleep(self.chance.pause(KILL_INTERVAL)).await;
-        while strikes_server && Instant::now() < last && !server.has_ended()? {
+        while kills_server && Instant::now() < last && !server.has_ended()? {
             tokio::time::sleep(POLL_INTERVAL).await;
         }
         if self.servers_left() == 0 {
@@ -171,7 +171,7 @@ impl Soak<'_> {
         }
     }
 
-    /// Fail points to arm in the next server, and whether they hit the server.
+    /// Fail points to arm in the next server, and whether they kill the server.
     fn choose_points(&mut self) -> (String, bool) {
         let (points, most, is_server) = match self.chance.below(4) {
             0 => (&SERVER_POINTS[..], 8, true),
@@ -181,19 +181,19 @@ impl Soak<'_> {
         if !self.plan.kill || (is_server && self.servers_left() == 0) || (!is_server && self.workers_left() == 0) {
             return (String::new(), false);
         }
-        // A worker passes the point at least once, or it would never finish any work.
+        // A worker passes the point at least once, because otherwise it would never finish any work.
         let pass = if is_server { 1 } else { 2 } + self.chance.below(most);
         (self.chance.pick(points).map_or_else(String::new, |point| format!("{point}=kill@{pass}")), is_server)
     }
 
-    /// Starts a server and checks what the last one left; `None` if it was struck at its start.
+    /// Starts a server and checks the state left by the last one; `None` if a fail point killed it at its start.
     async fn start(&mut self, fail_points: &str) -> anyhow::Result<Option<ServerProcess>> {
         let launch = Launch { data: self.data, workers: self.plan.workers, flags: &[], fail_points };
         let Some(server) = ServerProcess::start(&launch, &self.log).await? else { return Ok(None) };
         self.tally.slowest_ready = self.tally.slowest_ready.max(server.ready);
         self.tally.ready = (self.tally.ready.0 + server.ready, self.tally.ready.1 + 1);
         if server.ready > READY_LIMIT {
-            self.tally.violation(format!("a server was ready after {:?} only", server.ready));
+            self.tally.violation(format!("a server needed {:?} to become ready", server.ready));
         }
         self.audit().await?;
         Ok(Some(server))
@@ -202,16 +202,16 @@ impl Soak<'_> {
     async fn audit(&mut self) -> anyhow::Result<()> {
         let found = check_integrity(self.data).await?;
         self.tally.integrity_checks += 1;
-        for breach in found.violations {
-            self.tally.violation(breach);
+        for violation in found.violations {
+            self.tally.violation(violation);
         }
         let lost = self.accepted.difference(&found.jobs).count();
         if lost > 0 {
-            self.tally.violation(format!("{lost} jobs that were answered with 201 are gone"));
+            self.tally.violation(format!("{lost} jobs that were accepted with 201 are lost"));
         }
         for (tile, was) in &self.done {
             match found.done.get(tile) {
-                None => self.tally.violation(format!("tile {tile} was done, and is not any more")),
+                None => self.tally.violation(format!("tile {tile} was done, and no longer is")),
                 Some(is) if is != was => self.tally.violation(format!("tile {tile} was done, and was leased again")),
                 Some(_) => {}
             }
@@ -243,7 +243,7 @@ impl Soak<'_> {
                     self.waiting.insert(job.id, task);
                 }
                 Err(ClientError::Problem(problem)) => {
-                    self.tally.violation(format!("a sound job was refused: {}", problem.detail));
+                    self.tally.violation(format!("a valid job was rejected: {}", problem.detail));
                     return Ok(());
                 }
                 Err(_) => {
@@ -255,7 +255,7 @@ impl Soak<'_> {
         Ok(())
     }
 
-    /// Whether a job is finished; then its pictures are what they must be, or that is a breach.
+    /// Returns whether a job is finished; if so, any picture that differs from the expected one is a violation.
     async fn check_job(&mut self, server: &ServerProcess, id: JobId, task: usize) -> Result<bool, ClientError> {
         let job = server.client.job(id).await?;
         match job.state {
@@ -271,7 +271,7 @@ impl Soak<'_> {
             server.client.image(id, frame as u32, &mut picture).await?;
             self.tally.pictures += 1;
             if blake3::hash(&picture) != *wanted {
-                self.tally.violation(format!("frame {frame} of job {id} is not as an undisturbed render makes it"));
+                self.tally.violation(format!("frame {frame} of job {id} differs from an undisturbed render"));
             }
         }
         self.tally.succeeded += 1;
@@ -280,7 +280,7 @@ impl Soak<'_> {
 
     async fn end(&mut self, server: ServerProcess) -> anyhow::Result<()> {
         if !server.terminate().await? {
-            self.tally.violation("a server that was asked to end did not end in order".to_owned());
+            self.tally.violation("a server did not shut down gracefully after SIGTERM".to_owned());
         }
         Ok(())
     }
@@ -292,7 +292,7 @@ impl Soak<'_> {
 
     /// Finishes all accepted jobs, on an undisturbed server.
     async fn finish(&mut self) -> anyhow::Result<()> {
-        let mut server = self.start("").await?.context("a server ended as soon as it was started")?;
+        let mut server = self.start("").await?.context("a server exited right after its start")?;
         let start = Instant::now();
         while !self.waiting.is_empty() && start.elapsed() < LAST_JOBS_TIMEOUT {
             for (id, task) in self.waiting.clone() {
@@ -300,17 +300,17 @@ impl Soak<'_> {
                     self.waiting.remove(&id);
                 }
             }
-            anyhow::ensure!(!server.has_ended()?, "the last server ended by itself");
+            anyhow::ensure!(!server.has_ended()?, "the last server exited unexpectedly");
             tokio::time::sleep(POLL_INTERVAL).await;
         }
         if !self.waiting.is_empty() {
-            self.tally.violation(format!("{} jobs did not end within {LAST_JOBS_TIMEOUT:?}", self.waiting.len()));
+            self.tally.violation(format!("{} jobs did not finish within {LAST_JOBS_TIMEOUT:?}", self.waiting.len()));
         }
         self.audit().await?;
         self.end(server).await?;
         for (count, what) in [
             (self.log.panics.load(Ordering::Relaxed), "panics"),
-            (self.log.differences.load(Ordering::Relaxed), "tiles or pictures that came out differently"),
+            (self.log.differences.load(Ordering::Relaxed), "tiles or pictures that differed when rendered again"),
         ] {
             if count > 0 {
                 self.tally.violation(format!("{count} {what}"));

@@ -1,4 +1,4 @@
-//! Overload: more jobs than a farm can take, for minutes. It must reject the excess with a Retry-After, stay
+//! Overload test: more jobs than a farm can take, for minutes. It must reject the excess with a Retry-After, stay
 //! healthy and small, and recover soon afterwards.
 
 use std::fmt::Write;
@@ -21,17 +21,16 @@ use crate::terminal::print_note;
 const CLIENTS: usize = 32;
 /// Submitted jobs as a multiple of the farm's capacity: somewhat more than ten.
 const EXCESS: u64 = 12;
-/// Pause of each client before its next job once the multiple is reached, and before that; much less than
-/// Retry-After asks for.
+/// Pause of each client before its next job, once the multiple is reached and before; much less than Retry-After says.
 const CLIENT_INTERVAL: Duration = Duration::from_millis(100);
 const EXCESS_DELAY: Duration = Duration::from_millis(10);
-/// Unfinished jobs the farm takes.
+/// Maximum number of unfinished jobs of the farm.
 const MAX_QUEUED_JOBS: &str = "200";
-/// Memory is compared with what it was after this time: the first jobs fill caches once.
+/// Time after which memory is first measured, because the first jobs fill caches.
 const WARM_UP: Duration = Duration::from_secs(10);
 /// Interval between two health checks.
 const HEALTH_INTERVAL: Duration = Duration::from_millis(50);
-/// A health check that takes longer is a breach.
+/// Time limit of a health check; a slower one is a violation.
 const HEALTH_LIMIT: Duration = Duration::from_millis(50);
 /// Maximum growth of memory, in percent.
 const GROWTH_LIMIT_PERCENT: u64 = 20;
@@ -64,13 +63,13 @@ impl OverloadReport {
         for (name, value) in &self.rows {
             writeln!(table, "{name:<42} {value}").expect("writing to a string");
         }
-        write!(table, "{:<42} {}", "breaches", self.violations.len()).expect("writing to a string");
+        write!(table, "{:<42} {}", "violations", self.violations.len()).expect("writing to a string");
         table
     }
 
-    fn expect(&mut self, is_so: bool, breach: String) {
+    fn expect(&mut self, is_so: bool, violation: String) {
         if !is_so {
-            self.violations.push(breach);
+            self.violations.push(violation);
         }
     }
 }
@@ -80,8 +79,8 @@ pub(super) async fn overload(tasks: &[ReferenceJob], data: &Path, time: Duration
     let said = Arc::<ServerLog>::default();
     let flags = ["--max-queued-jobs", MAX_QUEUED_JOBS];
     let launch = Launch { data, workers: 1, flags: &flags, fail_points: "" };
-    let server = ServerProcess::start(&launch, &said).await?.context("the server ended as soon as it was started")?;
-    print_note(&format!("{CLIENTS} clients hand in jobs for {time:?}"));
+    let server = ServerProcess::start(&launch, &said).await?.context("the server exited right after its start")?;
+    print_note(&format!("{CLIENTS} clients submit jobs for {time:?}"));
     let counts = Arc::<Counts>::default();
     let task = tasks.first().context("there are tasks")?;
     let clients: Vec<_> = (0..CLIENTS)
@@ -95,22 +94,22 @@ pub(super) async fn overload(tasks: &[ReferenceJob], data: &Path, time: Duration
     let mut report = OverloadReport::default();
     let count = |counter: &AtomicU64| counter.load(Ordering::Relaxed);
     let (taken, refused) = (count(&counts.taken), count(&counts.refused));
-    report.rows.push(("jobs taken, refused with 429", format!("{taken}, {refused}")));
-    report.rows.push(("jobs answered otherwise", count(&counts.other).to_string()));
-    report.expect(refused > 9 * taken, format!("{refused} refused for {taken} taken are no tenfold overload"));
+    report.rows.push(("jobs accepted, rejected with 429", format!("{taken}, {refused}")));
+    report.rows.push(("jobs with other responses", count(&counts.other).to_string()));
+    report.expect(refused > 9 * taken, format!("{refused} rejected, {taken} accepted: no tenfold overload"));
     report.expect(
         count(&counts.without_retry_after) == 0,
-        format!("{} refusals without Retry-After", count(&counts.without_retry_after)),
+        format!("{} rejections without Retry-After", count(&counts.without_retry_after)),
     );
-    report.expect(count(&counts.other) == 0, format!("{} answers that are neither 201 nor 429", count(&counts.other)));
+    report.expect(count(&counts.other) == 0, format!("{} responses other than 201 and 429", count(&counts.other)));
     check_health(&mut report, health);
     let (start, end) = memory;
-    report.rows.push(("memory at its start and end, MiB", format!("{}, {}", start >> 20, end >> 20)));
+    report.rows.push(("memory at start and end, MiB", format!("{}, {}", start >> 20, end >> 20)));
     let limit = start + start * GROWTH_LIMIT_PERCENT / 100;
     report.expect(end <= limit, format!("memory grew from {} to {} MiB", start >> 20, end >> 20));
     recover(&server, task, &mut report).await?;
     report.expect(said.panics.load(Ordering::Relaxed) == 0, "the farm panicked".to_owned());
-    report.expect(server.terminate().await?, "the farm did not end in order".to_owned());
+    report.expect(server.terminate().await?, "the farm did not shut down gracefully".to_owned());
     Ok(report)
 }
 
@@ -140,14 +139,14 @@ async fn watch(server: &ServerProcess, time: Duration) -> anyhow::Result<(Vec<Du
     while start.elapsed() < time {
         let asked = Instant::now();
         let status = probe::status(&server.address, "/livez").await;
-        anyhow::ensure!(status == Some(200), "/livez answered {status:?}");
+        anyhow::ensure!(status == Some(200), "/livez responded {status:?}");
         health.push(asked.elapsed());
         if first.is_none() && start.elapsed() >= WARM_UP.min(time / 4) {
             first = resident_bytes(server.process());
         }
         tokio::time::sleep(HEALTH_INTERVAL).await;
     }
-    let last = resident_bytes(server.process()).context("could not read how much memory the server has")?;
+    let last = resident_bytes(server.process()).context("could not read the server's memory use")?;
     Ok((health, (first.unwrap_or(last), last)))
 }
 
@@ -156,27 +155,27 @@ fn check_health(report: &mut OverloadReport, mut health: Vec<Duration>) {
     let at = |percent: usize| health.get((health.len() * percent / 100).min(health.len() - 1)).copied();
     let (median, p99, most) =
         (at(50).unwrap_or_default(), at(99).unwrap_or_default(), health.last().copied().unwrap_or_default());
-    report.rows.push(("health check: median, p99, most", format!("{median:.1?}, {p99:.1?}, {most:.1?}")));
+    report.rows.push(("health check: median, p99, maximum", format!("{median:.1?}, {p99:.1?}, {most:.1?}")));
     report.expect(p99 < HEALTH_LIMIT, format!("a health check took {p99:?} (p99)"));
 }
 
-/// A farm that was overloaded takes a job again, and finishes it before those that wait.
+/// Checks that the farm accepts a job after the overload, and finishes it before the queued ones.
 async fn recover(server: &ServerProcess, task: &ReferenceJob, report: &mut OverloadReport) -> anyhow::Result<()> {
     let start = Instant::now();
-    let mut job: serde_json::Value = serde_json::from_slice(&task.text).context("a task is no JSON")?;
+    let mut job: serde_json::Value = serde_json::from_slice(&task.text).context("a job file is not JSON")?;
     job["priority"] = json!(100);
     let text = job.to_string().into_bytes();
     let id = loop {
         match server.client.submit(text.clone(), true).await {
             Ok(job) => break job.id,
-            Err(error) => anyhow::ensure!(start.elapsed() < RECOVERY_LIMIT, "no job is taken any more: {error}"),
+            Err(error) => anyhow::ensure!(start.elapsed() < RECOVERY_LIMIT, "no job is accepted any more: {error}"),
         }
         tokio::time::sleep(HEALTH_INTERVAL).await;
     };
     while server.client.job(id).await?.state != JobState::Succeeded && start.elapsed() < RECOVERY_LIMIT {
         tokio::time::sleep(HEALTH_INTERVAL).await;
     }
-    report.rows.push(("a job taken and finished after it", format!("{:.1?}", start.elapsed())));
+    report.rows.push(("a job accepted and finished afterwards", format!("{:.1?}", start.elapsed())));
     report.expect(start.elapsed() < RECOVERY_LIMIT, format!("no job was finished within {RECOVERY_LIMIT:?}"));
     Ok(())
 }

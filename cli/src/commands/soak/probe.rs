@@ -1,6 +1,5 @@
-//! Minimal HTTP requests: one path on a connection of its own, reading only the status of the response.
-//!
-//! A soak measures with it what a health check of an operator's would see.
+//! Sends minimal HTTP requests: one path on its own connection, reading only the status of the response.
+//! A soak uses it to measure the result of an operator's health check.
 
 use std::time::Duration;
 

@@ -1,10 +1,10 @@
-//! Processes of the system: finding children, checking whether they live, and killing them.
+//! Finds, checks, and kills processes of the system.
 
 use std::fs;
 
 use rustix::process::{Pid, Signal, kill_process};
 
-/// Kills a process like `kill -9`; one that has exited is no error.
+/// Kills a process like `kill -9`; no error if it has already exited.
 pub(super) fn kill(process: u32) {
     if let Some(process) = i32::try_from(process).ok().and_then(Pid::from_raw) {
         // It may have exited since its id was read.
@@ -12,12 +12,12 @@ pub(super) fn kill(process: u32) {
     }
 }
 
-/// Whether a process is there and no zombie.
+/// Whether a process exists and is not a zombie.
 pub(super) fn is_alive(process: u32) -> bool {
     field(process, 0).is_some_and(|state| state != "Z" && state != "X")
 }
 
-/// Living processes whose parent this one is.
+/// Live child processes of this process.
 pub(super) fn children(parent: u32) -> Vec<u32> {
     let parent = parent.to_string();
     let processes = fs::read_dir("/proc").into_iter().flatten().flatten();
@@ -25,7 +25,7 @@ pub(super) fn children(parent: u32) -> Vec<u32> {
     ids.filter(|&process| field(process, 1).is_some_and(|of| of == parent) && is_alive(process)).collect()
 }
 
-/// Memory that a process has in use, in bytes.
+/// Resident memory of a process, in bytes.
 pub(super) fn resident_bytes(process: u32) -> Option<u64> {
     let status = fs::read_to_string(format!("/proc/{process}/status")).ok()?;
     let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:"))?;

@@ -18,17 +18,17 @@ pub(super) struct SoakReport {
     pub(super) accepted: usize,
     /// Jobs whose response was lost with the server; they may exist or not.
     pub(super) unanswered: usize,
-    /// Jobs that finished as they should.
+    /// Jobs that succeeded with the expected pictures.
     pub(super) succeeded: usize,
     /// Pictures compared with undisturbed ones.
     pub(super) pictures: usize,
     /// Number of integrity checks.
     pub(super) integrity_checks: u32,
-    /// Done tiles that were watched from one audit to the next.
+    /// Done tiles compared between two integrity checks.
     pub(super) tiles: usize,
-    /// The longest from a start to the first answer of `/readyz`.
+    /// Longest time from a start to the first 200 of `/readyz`.
     pub(super) slowest_ready: Duration,
-    /// The sum of those times, and how many.
+    /// Sum of those times, and their number.
     pub(super) ready: (Duration, u32),
     /// Total duration.
     pub(super) took: Duration,
@@ -37,10 +37,10 @@ pub(super) struct SoakReport {
 }
 
 impl SoakReport {
-    /// Notes what must not be, once.
-    pub(super) fn violation(&mut self, breach: String) {
-        if !self.violations.contains(&breach) {
-            self.violations.push(breach);
+    /// Records a violation, unless it is already recorded.
+    pub(super) fn violation(&mut self, violation: String) {
+        if !self.violations.contains(&violation) {
+            self.violations.push(violation);
         }
     }
 
@@ -61,16 +61,16 @@ impl SoakReport {
         let mut row = |name: &str, value: String| {
             writeln!(table, "{name:<42} {value}").expect("writing to a string");
         };
-        row("workers killed", format!("{} ({} at named points)", self.all_worker_kills(), self.workers_hit));
-        row("server killed", format!("{} ({} at named points)", self.all_server_kills(), self.servers_hit));
-        row("jobs accepted, all kept and succeeded", format!("{}, {}", self.accepted, self.succeeded));
-        row("jobs whose answer died with the server", self.unanswered.to_string());
-        row("pictures, byte for byte as undisturbed", self.pictures.to_string());
-        row("audits of database and pictures", self.integrity_checks.to_string());
+        row("workers killed", format!("{} ({} at fail points)", self.all_worker_kills(), self.workers_hit));
+        row("server killed", format!("{} ({} at fail points)", self.all_server_kills(), self.servers_hit));
+        row("jobs accepted, jobs succeeded", format!("{}, {}", self.accepted, self.succeeded));
+        row("jobs whose response was lost with the server", self.unanswered.to_string());
+        row("pictures identical to undisturbed renders", self.pictures.to_string());
+        row("integrity checks of database and pictures", self.integrity_checks.to_string());
         row("done tiles, none rendered again", self.tiles.to_string());
-        row("server ready after a start, mean and most", format!("{:.0?}, {:.0?}", mean, self.slowest_ready));
+        row("server ready after a start, mean and maximum", format!("{:.0?}, {:.0?}", mean, self.slowest_ready));
         row("time", format!("{:.0?}", self.took));
-        row("breaches", self.violations.len().to_string());
+        row("violations", self.violations.len().to_string());
         table.trim_end().to_owned()
     }
 }

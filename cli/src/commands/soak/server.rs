@@ -1,4 +1,4 @@
-//! The server under test: a process of its own, started, observed and killed.
+//! Starts, observes, and kills the server under test, which is a separate process.
 
 use std::fs::File;
 use std::io::{BufRead, BufReader, Write};
@@ -14,7 +14,7 @@ use proto::{Client, fail_point};
 use super::{probe, processes};
 use crate::commands::serve::current_executable;
 
-/// A server that is not ready by then never will be.
+/// Time limit for a server to become ready.
 const START_TIMEOUT: Duration = Duration::from_secs(30);
 /// Poll interval.
 pub(super) const POLL_INTERVAL: Duration = Duration::from_millis(2);
@@ -26,7 +26,7 @@ const ORPHAN_TIMEOUT: Duration = Duration::from_secs(5);
 pub(super) struct ServerLog {
     /// Panics.
     pub(super) panics: AtomicU64,
-    /// Tiles or pictures that came out differently the second time.
+    /// Tiles or pictures that differed when rendered again.
     pub(super) differences: AtomicU64,
     /// Workers that a fail point killed.
     pub(super) workers_hit: AtomicU64,
@@ -41,7 +41,7 @@ pub(super) struct ServerProcess {
     workers: Vec<u32>,
     /// `http://127.0.0.1:PORT`.
     pub(super) address: String,
-    /// Talks to it.
+    /// Client of the server.
     pub(super) client: Client,
     /// From its start to its first `ready`.
     pub(super) ready: Duration,
@@ -54,14 +54,14 @@ pub(super) struct Launch<'a> {
     pub(super) data: &'a Path,
     /// Workers of its pool.
     pub(super) workers: u32,
-    /// More flags.
+    /// Additional flags.
     pub(super) flags: &'a [&'a str],
     /// Armed fail points of the server or its workers; "" for none.
     pub(super) fail_points: &'a str,
 }
 
 impl ServerProcess {
-    /// Starts one and waits until it is ready; `None` if a fail point killed it first.
+    /// Starts a server and waits until it is ready; `None` if a fail point killed it first.
     pub(super) async fn start(launch: &Launch<'_>, said: &Arc<ServerLog>) -> anyhow::Result<Option<Self>> {
         let start = Instant::now();
         let mut child = KillOnDrop(spawn(launch)?);
@@ -94,7 +94,7 @@ impl ServerProcess {
         Ok(Some(server))
     }
 
-    /// Its process id.
+    /// Process id of the server.
     pub(super) fn process(&self) -> u32 {
         self.child.0.id()
     }
@@ -112,12 +112,12 @@ impl ServerProcess {
         }
     }
 
-    /// Whether it has exited.
+    /// Whether the server has exited.
     pub(super) fn has_ended(&mut self) -> anyhow::Result<bool> {
-        Ok(self.child.0.try_wait().context("could not look after the server")?.is_some())
+        Ok(self.child.0.try_wait().context("could not check the server's state")?.is_some())
     }
 
-    /// Kills it, or finds it dead; returns how many of its workers outlived it for too long.
+    /// Kills the server if it still runs; returns how many of its workers outlived it for too long.
     pub(super) async fn kill(mut self) -> anyhow::Result<usize> {
         self.refresh_workers();
         // The process id of an exited child may belong to another process by now.
@@ -128,14 +128,14 @@ impl ServerProcess {
         Ok(orphans(&self.workers).await)
     }
 
-    /// Asks it to shut down; returns whether it did so gracefully.
+    /// Sends SIGTERM to the server; returns whether it shut down gracefully.
     pub(super) async fn terminate(mut self) -> anyhow::Result<bool> {
         let process = i32::try_from(self.process()).ok().and_then(rustix::process::Pid::from_raw);
         let process = process.context("the server has no process id")?;
-        rustix::process::kill_process(process, rustix::process::Signal::TERM).context("could not ask it to end")?;
+        rustix::process::kill_process(process, rustix::process::Signal::TERM).context("could not send SIGTERM")?;
         let start = Instant::now();
         while start.elapsed() < START_TIMEOUT {
-            if let Some(status) = self.child.0.try_wait().context("could not look after the server")? {
+            if let Some(status) = self.child.0.try_wait().context("could not check the server's state")? {
                 return Ok(status.success());
             }
             tokio::time::sleep(POLL_INTERVAL).await;
@@ -144,7 +144,7 @@ impl ServerProcess {
     }
 }
 
-/// A process that does not outlive what is done with it.
+/// Child process that is killed on drop.
 #[derive(Debug)]
 struct KillOnDrop(Child);
 
@@ -170,7 +170,7 @@ fn spawn(launch: &Launch<'_>) -> anyhow::Result<Child> {
     command.spawn().context("could not start a server")
 }
 
-/// Address that it prints; `None` if it exits before.
+/// Address that the server prints; `None` if it exits before.
 fn address(child: &mut Child) -> anyhow::Result<Option<String>> {
     let mut output = BufReader::new(child.stdout.take().context("the server has no standard output")?);
     let (sender, receiver) = mpsc::channel();
@@ -181,13 +181,13 @@ fn address(child: &mut Child) -> anyhow::Result<Option<String>> {
         let _ = sender.send(line);
         let _ = std::io::copy(&mut output, &mut std::io::sink());
     });
-    let line = receiver.recv_timeout(START_TIMEOUT).context("the server said nothing")?;
+    let line = receiver.recv_timeout(START_TIMEOUT).context("the server printed no address")?;
     Ok(line.split_whitespace().find(|word| word.starts_with("http://")).map(str::to_owned))
 }
 
 fn listen(errors: ChildStderr, mut log: File, said: &ServerLog) {
     for line in BufReader::new(errors).lines().map_while(Result::ok) {
-        // A log that can't be written is no reason to stop counting.
+        // Counting continues if the log cannot be written.
         let _ = writeln!(log, "{line}");
         let count = |counter: &AtomicU64| counter.fetch_add(1, Ordering::Relaxed);
         if line.contains("panicked at") {

@@ -1,5 +1,4 @@
-//! The jobs that a soak submits, and their expected pictures: each is rendered here, undisturbed, before the
-//! farm starts.
+//! Jobs that a soak submits, and their expected pictures, which are rendered in this process before the farm starts.
 
 use std::io::Cursor;
 use std::path::Path;
@@ -15,15 +14,15 @@ use crate::shipped;
 /// without a measured speed gets one tile, so those of many samples are stitched.
 const SCENES: [(&str, [u32; 4]); 3] =
     [("csg", [1, 160, 4, 16]), ("five-spheres", [4, 16, 1, 160]), ("mandelbulb", [1, 4, 2, 8])];
-/// Eight tiles of 64 pixels.
+/// Size of the pictures: eight tiles of 64 pixels.
 const SIZE_PX: (u32, u32) = (256, 128);
 
-/// A job, and the pictures that it must give.
+/// Job with its expected pictures.
 #[derive(Debug)]
 pub(super) struct ReferenceJob {
     /// The job file.
     pub(super) text: Vec<u8>,
-    /// BLAKE3 of each frame's picture, undisturbed.
+    /// BLAKE3 of each frame's expected picture.
     pub(super) pictures: Vec<blake3::Hash>,
 }
 
@@ -56,13 +55,13 @@ fn render(
     out: &mut Cursor<Vec<u8>>,
 ) -> anyhow::Result<()> {
     render_frame(renderer, job, frame, None, scratch, out, &CancelFlag::new(), &|_| {})
-        .context("could not render the picture to compare with")?;
+        .context("could not render an expected picture")?;
     Ok(())
 }
 
-/// A shipped scene as a small job of two to four frames, PNG and EXR in turn.
+/// Makes a shipped scene a small job of two to four frames, PNG and EXR in turn.
 fn job(scene: &str, seed: u64, number: u64, samples: u32) -> anyhow::Result<Vec<u8>> {
-    let mut job: Value = serde_json::from_slice(&shipped::job_file(scene)?).context("a shipped scene is no JSON")?;
+    let mut job: Value = serde_json::from_slice(&shipped::job_file(scene)?).context("a shipped scene is not JSON")?;
     let image = if number.is_multiple_of(2) {
         json!({ "format": "png" })
     } else {

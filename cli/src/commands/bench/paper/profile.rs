@@ -8,7 +8,7 @@ use worker::cuda::BlockDim;
 
 use crate::commands::serve::current_executable;
 
-/// The kernel that renders.
+/// Name of the render kernel.
 const KERNEL: &str = "render";
 const OCCUPANCY: &str = "sm__warps_active.avg.pct_of_peak_sustained_active";
 const UNIFORM: &str = "smsp__sass_average_branch_targets_threads_uniform.pct";
@@ -25,7 +25,7 @@ pub(super) struct StepProfile {
     pub(super) active_lanes: Option<f64>,
 }
 
-/// Counts what the first launch of a frame does, without the self-test's before it.
+/// Profiles the first launch of a frame, which follows the self-test's launches.
 pub(super) fn profile(job: &Path, device: &str, block: BlockDim, cache: Option<&Path>) -> Result<StepProfile, String> {
     let folder = job.parent().unwrap_or(Path::new("."));
     let (log, picture): (PathBuf, PathBuf) = (folder.join("ncu.csv"), folder.join("profiled.png"));
@@ -42,14 +42,14 @@ pub(super) fn profile(job: &Path, device: &str, block: BlockDim, cache: Option<&
     let log = std::fs::read_to_string(&log).unwrap_or_default();
     let counted = read(&log, block);
     if counted == StepProfile::default() {
-        let told = log.lines().find(|line| line.contains("==ERROR==")).map(str::to_owned);
-        let why = told.unwrap_or_else(|| format!("it ended with {}", output.status));
+        let message = log.lines().find(|line| line.contains("==ERROR==")).map(str::to_owned);
+        let why = message.unwrap_or_else(|| format!("it exited with {}", output.status));
         return Err(format!("ncu counted nothing: {why}"));
     }
     Ok(counted)
 }
 
-/// The figures of the launch with the most blocks of this shape; of several, the first.
+/// Returns the figures of the launch with the most blocks of these dimensions; of several, the first.
 fn read(log: &str, block: BlockDim) -> StepProfile {
     let mut rows = log.lines().skip_while(|line| !line.starts_with("\"ID\"")).map(fields);
     let heads = rows.next().unwrap_or_default();
@@ -78,12 +78,12 @@ fn read(log: &str, block: BlockDim) -> StepProfile {
     }
 }
 
-/// The fields of a line, each in quotes.
+/// Splits a line into its quoted fields.
 fn fields(line: &str) -> Vec<&str> {
     line.trim().trim_start_matches('"').trim_end_matches('"').split("\",\"").collect()
 }
 
-/// The three numbers of `(64, 1, 1)`; 0 for a missing one.
+/// Parses the three numbers of `(64, 1, 1)`; 0 for a missing one.
 fn numbers(text: &str) -> [u32; 3] {
     let mut numbers = text.trim_matches(['(', ')']).split(',').map(|number| number.trim().parse().unwrap_or(0));
     [(); 3].map(|()| numbers.next().unwrap_or(0))
@@ -115,7 +115,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_is_read_from_a_log_without_figures_or_of_other_blocks() {
+    fn log_without_figures_or_of_other_blocks_gives_none() {
         assert_eq!(read("==ERROR== ERR_NVGPUCTRPERM", BlockDim { columns: 8, rows: 8 }), StepProfile::default());
         assert_eq!(read(LOG, BlockDim { columns: 16, rows: 16 }), StepProfile::default());
     }

@@ -19,9 +19,9 @@ pub(super) struct Published {
     resolution: u32,
     #[serde(skip)]
     block: BlockDim,
-    /// On the GPU, in milliseconds.
+    /// Time on the GPU, in milliseconds.
     pub(super) parallel_ms: f64,
-    /// On one core, in seconds.
+    /// Time on one core, in seconds.
     pub(super) serial_s: f64,
     /// Speed of the GPU relative to the core.
     pub(super) speed_up: f64,
@@ -35,7 +35,7 @@ pub(super) struct Published {
     pub(super) h200_ms: f64,
 }
 
-/// A row from its figures in the order of the table.
+/// Creates a row from its figures in the order of the table.
 const fn row(resolution: u32, block: (u32, u32), times: [f64; 3], kernel: [f64; 3], h200_ms: f64) -> Published {
     let [parallel_ms, serial_s, speed_up] = times;
     let [branch_efficiency_percent, achieved_occupancy_percent, theoretical_occupancy_percent] = kernel;

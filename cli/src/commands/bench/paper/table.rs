@@ -1,17 +1,17 @@
-//! The table as text.
+//! Prints the measured table as text.
 
 use super::published::HARDWARE;
 use super::{GpuRow, Row, Table};
 use crate::terminal::print_line;
 
-/// Prints all of it.
+/// Prints the table, and the published one.
 pub(super) fn say_all(table: &Table) -> anyhow::Result<()> {
     let gpu = table.gpu.as_deref().unwrap_or("no GPU");
     print_line(&format!(
         "{}, {} samples, on {gpu} and {} threads of {}",
         table.scene, table.samples, table.threads, table.simd
     ))?;
-    print_line("\nhere: ms of kernels, of one scalar thread and of all threads; times as fast as the one")?;
+    print_line("\nthis machine: ms of kernels, one scalar thread, all threads; ×: speed relative to the one thread")?;
     print_line(&format!(
         "{:<11} {:>8} {:>10} {:>9} {:>9} {:>7} {:>9} {:>17} {:>9} {:>6}",
         "", "GPU ms", "serial ms", "SIMD ms", "GPU ×", "SIMD ×", "registers", "occ. ach./theor.", "uniform", "lanes"

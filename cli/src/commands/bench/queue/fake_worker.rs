@@ -1,4 +1,4 @@
-//! Worker that follows the workers' protocol and renders nothing.
+//! Worker that follows the worker protocol but renders nothing.
 
 use std::time::Duration;
 
@@ -7,7 +7,7 @@ use proto::worker_protocol::{self, Batch, BatchWork, LeaseOutcome, LeaseReport, 
 use proto::{LeaseId, WorkerId};
 use serde_json::json;
 
-/// The worker.
+/// Registered worker that renders nothing.
 pub(super) struct FakeWorker {
     http: reqwest::Client,
     server: String,
@@ -16,9 +16,9 @@ pub(super) struct FakeWorker {
 }
 
 impl FakeWorker {
-    /// Registers.
+    /// Registers a worker.
     pub(super) async fn register(server: &str, rays_per_second: Option<f64>) -> anyhow::Result<Self> {
-        let http = reqwest::Client::builder().build().context("could not make a client")?;
+        let http = reqwest::Client::builder().build().context("could not create a client")?;
         let hello = RegisterRequest {
             name: "bench".to_owned(),
             device: "none".to_owned(),
@@ -31,7 +31,7 @@ impl FakeWorker {
         Ok(Self { http, server: server.to_owned(), id: welcome.worker, rays_per_second })
     }
 
-    /// One call: results in, work out.
+    /// Syncs once: sends results, and receives work.
     pub(super) async fn sync(
         &self,
         results: Vec<LeaseReport>,

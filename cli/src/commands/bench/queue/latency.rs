@@ -1,4 +1,4 @@
-//! Latency until a worker receives a submitted job, and until a cancel stops a render.
+//! Measures the latency until a worker receives a submitted job, and until a cancel stops a render.
 
 use std::time::{Duration, Instant};
 
@@ -8,11 +8,11 @@ use proto::{Client, JobId};
 use super::fake_worker::FakeWorker;
 use super::{BenchFarm, Times};
 
-/// Cancels that are timed, at most: each waits until its job has begun.
+/// Maximum number of timed cancels: each waits until its job has started.
 pub(super) const MAX_CANCELS: u32 = 50;
 /// How long a worker's sync waits at the server.
 const WAIT: Duration = Duration::from_secs(10);
-/// Until then a worker's call waits at the server.
+/// Maximum time that a worker's sync waits at the server.
 const SETTLE_DELAY: Duration = Duration::from_millis(20);
 /// Interval between two reads of a job.
 const POLL_INTERVAL: Duration = Duration::from_millis(1);
@@ -32,7 +32,7 @@ fn job(width: u32, samples: u32) -> Vec<u8> {
     .into_bytes()
 }
 
-/// Time from the 201 until the waiting worker has the job.
+/// Measures the time from the 201 until the waiting worker has the job.
 pub(super) async fn start(runs: u32) -> anyhow::Result<Times> {
     let farm = BenchFarm::start(0, None).await?;
     let worker = FakeWorker::register(farm.client.server(), None).await?;
@@ -48,7 +48,7 @@ pub(super) async fn start(runs: u32) -> anyhow::Result<Times> {
             anyhow::Ok((run, Instant::now()))
         };
         let (accepted, (run, begun)) = tokio::try_join!(submit, claim)?;
-        let Some(run) = run else { anyhow::bail!("a worker waited for {} s in vain", WAIT.as_secs()) };
+        let Some(run) = run else { anyhow::bail!("a worker received no work within {} s", WAIT.as_secs()) };
         // The worker may have the job before its submitter receives the 201.
         times.push(begun.saturating_duration_since(accepted));
         worker.sync(worker.results(&run).await?, false, Duration::ZERO).await?;
@@ -57,7 +57,7 @@ pub(super) async fn start(runs: u32) -> anyhow::Result<Times> {
     Ok(Times::new(times))
 }
 
-/// Time from the response to a cancel until the rendering worker starts the next job.
+/// Measures the time from the response to a cancel until the rendering worker starts the next job.
 pub(super) async fn cancel(runs: u32) -> anyhow::Result<Times> {
     let farm = BenchFarm::start(1, None).await?;
     let mut times = Vec::new();
@@ -83,7 +83,7 @@ async fn until(client: &Client, id: JobId, state: JobState) -> anyhow::Result<()
         if now == state || now == JobState::Succeeded {
             return Ok(());
         }
-        anyhow::ensure!(!now.is_final(), "job {id} is {} all of a sudden", now.name());
+        anyhow::ensure!(!now.is_final(), "job {id} is unexpectedly {}", now.name());
         tokio::time::sleep(POLL_INTERVAL).await;
     }
 }

@@ -1,4 +1,4 @@
-//! Jobs, tiles and reads per second of a server.
+//! Measures jobs, tiles, and reads per second of a server.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -12,7 +12,7 @@ use tokio::task::JoinSet;
 use super::fake_worker::FakeWorker;
 use super::{BenchFarm, Times};
 
-/// Claims that are timed.
+/// Number of timed claims.
 const CLAIMS: u32 = 1000;
 /// Clients that read jobs, and the interval of each: together they read more than a thousand times per
 /// second, and leave the rest of the CPU to the workers.
@@ -20,10 +20,10 @@ const POLLERS: usize = 4;
 const POLL_INTERVAL: Duration = Duration::from_millis(2);
 /// Edge of the tiles, in pixels.
 pub(super) const TILE_PX: u32 = 32;
-/// A worker so fast is given about ten tiles of these jobs at a time.
+/// Speed at which a worker gets batches of about ten tiles of these jobs.
 const TEN_TILES_A_SECOND: f64 = 10.0 * (TILE_PX * TILE_PX) as f64;
 
-/// A job of a hundred tiles, unlike those of other seeds.
+/// Job of 100 tiles whose pictures differ for each seed.
 fn job(seed: u32) -> Vec<u8> {
     serde_json::json!({
         "name": "bench",
@@ -65,7 +65,7 @@ async fn gather(mut tasks: JoinSet<anyhow::Result<Vec<Duration>>>) -> anyhow::Re
     Ok(times)
 }
 
-/// Times claims of one worker, while all the jobs wait.
+/// Measures claims of one worker while all the jobs are queued.
 pub(super) async fn claim(farm: &BenchFarm) -> anyhow::Result<Times> {
     let worker = FakeWorker::register(farm.client.server(), Some(TEN_TILES_A_SECOND)).await?;
     let mut times = Vec::new();
@@ -78,14 +78,14 @@ pub(super) async fn claim(farm: &BenchFarm) -> anyhow::Result<Times> {
     Ok(Times::new(times))
 }
 
-/// Work done in the measured time.
+/// Result of the measured time.
 pub(super) struct Throughput {
     pub(super) tiles_per_second: f64,
     pub(super) status_per_second: f64,
     pub(super) status: Times,
 }
 
-/// Lets workers claim and complete tiles for the given time while clients read jobs.
+/// Measures how fast workers claim and complete tiles while clients read jobs.
 pub(super) async fn work(farm: &Arc<BenchFarm>, workers: u32, time: Duration) -> anyhow::Result<Throughput> {
     let (tiles, over) = (Arc::new(AtomicU64::new(0)), Arc::new(AtomicBool::new(false)));
     let mut working = JoinSet::new();
