@@ -16,13 +16,13 @@ noise. This page is made from the code:
 
 /// Objects in the light: a ball, a column and a thin pole on a floor in front of a wall.
 const OBJECTS: &str = r#"
-    { "shape": { "translate": { "by": [-0.55, -0.62, 0.5], "child": { "sphere": { "radius": 0.63 } } } }, "material": "grey" },
+    { "shape": { "translate": { "by": [-0.55, -0.62, 0.5], "child": { "sphere": { "radius": 0.63 } } } }, "material": "gray" },
     { "shape": { "translate": { "by": [0.75, -0.35, -0.35],
         "child": { "rotate": { "degrees": [0, 28, 0], "child": { "box": { "size": [0.7, 1.8, 0.7], "round": 0.03 } } } } } },
-      "material": "grey" },
-    { "shape": { "capsule": { "a": [1.45, -1.25, 0.75], "b": [1.45, -0.1, 0.75], "radius": 0.05 } }, "material": "grey" },
-    { "shape": { "plane": { "normal": [0, 1, 0], "offset": -1.25 } }, "material": "grey" },
-    { "shape": { "plane": { "normal": [0, 0, 1], "offset": -2.2 } }, "material": "grey" }"#;
+      "material": "gray" },
+    { "shape": { "capsule": { "a": [1.45, -1.25, 0.75], "b": [1.45, -0.1, 0.75], "radius": 0.05 } }, "material": "gray" },
+    { "shape": { "plane": { "normal": [0, 1, 0], "offset": -1.25 } }, "material": "gray" },
+    { "shape": { "plane": { "normal": [0, 0, 1], "offset": -2.2 } }, "material": "gray" }"#;
 
 pub(crate) fn page() -> Page {
     let schema = scene::schema();
@@ -34,7 +34,7 @@ pub(crate) fn page() -> Page {
             &format!(
                 r#""camera": {{ "position": [2.2, 1.5, 4.6], "look_at": [0.05, -0.45, 0], "fov": 38 }},
             "background": {{ "day": {{ "sun": [-0.55, 0.5, 0.6] }} }}, "lights": [{}],
-            "materials": {{ "grey": {{ "diffuse": {{ "kd": [0.72, 0.72, 0.72], "ambient": [0.012, 0.013, 0.016] }} }} }},
+            "materials": {{ "gray": {{ "diffuse": {{ "kd": [0.72, 0.72, 0.72], "ambient": [0.012, 0.013, 0.016] }} }} }},
             "objects": [{OBJECTS}]"#,
                 example.json
             ),
