@@ -36,6 +36,7 @@ use crate::values::{Coordinate, LengthOrZero};
 
 /// A point or an offset in the plane, in scene units.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
+#[schemars(rename = "PlanePoint")]
 pub struct Point2(pub Coordinate, pub Coordinate);
 
 impl Point2 {

@@ -235,7 +235,7 @@ fn an_invalid_texture_is_rejected_with_pointer_and_fix() {
         (metallic("2"), "/surface/metallic", "a fraction from 0 to 1"),
         (metallic(r#"{ "bricks": {} }"#), "/surface/metallic", r#"{"low": …, "high": …, "by": {"bricks": …}}"#),
         (metallic(r#"{ "low": 0, "high": 2, "by": { "bricks": {} } }"#), "/surface/metallic/high", "from 0 to 1"),
-        (metallic(r#"{ "low": 0, "by": { "bricks": {} } }"#), "/surface/metallic", "missing field `high`"),
+        (metallic(r#"{ "low": 0, "by": { "bricks": {} } }"#), "/surface/metallic", "lacks the key `high`"),
     ];
     for (material, pointer, message) in cases {
         let (got, words) = fault(&material);

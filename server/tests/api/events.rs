@@ -177,7 +177,7 @@ async fn a_subscriber_receives_a_retry_and_its_end() {
     fail(&farm).await;
     let failed = story(&farm, posted.id, None).await;
     assert!(matches!(events(&failed).last(), Some(JobEvent::State(event))
-        if event.state == JobState::Failed && event.errors[0].contains("no good")));
+        if event.state == JobState::Failed && event.errors[0].contains("the renderer failed")));
     let _: JobView = read(farm.post(&format!("/v1/jobs/{}/retry", posted.id), "").await, StatusCode::OK).await;
     farm.worker("good").await.work_off().await;
     let whole = story(&farm, posted.id, None).await;
