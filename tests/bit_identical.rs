@@ -194,7 +194,7 @@ fn assert_read_alike(specimens: &[Specimen]) {
     }
     match positions.into_iter().collect::<Option<Vec<usize>>>() {
         Some(positions) => {
-            assert!(positions.iter().sum::<usize>() > 10_000, "only {positions:?} positions were compared")
+            assert!(positions.iter().sum::<usize>() > 10_000, "only {positions:?} positions were compared");
         }
         None => eprintln!("skipped: no Python with OpenEXR to apply the matrices of the headers"),
     }

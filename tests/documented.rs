@@ -91,7 +91,10 @@ fn examples_of_the_api_page_print_the_documented_output() {
     // A rejected request ends the script and prints the problem.
     let mut script = "set -eo pipefail\ncurl() { command curl --fail-with-body \"$@\"; }\n".to_owned();
     for line in &lines {
-        script += &format!("{}\necho; echo '{MARK}'\n", line.replace(ADDRESS, &farm.address));
+        script += &line.replace(ADDRESS, &farm.address);
+        script += "\necho; echo '";
+        script += MARK;
+        script += "'\n";
     }
     let output = finish(
         {

@@ -18,7 +18,7 @@ fn pages() -> Vec<(PathBuf, String)> {
             let (path, name) = (entry.path(), entry.file_name().to_string_lossy().into_owned());
             if path.is_dir() && !name.starts_with('.') && !SKIPPED.contains(&&*name) {
                 folders.push(path);
-            } else if name.ends_with(".md") {
+            } else if path.extension().is_some_and(|extension| extension == "md") {
                 let text = fs::read_to_string(&path).expect("a page is text");
                 found.push((path.strip_prefix(root()).expect("under the root").to_owned(), text));
             }
@@ -140,12 +140,8 @@ fn broken_tables_and_links_are_found() {
 fn operations_page_lists_exactly_the_flags_of_serve() {
     let page = fs::read_to_string(root().join("docs/operations.md")).expect("there");
     let help = crate::support::succeed(&["serve", "--help"]);
-    let table: String = page
-        .lines()
-        .skip_while(|line| !line.starts_with("| `serve` |"))
-        .take_while(|line| line.starts_with('|'))
-        .map(|line| format!("{line}\n"))
-        .collect();
+    let rows = page.lines().skip_while(|line| !line.starts_with("| `serve` |"));
+    let table = rows.take_while(|line| line.starts_with('|')).collect::<Vec<_>>().join("\n");
     let flags = |text: &str| -> BTreeSet<String> {
         let words = text.split(|letter: char| !letter.is_ascii_lowercase() && letter != '-');
         words.filter(|word| word.starts_with("--") && word.len() > 3).map(str::to_owned).collect()

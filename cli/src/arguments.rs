@@ -37,7 +37,7 @@ impl ServerArguments {
 /// Credentials for calling the server.
 #[derive(Clone, Debug, Args)]
 pub(crate) struct AuthArguments {
-    /// API key, as printed by `sdfarm key new`; prefer SDFARM_KEY, because process lists show arguments.
+    /// API key, as printed by `sdfarm key new`; prefer the variable, because process lists show arguments.
     #[arg(long, value_name = "KEY", env = "SDFARM_KEY", hide_env_values = true)]
     key: Option<Secret>,
     /// CA certificates (PEM) to trust for https servers [default: the system's].

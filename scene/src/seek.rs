@@ -42,6 +42,7 @@ pub(crate) struct SeekError {
     pub message: String,
 }
 
+#[expect(clippy::unnecessary_box_returns, reason = "results hold it in a box, so that they are small")]
 impl SeekError {
     /// Error at the value itself.
     pub(crate) fn new(message: impl Into<String>) -> Box<Self> {

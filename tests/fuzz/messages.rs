@@ -24,7 +24,7 @@ fn try_job_files(effort: Effort) {
         }
         Err(scene::ParseError::NotJson(fault)) => assert!(!fault.message.is_empty()),
         Err(scene::ParseError::Invalid(faults)) => {
-            assert!(!faults.is_empty() && faults.iter().all(|fault| fault.line > 0))
+            assert!(!faults.is_empty() && faults.iter().all(|fault| fault.line > 0));
         }
     });
 }

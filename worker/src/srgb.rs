@@ -1,5 +1,5 @@
 //! Linear light to sRGB for whole rows, with the widest vectors of this CPU; bit-identical to
-//! [`Grade::apply`] and [`srgb_from_linear`].
+//! [`DisplayTransform::apply`] and [`srgb_from_linear`].
 
 use fearless_simd::{Level, Simd as Token};
 use scene::color::{DisplayTransform, srgb_from_linear};

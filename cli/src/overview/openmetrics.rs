@@ -1,4 +1,4 @@
-//! Parser of metrics in the OpenMetrics format: names, labels, values. Unreadable lines are skipped.
+//! Parser of metrics in the `OpenMetrics` format: names, labels, values. Unreadable lines are skipped.
 
 /// One sample: a metric's name, labels and value.
 #[derive(Clone, Debug, PartialEq)]

@@ -1,6 +1,6 @@
 //! The two view matrices that OpenEXR files store.
 //!
-//! Both multiply row vectors, `p · M`, and store rows one after another, as OpenEXR and RenderMan do:
+//! Both multiply row vectors, `p · M`, and store rows one after another, as OpenEXR does:
 //! OpenEXR, "Standard Attributes", <https://openexr.com/en/latest/StandardAttributes.html>.
 
 use super::{Project, View};

@@ -221,7 +221,6 @@ projections![
 
 impl Projection {
     /// Whether it is the default projection.
-    #[expect(clippy::trivially_copy_pass_by_ref, reason = "serde passes a reference")]
     pub(super) fn is_default(&self) -> bool {
         *self == Self::default()
     }

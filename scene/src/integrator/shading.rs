@@ -151,6 +151,7 @@ impl Integrator<'_> {
     }
 
     /// Sum of a function of the materials at a hit of an object, weighted by their material weights.
+    #[expect(clippy::too_many_arguments, reason = "a hit, how it was reached, and the four parts of a sum")]
     #[inline(always)]
     fn blend<R: Real, T: Bundle<R>>(
         &self,

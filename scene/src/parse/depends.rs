@@ -44,10 +44,10 @@ fn needed(pointer: &str) -> Vec<Needed> {
                     _ => break,
                 };
                 let (inside, below) = rest.split_at(length);
-                inside.iter().for_each(|step| {
+                for step in inside {
                     node.push('/');
                     node.push_str(step);
-                });
+                }
                 rest = below;
             }
             match rest {

@@ -119,8 +119,8 @@ pub(super) fn nearest<'a>(name: &str, known: &[&'a str]) -> Option<&'a str> {
     if let Some(same) = known.iter().find(same) {
         return Some(same);
     }
-    let meant = SYNONYMS.iter().filter(|(theirs, _)| *theirs == plain || theirs.replace('_', "") == plain);
-    if let Some(ours) = meant.filter_map(|(_, ours)| known.iter().find(|known| *known == ours)).next() {
+    let mut meant = SYNONYMS.iter().filter(|(theirs, _)| *theirs == plain || theirs.replace('_', "") == plain);
+    if let Some(ours) = meant.find_map(|(_, ours)| known.iter().find(|known| *known == ours)) {
         return Some(ours);
     }
     let most = (plain.chars().count() / 3).max(1);

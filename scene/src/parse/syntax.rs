@@ -17,17 +17,14 @@ pub(super) fn fault(text: &str, error: &serde_json::Error) -> ValidationError {
     let lines = LineIndex::new(text);
     let reached = lines.offset(error.line(), error.column());
     // Serde did not stop at an oddity after its own position.
-    match first_oddity(text).filter(|oddity| oddity.offset <= reached + 1) {
-        Some(SyntaxOddity { offset, message }) => lines.fault(offset, String::new(), message),
-        None => {
-            let (line, column) = (error.line() as u32, error.column().max(1) as u32);
-            ValidationError {
-                pointer: String::new(),
-                message: words(&super::form::strip_position(&error.to_string())),
-                line,
-                column,
-            }
-        }
+    if let Some(SyntaxOddity { offset, message }) = first_oddity(text).filter(|oddity| oddity.offset <= reached + 1) {
+        return lines.fault(offset, String::new(), message);
+    }
+    ValidationError {
+        pointer: String::new(),
+        message: words(&super::form::strip_position(&error.to_string())),
+        line: error.line() as u32,
+        column: error.column().max(1) as u32,
     }
 }
 

@@ -48,14 +48,16 @@ fn color_of_255(value: &Value, pointer: &mut String, is_reflectance: bool) -> Op
                 return (is_whole && is_large).then(|| (pointer.clone(), [r, g, b]));
             }
             entries.iter().enumerate().find_map(|(index, entry)| {
-                pointer.push_str(&format!("/{index}"));
+                pointer.push('/');
+                pointer.push_str(&index.to_string());
                 let found = color_of_255(entry, pointer, is_reflectance);
                 pointer.truncate(length);
                 found
             })
         }
         Value::Object(members) => members.iter().find_map(|(key, value)| {
-            pointer.push_str(&format!("/{key}"));
+            pointer.push('/');
+            pointer.push_str(key);
             let found = color_of_255(value, pointer, REFLECTANCES.contains(&key.as_str()));
             pointer.truncate(length);
             found
@@ -84,7 +86,7 @@ fn rotation_in_radians(node: &Node, pointer: &mut String) -> Option<String> {
         && let Some(angles) = angles_of(node).filter(|angles| are_radians(angles))
     {
         let degrees: Vec<String> = angles.iter().map(|angle| format!("{}", angle.to_degrees().round())).collect();
-        let angles: Vec<String> = angles.iter().map(|angle| angle.to_string()).collect();
+        let angles: Vec<String> = angles.iter().map(ToString::to_string).collect();
         return Some(format!(
             "{pointer}/rotate/degrees is [{}], which looks like radians: write [{}], the degrees",
             angles.join(", "),

@@ -23,7 +23,7 @@ pub(super) fn apply(file: &str, patch: &[u8]) -> Result<String, ApiError> {
         ));
     }
     let file: Option<Box<RawValue>> = serde_json::from_str(file).ok();
-    merged(file, &patch, 0).map(|merged| merged.get().to_owned())
+    merged(file.as_deref(), &patch, 0).map(|merged| merged.get().to_owned())
 }
 
 /// The members of an object; `None` for anything else.
@@ -31,7 +31,7 @@ fn members(value: &RawValue) -> Option<Members> {
     value.get().starts_with('{').then(|| serde_json::from_str(value.get()).ok()).flatten()
 }
 
-fn merged(target: Option<Box<RawValue>>, patch: &RawValue, depth: usize) -> Result<Box<RawValue>, ApiError> {
+fn merged(target: Option<&RawValue>, patch: &RawValue, depth: usize) -> Result<Box<RawValue>, ApiError> {
     let Some(changes) = members(patch) else { return Ok(patch.to_owned()) };
     if depth == MAX_DEPTH {
         return Err(body::invalid_body(
@@ -39,13 +39,13 @@ fn merged(target: Option<Box<RawValue>>, patch: &RawValue, depth: usize) -> Resu
             format!("nested deeper than {MAX_DEPTH} objects: submit a new job file instead"),
         ));
     }
-    let mut target = target.as_deref().and_then(members).unwrap_or_default();
+    let mut target = target.and_then(members).unwrap_or_default();
     for (key, change) in changes {
         if change.get() == "null" {
             target.remove(&key);
         } else {
             let before = target.remove(&key);
-            target.insert(key, merged(before, &change, depth + 1)?);
+            target.insert(key, merged(before.as_deref(), &change, depth + 1)?);
         }
     }
     serde_json::value::to_raw_value(&target).map_err(|error| ApiError::Internal(Box::new(error)))
@@ -74,7 +74,7 @@ mod tests {
             (r#"{"a":[{"b":"c"}]}"#, r#"{"a":[1]}"#, r#"{"a":[1]}"#),
             (r#"["a","b"]"#, r#"{"a":"b"}"#, r#"{"a":"b"}"#),
             (r#"{"e":null}"#, r#"{"a":1}"#, r#"{"e":null,"a":1}"#),
-            (r#"[1,2]"#, r#"{"a":"b","c":null}"#, r#"{"a":"b"}"#),
+            (r"[1,2]", r#"{"a":"b","c":null}"#, r#"{"a":"b"}"#),
             ("{}", r#"{"a":{"bb":{"ccc":null}}}"#, r#"{"a":{"bb":{}}}"#),
         ] {
             let wanted: serde_json::Value = serde_json::from_str(wanted).expect("JSON");

@@ -177,7 +177,7 @@ impl Queue {
         .bind(submitter)
         .bind(text)
         .bind(is_part)
-        .bind(id.len() as i64)
+        .bind(i64::try_from(id.len()).expect("the name of a job is short"))
         .bind(&id)
         .bind(limit)
         .fetch_all(self.readers())

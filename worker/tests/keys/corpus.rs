@@ -136,7 +136,9 @@ fn surroundings() -> Vec<Value> {
     add("ambient_occlusion", json!({ "distance": 1.5, "strength": 0.8 }));
     let with = |more: &[(&str, Value)]| {
         let mut camera = camera();
-        more.iter().for_each(|(key, value)| camera[key] = value.clone());
+        for (key, value) in more {
+            camera[key] = value.clone();
+        }
         camera
     };
     add("camera", with(&[("projection", json!("perspective"))]));

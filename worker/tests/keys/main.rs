@@ -134,7 +134,7 @@ fn fields_without_effect_on_bytes_change_no_key() {
 fn different_pictures_have_different_kernels_or_uniforms() {
     let source = |job: &Value| KernelSource::new(&scene::parse(job.to_string().as_bytes()).unwrap().at(FRAME).unwrap());
     let jobs = corpus::jobs();
-    let mut seen: BTreeMap<(String, Vec<u32>), (&Value, Vec<u32>)> = BTreeMap::new();
+    let mut seen = BTreeMap::new();
     let renderer = CpuRenderer::new(Some(1), Simd::Auto).unwrap();
     for job in &jobs {
         let program = source(job);

@@ -125,7 +125,7 @@ fn job_file(size_bytes: usize) -> String {
     );
     let mut shapes = 0;
     while text.len() < size_bytes {
-        let material = if shapes / SHAPES_PER_OBJECT % 2 == 0 { "clay" } else { "steel" };
+        let material = if (shapes / SHAPES_PER_OBJECT).is_multiple_of(2) { "clay" } else { "steel" };
         let separator = if shapes == 0 { "" } else { "," };
         write!(
             text,
