@@ -80,7 +80,7 @@ pub(super) async fn sign(
     params(
         ("id" = String, Path, description = "The job"),
         ("frame" = u32, Path, description = "The frame, from 0"),
-        ("shown" = String, Path, description = "`image` or `preview`"),
+        ("content" = String, Path, description = "`image` or `preview`"),
         ("expires" = i64, Query, description = "Expiry of the link, in seconds since 1970"),
         ("signature" = String, Query, description = "Signature of the link"),
     ),

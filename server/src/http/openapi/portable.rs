@@ -36,7 +36,8 @@ pub(super) fn rewrite(document: &mut Value) {
         if let Some(body) = operation.get_mut("requestBody") {
             body["required"] = has_body.into();
         }
-        for parameter in operation["parameters"].as_array_mut().into_iter().flatten() {
+        // Indexing mutably would add a missing member, as null.
+        for parameter in operation.get_mut("parameters").and_then(Value::as_array_mut).into_iter().flatten() {
             if let Some((_, words)) = WORDS.iter().find(|(name, _)| parameter["name"] == *name) {
                 parameter["schema"] = json!({ "$ref": format!("#/components/schemas/{words}") });
             }
@@ -47,7 +48,7 @@ pub(super) fn rewrite(document: &mut Value) {
             }
         }
         for answer in operation["responses"].as_object_mut().into_iter().flat_map(Map::values_mut) {
-            for (media_type, content) in answer["content"].as_object_mut().into_iter().flatten() {
+            for (media_type, content) in answer.get_mut("content").and_then(Value::as_object_mut).into_iter().flatten() {
                 content_of(media_type, content);
             }
         }
@@ -86,6 +87,7 @@ mod tests {
                 assert_eq!(operation["requestBody"]["required"], id != "resubmit_job", "{id}");
             }
             for (status, answer) in operation["responses"].as_object().expect("responses") {
+                assert!(answer.get("content").is_none_or(Value::is_object), "{id}: content of {status} is not an object");
                 let Some(content) = answer["content"].as_object() else { continue };
                 assert_eq!(content.len(), 1, "{id} has several types for {status}");
                 for (media_type, content) in content {
@@ -94,6 +96,7 @@ mod tests {
                     assert_ne!(content["schema"]["type"], "array", "{id}: {media_type}");
                 }
             }
+            assert!(operation.get("parameters").is_none_or(Value::is_array), "{id}: parameters are not a list");
             for parameter in operation["parameters"].as_array().into_iter().flatten() {
                 let schema = &parameter["schema"];
                 assert!(schema["type"].is_string() || schema["$ref"].is_string(), "{id}: {parameter}");
