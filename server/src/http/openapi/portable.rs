@@ -48,7 +48,8 @@ pub(super) fn rewrite(document: &mut Value) {
             }
         }
         for answer in operation["responses"].as_object_mut().into_iter().flat_map(Map::values_mut) {
-            for (media_type, content) in answer.get_mut("content").and_then(Value::as_object_mut).into_iter().flatten() {
+            for (media_type, content) in answer.get_mut("content").and_then(Value::as_object_mut).into_iter().flatten()
+            {
                 content_of(media_type, content);
             }
         }
@@ -87,7 +88,10 @@ mod tests {
                 assert_eq!(operation["requestBody"]["required"], id != "resubmit_job", "{id}");
             }
             for (status, answer) in operation["responses"].as_object().expect("responses") {
-                assert!(answer.get("content").is_none_or(Value::is_object), "{id}: content of {status} is not an object");
+                assert!(
+                    answer.get("content").is_none_or(Value::is_object),
+                    "{id}: content of {status} is not an object"
+                );
                 let Some(content) = answer["content"].as_object() else { continue };
                 assert_eq!(content.len(), 1, "{id} has several types for {status}");
                 for (media_type, content) in content {
