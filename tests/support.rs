@@ -15,7 +15,7 @@ use tempfile::TempDir;
 /// The binary under test.
 pub(crate) const PROGRAM: &str = env!("CARGO_BIN_EXE_sdfarm");
 /// Deadline of all waits, longer than any step needs on a slow machine.
-pub(crate) const DEADLINE: Duration = Duration::from_mins(5);
+pub(crate) const DEADLINE: Duration = Duration::from_mins(15);
 const POLL_INTERVAL: Duration = Duration::from_millis(5);
 
 /// Polls until there is a value; panics at the deadline.

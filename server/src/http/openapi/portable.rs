@@ -60,6 +60,9 @@ pub(super) fn rewrite(document: &mut Value) {
 fn content_of(media_type: &str, content: &mut Value) {
     let schema = if media_type.starts_with("image/") || media_type == "application/zip" {
         json!({ "type": "string", "format": "binary" })
+    } else if media_type == "text/event-stream" {
+        // Readers disagree on whether a schema is that of the text or of each event.
+        json!({})
     } else if media_type.starts_with("text/") {
         json!({ "type": "string" })
     } else if media_type == "application/schema+json" {
