@@ -263,7 +263,9 @@ fn sql_places(sql: &str) -> Vec<(usize, &'static str, &'static str)> {
             let before = &sql[..at];
             let is_assignment = from == " = "
                 && before.rfind("SET ").is_some_and(|set| {
-                    ["WHERE", "FROM", " ON ", "RETURNING"].iter().all(|word| before.rfind(word).is_none_or(|at| at < set))
+                    ["WHERE", "FROM", " ON ", "RETURNING"]
+                        .iter()
+                        .all(|word| before.rfind(word).is_none_or(|at| at < set))
                 });
             let is_negated = from == " EXISTS " && before.ends_with("NOT");
             // A partial index that a statement names has to fit its condition.
@@ -293,7 +295,8 @@ impl Finder {
 
     fn is_in(&self, span: Span) -> bool {
         let (start, end) = (span.start(), span.end());
-        (start.line, start.column + 1) <= (self.line, self.column) && (self.line, self.column) <= (end.line, end.column + 1)
+        (start.line, start.column + 1) <= (self.line, self.column)
+            && (self.line, self.column) <= (end.line, end.column + 1)
     }
 }
 
@@ -323,5 +326,4 @@ impl<'ast> Visit<'ast> for Finder {
         }
         visit::visit_expr_if(self, expr);
     }
-
 }

@@ -105,8 +105,14 @@ fn tests(tree: &Path) -> (Vec<Binary>, Vec<Test>) {
             .find(|message| {
                 let target = &message["target"];
                 message["profile"]["test"] == true
-                    && if name == "lib" { target["kind"][0] == "lib" } else { target["kind"][0] == "test" && target["name"] == name }
-                    && message["manifest_path"].as_str().is_some_and(|path| path.ends_with(&format!("/{package}/Cargo.toml")))
+                    && if name == "lib" {
+                        target["kind"][0] == "lib"
+                    } else {
+                        target["kind"][0] == "test" && target["name"] == name
+                    }
+                    && message["manifest_path"]
+                        .as_str()
+                        .is_some_and(|path| path.ends_with(&format!("/{package}/Cargo.toml")))
             })
             .unwrap_or_else(|| panic!("{line}: it was not built"));
         let binary = Binary {
@@ -116,7 +122,11 @@ fn tests(tree: &Path) -> (Vec<Binary>, Vec<Test>) {
         };
         let mut list = Command::new(&binary.path);
         list.args(["--list", "--format", "terse"]).args(filters).current_dir(&binary.folder);
-        for test in String::from_utf8(list.output().expect("it was built").stdout).expect("names").lines().filter_map(|line| line.strip_suffix(": test")) {
+        for test in String::from_utf8(list.output().expect("it was built").stdout)
+            .expect("names")
+            .lines()
+            .filter_map(|line| line.strip_suffix(": test"))
+        {
             let (took, reached) = (Duration::ZERO, BTreeSet::new());
             tests.push(Test { binary: binaries.len(), name: test.to_owned(), took, reached });
         }
@@ -189,7 +199,11 @@ fn choose(mutants: Vec<Mutant>, sample: usize) -> Vec<Mutant> {
     let even = |mutants: Vec<Mutant>| {
         let count = mutants.len();
         let keep = move |index: usize| index * sample / count != (index + 1) * sample / count;
-        mutants.into_iter().enumerate().filter(move |(index, _)| count <= sample || keep(*index)).map(|(_, mutant)| mutant)
+        mutants
+            .into_iter()
+            .enumerate()
+            .filter(move |(index, _)| count <= sample || keep(*index))
+            .map(|(_, mutant)| mutant)
     };
     areas.into_values().flat_map(even).collect()
 }
@@ -215,10 +229,9 @@ pub fn run(tree: &Path, jobs: usize, sample: usize) {
             Some(((file.to_owned(), what.to_owned()), reason.to_owned()))
         })
         .collect();
-    let (equivalent, mutants): (Vec<_>, Vec<_>) =
-        choose(mutants.collect(), sample).into_iter().partition(|mutant| {
-            reasons.contains_key(&(mutant.file.clone(), mutant.what.clone()))
-        });
+    let (equivalent, mutants): (Vec<_>, Vec<_>) = choose(mutants.collect(), sample)
+        .into_iter()
+        .partition(|mutant| reasons.contains_key(&(mutant.file.clone(), mutant.what.clone())));
     let mut counts: BTreeMap<String, [usize; 3]> = BTreeMap::new();
     for mutant in &equivalent {
         counts.entry(mutant.area.clone()).or_default()[2] += 1;
@@ -234,7 +247,8 @@ pub fn run(tree: &Path, jobs: usize, sample: usize) {
             "MISSED, not reached"
         });
         let Mutant { number, file, line, what, .. } = &mutant;
-        writeln!(log.lock().expect("no panic"), "{number}\t{file}:{line}\t{what}\t{words}").expect("the disk has space");
+        writeln!(log.lock().expect("no panic"), "{number}\t{file}:{line}\t{what}\t{words}")
+            .expect("the disk has space");
         (by.is_some(), mutant)
     });
     for (caught, mutant) in &results {
