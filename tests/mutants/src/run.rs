@@ -224,7 +224,7 @@ pub fn run(tree: &Path, jobs: usize, sample: usize) {
         .unwrap_or_default()
         .lines()
         .filter_map(|line| {
-            let (mutant, reason) = line.split_once(" | ")?;
+            let (mutant, reason) = line.rsplit_once(" | ")?;
             let (file, what) = mutant.split_once(' ')?;
             Some(((file.to_owned(), what.to_owned()), reason.to_owned()))
         })
