@@ -60,11 +60,15 @@ impl JobAtFrame<'_> {
 
     /// Hash of everything that decides the frame's pixels.
     pub fn pixels_cache_key(&self) -> blake3::Hash {
+        self.pixels_key_of_version(PICTURE_VERSION)
+    }
+
+    fn pixels_key_of_version(&self, version: u32) -> blake3::Hash {
         // Without `..`, so that a new field does not compile until it is handled here and in `cache_key`.
         let Image { width, height, samples, seed, layers, format: _, bits: _, precision: _, exposure: _, tone_map: _ } =
             self.image();
         hash(&CanonicalPixels {
-            version: PICTURE_VERSION,
+            version,
             scene: self.scene(),
             width: *width,
             height: *height,
@@ -114,6 +118,36 @@ mod tests {
         let a = job(r#""a": { "flat": { "color": [1, 0, 0] } }"#, "a", 1.0, 4);
         let b = job(r##""x": { "normals": {} }, "b": { "flat": { "color": "#ff0000" } }"##, "b", 1.0, 4);
         assert_eq!(a.cache_key(0), b.cache_key(0));
+    }
+
+    #[test]
+    fn each_setting_of_the_image_changes_the_cache_key() {
+        let png = job(r#""a": { "flat": { "color": [1, 0, 0] } }"#, "a", 1.0, 4);
+        let mut exr = png.clone();
+        exr.image.format = Format::Exr;
+        let changes: [(&Job, fn(&mut Image)); 10] = [
+            (&png, |image| image.width = 9),
+            (&png, |image| image.height = 9),
+            (&png, |image| image.samples = 5),
+            (&png, |image| image.seed = 1),
+            (&png, |image| image.bits = Bits::Sixteen),
+            (&png, |image| image.tone_map = ToneMap::Filmic),
+            (&png, |image| image.format = Format::Exr),
+            (&exr, |image| image.layers = vec![Layer::Depth]),
+            (&exr, |image| image.layers = vec![Layer::Normal]),
+            (&exr, |image| image.precision = Precision::Float),
+        ];
+        let mut keys = vec![png.cache_key(0), png.cache_key(1)];
+        for (job, change) in changes {
+            let mut changed = job.clone();
+            change(&mut changed.image);
+            keys.push(changed.cache_key(0));
+        }
+        let distinct: std::collections::HashSet<_> = keys.iter().collect();
+        assert_eq!(distinct.len(), keys.len());
+        let still = png.at(0).unwrap();
+        assert_eq!(still.pixels_cache_key(), still.pixels_key_of_version(PICTURE_VERSION));
+        assert_ne!(still.pixels_cache_key(), still.pixels_key_of_version(PICTURE_VERSION + 1));
     }
 
     #[test]

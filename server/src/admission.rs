@@ -128,11 +128,15 @@ impl Admission {
                 () = end.cancelled() => return,
                 () = tokio::time::sleep(PRUNE_INTERVAL) => {}
             }
-            for limiter in [&self.address_limiter, &self.rejection_limiter] {
-                if limiter.len() > MAX_TRACKED_ADDRESSES {
-                    limiter.retain_recent();
-                    limiter.shrink_to_fit();
-                }
+            self.remove_idle_addresses();
+        }
+    }
+
+    fn remove_idle_addresses(&self) {
+        for limiter in [&self.address_limiter, &self.rejection_limiter] {
+            if limiter.len() > MAX_TRACKED_ADDRESSES {
+                limiter.retain_recent();
+                limiter.shrink_to_fit();
             }
         }
     }
@@ -187,6 +191,26 @@ mod tests {
         assert_eq!((refusal.per_second, refusal.retry_seconds), (20, 1));
         assert!(doors.count_rejection(Some(ELSEWHERE)).is_ok());
         assert!((0..100).all(|_| doors.count_rejection(None).is_ok()));
+    }
+
+    #[tokio::test]
+    async fn idle_addresses_are_removed_if_there_are_many() {
+        let (doors, _folder) = doors().await;
+        let count = || [doors.address_limiter.len(), doors.rejection_limiter.len()];
+        let address = |number: u32| Some(IpAddr::V4(Ipv4Addr::from_bits((10 << 24) + number)));
+        for number in 0..10_000 {
+            doors.admit(None, address(number), true).expect("its first request");
+        }
+        doors.count_rejection(address(0)).expect("its first rejection");
+        // An address that sent one request is idle after 1 ms.
+        let idle = Duration::from_millis(50);
+        tokio::time::sleep(idle).await;
+        doors.remove_idle_addresses();
+        assert_eq!(count(), [10_000, 1]);
+        doors.admit(None, address(10_000), true).expect("its first request");
+        tokio::time::sleep(idle).await;
+        doors.remove_idle_addresses();
+        assert_eq!(count(), [0, 1]);
     }
 
     #[test]

@@ -7,6 +7,8 @@ mod key;
 mod offline;
 mod rows;
 mod secret;
+#[cfg(test)]
+mod tests;
 
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, RwLock};

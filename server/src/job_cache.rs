@@ -115,3 +115,36 @@ impl JobCache {
         kept.iter().find(|kept| kept.number == number).map(|kept| Arc::clone(&kept.job))
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Caches jobs with these numbers and sizes; returns the numbers of those that are cached afterwards.
+    fn cached(inserted: &[(i64, usize)]) -> Vec<i64> {
+        let text = r#"{ "scene": { "camera": { "position": [0, 0, 3], "look_at": [0, 0, 0] },
+                        "objects": [{ "shape": { "sphere": { "radius": 1 } } }] },
+                        "image": { "width": 8, "height": 8 } }"#;
+        let job = scene::parse(text.as_bytes()).expect("a valid job");
+        let cache = JobCache::new();
+        let jobs: Vec<_> = inserted.iter().map(|&(number, _)| (number, Arc::new(job.clone()))).collect();
+        for (&(number, text_bytes), (_, job)) in inserted.iter().zip(&jobs) {
+            cache.insert(number, text_bytes, Arc::clone(job));
+        }
+        let is_cached = |(number, job): &(i64, Arc<scene::Job>)| {
+            let found = cache.find(*number);
+            assert!(found.as_ref().is_none_or(|found| Arc::ptr_eq(found, job)), "job {number} is another");
+            found.is_some().then_some(*number)
+        };
+        jobs.iter().filter_map(is_cached).collect()
+    }
+
+    #[test]
+    fn the_newest_jobs_are_cached_up_to_a_number_and_a_size() {
+        let small: Vec<_> = (1..=9).map(|number| (number, 100)).collect();
+        assert_eq!(cached(&small), [2, 3, 4, 5, 6, 7, 8, 9]);
+        assert_eq!(cached(&[(1, 5 << 20), (2, 3 << 20)]), [1, 2]);
+        assert_eq!(cached(&[(1, 5 << 20), (2, 3 << 20), (3, 1)]), [2, 3]);
+        assert_eq!(cached(&[(1, 100), (2, 9 << 20)]), [2], "a single job may be larger");
+    }
+}

@@ -15,8 +15,7 @@ pub(crate) fn connection_limit(wanted: u32) -> usize {
     }
     // An unlimited number is reported as `None`.
     let files = if raised.is_ok() { maximum } else { current }.unwrap_or(u64::MAX);
-    let room = files.saturating_sub(RESERVED_FILES).max(files / 2);
-    let connections = room.min(wanted.into());
+    let connections = room(files).min(wanted.into());
     if connections < wanted.into() {
         tracing::warn!(
             connections,
@@ -26,4 +25,22 @@ pub(crate) fn connection_limit(wanted: u32) -> usize {
         );
     }
     usize::try_from(connections).unwrap_or(usize::MAX)
+}
+
+/// Number of connections for which a limit of open files leaves room: at least half of it.
+fn room(files: u64) -> u64 {
+    files.saturating_sub(RESERVED_FILES).max(files / 2)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn some_files_are_reserved_but_at_most_half() {
+        for (files, connections) in [(0, 0), (100, 50), (1023, 511), (1024, 512), (1025, 513), (20_000, 19_488)] {
+            assert_eq!(room(files), connections, "{files} files");
+        }
+        assert_eq!(connection_limit(1), 1);
+    }
 }

@@ -1,0 +1,100 @@
+//! Tests of API keys with a manual clock: room for more keys, expiry, last use, and reloading.
+
+use super::*;
+use crate::clock::ManualClock;
+
+async fn empty() -> (ApiKeys, ManualClock, tempfile::TempDir) {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let store = Arc::new(Database::open(folder.path()).await.expect("opens"));
+    let (clock, hand) = Clock::manual();
+    (ApiKeys::open(store, clock).await.expect("opens"), hand, folder)
+}
+
+fn new(name: &str) -> NewApiKey {
+    NewApiKey {
+        name: name.to_owned(),
+        scopes: vec![Scope::Admin],
+        expires_in_seconds: None,
+        max_jobs: None,
+        max_rays: None,
+        requests_per_second: None,
+    }
+}
+
+async fn create(keys: &ApiKeys, name: &str) -> IssuedApiKey {
+    keys.create(new(name)).await.expect("a key")
+}
+
+fn live(keys: &ApiKeys, secret: &str) -> Arc<ApiKey> {
+    match keys.find(secret) {
+        KeyLookup::Live(key) => key,
+        other => panic!("{other:?}"),
+    }
+}
+
+#[tokio::test]
+async fn a_farm_has_at_most_1000_keys_without_the_revoked_ones() {
+    let (keys, _, _folder) = empty().await;
+    let numbers = serde_json::json!((1..=1000).collect::<Vec<_>>()).to_string();
+    let insert = "INSERT INTO key (id, name, digest, may_submit, may_read, may_work, may_administer, created_at_ms,
+                      revoked_at_ms)
+                  SELECT 'key_' || value, 'name_' || value, randomblob(32), 0, 0, 0, 1, 0, iif(value = 1, 5, NULL)
+                  FROM json_each(?)";
+    keys.store
+        .write(Durability::Relaxed, move |connection| {
+            Box::pin(async move { Ok(sqlx::query(insert).bind(numbers).execute(connection).await?) })
+        })
+        .await
+        .expect("inserted");
+    keys.refresh().await.expect("read");
+    create(&keys, "last").await;
+    assert!(matches!(keys.create(new("surplus")).await, Err(ApiKeyError::TooMany)));
+}
+
+#[tokio::test]
+async fn a_key_that_expires_makes_room_for_another_one_of_its_name() {
+    let (keys, hand, _folder) = empty().await;
+    create(&keys, "other").await;
+    for _ in 0..2 {
+        keys.create(NewApiKey { expires_in_seconds: Some(1), ..new("anna") }).await.expect("a key");
+    }
+    hand.advance(Duration::from_millis(999));
+    assert!(matches!(keys.create(new("anna")).await, Err(ApiKeyError::TooManyLive { .. })));
+    hand.advance(Duration::from_millis(1));
+    create(&keys, "anna").await;
+}
+
+#[tokio::test]
+async fn last_use_of_a_key_is_stored_once_a_minute() {
+    let (keys, hand, _folder) = empty().await;
+    let (used, _unused) = (create(&keys, "used").await, create(&keys, "unused").await);
+    let stored = async || {
+        keys.write_uses().await.expect("written");
+        let rows = rows::all(keys.store.readers()).await.expect("read");
+        rows.iter().map(|row| row.last_used_at_ms).collect::<Vec<_>>()
+    };
+    assert_eq!(stored().await, [None, None], "newest first");
+    for (after_ms, expected_ms) in [(0, 0), (59_999, 0), (1, 60_000), (30_000, 60_000)] {
+        hand.advance(Duration::from_millis(after_ms));
+        live(&keys, &used.secret);
+        assert_eq!(stored().await, [None, Some(expected_ms)], "{after_ms} ms later");
+    }
+}
+
+#[tokio::test]
+async fn revoking_a_key_ends_only_its_requests() {
+    let (keys, _, _folder) = empty().await;
+    let (first, second) = (create(&keys, "anna").await, create(&keys, "anna").await);
+    let other = create(&keys, "berta").await;
+    let [first_key, second_key, other_key] = [&first, &second, &other].map(|issued| live(&keys, &issued.secret));
+    let revoked = |all: Vec<ApiKeyView>| all.into_iter().map(|key| key.id).collect::<Vec<_>>();
+    assert_eq!(revoked(keys.revoke(&first.key.id).await.expect("revoked")), [&*first.key.id]);
+    let ended = || [&first_key, &second_key, &other_key].map(|key| key.revoked().is_cancelled());
+    assert_eq!(ended(), [true, false, false]);
+    assert!(matches!(keys.find(&first.secret), KeyLookup::Revoked));
+    assert_eq!(revoked(keys.revoke("anna").await.expect("revoked")), [&*second.key.id], "the first is revoked already");
+    assert_eq!(ended(), [true, true, false]);
+    assert!(matches!(keys.revoke("anna").await, Err(ApiKeyError::Unknown(_))));
+    live(&keys, &other.secret);
+    assert_eq!(keys.live(), 1);
+}
