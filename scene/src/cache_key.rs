@@ -122,10 +122,11 @@ mod tests {
 
     #[test]
     fn each_setting_of_the_image_changes_the_cache_key() {
+        type Change = fn(&mut Image);
         let png = job(r#""a": { "flat": { "color": [1, 0, 0] } }"#, "a", 1.0, 4);
         let mut exr = png.clone();
         exr.image.format = Format::Exr;
-        let changes: [(&Job, fn(&mut Image)); 10] = [
+        let changes: [(&Job, Change); 10] = [
             (&png, |image| image.width = 9),
             (&png, |image| image.height = 9),
             (&png, |image| image.samples = 5),

@@ -4,11 +4,13 @@ use std::fs::File;
 use std::io::{BufReader, Read, Seek};
 use std::path::Path;
 
-use anyhow::{Context, bail};
+use anyhow::{Context, bail, ensure};
+use exr::meta::{BlockDescription, MetaData};
 use exr::prelude::{ReadChannels, ReadLayers, Vec2, read};
 use png::{BitDepth, ColorType, Decoder, Limits};
 use scene::Job;
 use scene::color::{DisplayTransform, linear_from_srgb};
+use scene::limits::{MAX_EDGE_PX, MAX_PIXELS};
 
 use super::canvas::{Canvas, DisplayPixel, shown};
 
@@ -57,7 +59,26 @@ fn of_png(input: BufReader<File>, width_px: u32) -> anyhow::Result<Canvas> {
     Ok(canvas)
 }
 
-fn of_exr(input: BufReader<File>, width_px: u32) -> anyhow::Result<Canvas> {
+/// Checks that the header announces an image that a farm writes, because the reader allocates what it announces.
+fn check_exr_size(input: &mut BufReader<File>) -> anyhow::Result<()> {
+    let meta = MetaData::read_from_buffered(&mut *input, false)?;
+    for header in &meta.headers {
+        let mut sizes = vec![header.layer_size];
+        if let BlockDescription::Tiles(tiles) = header.blocks {
+            sizes.push(tiles.tile_size);
+        }
+        for Vec2(width, height) in sizes {
+            let (width, height) = (width as u64, height as u64);
+            let is_valid = width.max(height) <= u64::from(MAX_EDGE_PX) && width * height <= MAX_PIXELS;
+            ensure!(is_valid, "its size is {width}×{height}, which no farm writes");
+        }
+    }
+    input.rewind()?;
+    Ok(())
+}
+
+fn of_exr(mut input: BufReader<File>, width_px: u32) -> anyhow::Result<Canvas> {
+    check_exr_size(&mut input)?;
     let grade = identity_transform();
     let one = move |canvas: &mut Canvas, at: Vec2<usize>, (r, g, b, a): (f32, f32, f32, f32)| {
         let pixel: DisplayPixel = shown([r, g, b, a], grade, false);
