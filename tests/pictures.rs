@@ -5,6 +5,7 @@ use std::process::Command;
 
 use serde_json::Value;
 
+use crate::skip::skip;
 use crate::support::{root, succeed, text};
 
 /// Job of a shipped scene as a small EXR with depth and normals, one sample per pixel.
@@ -34,14 +35,16 @@ fn traced(job: &Value) -> Option<Value> {
 
 #[test]
 fn depth_and_normals_agree_with_an_independent_tracer() {
-    for (name, depth, normals) in [("csg", 0.999, 0.995), ("five-spheres", 0.999, 0.999), ("mandelbulb", 0.99, 0.0)] {
+    // A fractal has no exact normal: its own is the mean over a pixel.
+    let scenes = [("csg", 0.999, Some(0.995)), ("five-spheres", 0.999, Some(0.999)), ("mandelbulb", 0.99, None)];
+    for (name, depth, normals) in scenes {
         let Some(answer) = traced(&small(name)) else {
-            eprintln!("skipped: no Python with numpy and OpenEXR to trace {name}");
+            skip("openexr", format_args!("no Python with numpy and OpenEXR to trace {name}"));
             continue;
         };
         let share = |key: &str| answer[key].as_f64().expect("a share");
         assert!(share("exact_depth") >= depth, "{name}: {answer}");
-        assert!(share("exact_normals") >= normals, "{name}: {answer}");
+        assert!(normals.is_none_or(|normals| share("exact_normals") >= normals), "{name}: {answer}");
         assert!(share("hits") > 1000.0, "{name}: {answer}");
     }
 }
