@@ -72,6 +72,7 @@ fn with(libraries: &[&Path], arguments: &[&str]) -> Command {
     let mut command = sdfarm(arguments);
     command.env("LD_LIBRARY_PATH", std::env::join_paths(libraries).expect("plain"));
     command.env("SDFARM_CACHE", stand_ins().join("cache"));
+    command.env("FAKE_NVRTC_STORE", stand_ins().join(COMPILER));
     for name in ["FAKE_CUDA", "FAKE_CUDA_COUNT", "FAKE_NVRTC", "FAKE_NVRTC_COUNT"] {
         command.env_remove(name);
     }

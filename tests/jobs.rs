@@ -88,9 +88,18 @@ pub(crate) fn quick() -> Value {
     as_png(&sized(&named("csg"), 96, 2))
 }
 
-/// Job with more than 4 Mi rays, the most in one batch of a worker of unknown speed: its frames are stitched.
+/// Job with more than 4 Mi rays, the most in one batch of a worker of unknown speed: its frames are stitched. Its rays
+/// are as cheap as rays can be.
 pub(crate) fn many_rays() -> Value {
-    as_png(&sized(&named("csg"), 288, 100))
+    json!({
+        "scene": {
+            "camera": { "position": [0, 0, 5], "look_at": [0, 0, 0] },
+            "objects": [{ "shape": { "sphere": { "radius": 1 } }, "material": "flat" }],
+            "materials": { "flat": { "flat": { "color": [0.9, 0.3, 0.1] } } },
+            "background": { "gradient": { "bottom": [1, 1, 1], "top": [0.2, 0.5, 1] } },
+        },
+        "image": { "width": 288, "height": 162, "samples": 100 },
+    })
 }
 
 /// Job that no machine finishes during a test.

@@ -150,8 +150,9 @@ impl Drop for Worker {
     }
 }
 
+/// Job whose frames are stitched, and which still runs when the network fails.
 fn job(seed: u64) -> Value {
-    jobs::seeded(&jobs::many_rays(), seed)
+    jobs::seeded(&jobs::as_png(&jobs::sized(&jobs::named("csg"), 288, 100)), seed)
 }
 
 /// Number of expired leases.

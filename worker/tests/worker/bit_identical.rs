@@ -16,7 +16,7 @@ use crate::shipped::{Shipped, shipped};
 const WHOLE: u32 = 65535;
 const SAMPLES: u32 = 2;
 /// Size of the pictures in every run of the tests.
-const SMALL_PX: u32 = 64;
+const SMALL_PX: u32 = 40;
 /// Size of the pictures in the long tests.
 const LARGE_PX: u32 = 128;
 

@@ -70,13 +70,14 @@ fn compare(name: &str, job: &Job) {
     let still = job.at(0).unwrap();
     let program = Integrator::new(&still);
     let rect = Rect::full(job.image.width, job.image.height);
+    let places = (0..rect.height).flat_map(|y| (0..rect.width).map(move |x| (x, y)));
+    let pixels: Vec<_> = places.map(|(x, y)| (x, y, reference(&program, &job.image, x, y))).collect();
     for simd in levels() {
         let renderer = CpuRenderer::new(Some(1), simd).unwrap();
         let run = TileRequest { job, frame: 0, rect };
-        let pixels = renderer.render(&run, &CancelFlag::new(), &|_| ()).unwrap();
-        for (x, y) in (0..rect.height).flat_map(|y| (0..rect.width).map(move |x| (x, y))) {
-            let want = reference(&program, &job.image, x, y);
-            for (plane, want) in pixels.planes.iter().zip(want) {
+        let rendered = renderer.render(&run, &CancelFlag::new(), &|_| ()).unwrap();
+        for (x, y, wanted) in &pixels {
+            for (plane, want) in rendered.planes.iter().zip(wanted) {
                 let got = plane[(y * rect.width + x) as usize];
                 assert!(!got.is_nan(), "{name} by {simd} at ({x}, {y}) is NaN");
                 assert_eq!(got.to_bits(), (want + 0.0).to_bits(), "{name} by {simd} at ({x}, {y}): {got} for {want}");
