@@ -200,6 +200,14 @@ fn shortened(name: &str) -> String {
 mod tests {
     use super::*;
 
+    #[test]
+    fn names_are_compared_in_snake_case() {
+        for name in ["rounded_cylinder", "RoundedCylinder", "rounded-cylinder", "ROUNDED CYLINDER", "Rounded.Cylinder"]
+        {
+            assert_eq!(plain(name), "rounded_cylinder", "{name}");
+        }
+    }
+
     const NODES: [&str; 11] = [
         "sphere",
         "box",

@@ -227,6 +227,16 @@ fn quoted(text: &str) -> String {
 mod tests {
     use super::*;
 
+    #[test]
+    fn numbers_have_the_form_that_json_allows() {
+        for number in ["0", "-0", "7", "10", "0.5", "-1.25e3", "1E+9", "2e-07", "1e400"] {
+            assert!(is_number(number), "{number}");
+        }
+        for other in ["", "-", "01", "00", "+1", ".5", "1.", "1e", "1e+", "0x10", "1_000", "1,5", "NaN", "--1"] {
+            assert!(!is_number(other), "{other}");
+        }
+    }
+
     /// Line, column and message of the error of a text.
     fn of(text: &str) -> (u32, u32, String) {
         let error = serde_json::from_str::<serde::de::IgnoredAny>(text).expect_err(text);

@@ -138,3 +138,18 @@ fn work_for_a_large_text_is_bounded_by_its_bytes() {
     assert!(!all.is_empty() && all.len() <= MAX_ERRORS, "{}", all.len());
     assert!(bytes <= (32 << 20) + 3 * text.len(), "{bytes} of {}", text.len());
 }
+
+#[test]
+fn errors_below_a_misspelled_node_are_reported_too() {
+    let text =
+        around(r#"{ "shape": { "unoin": { "of": [{ "sphere": { "radius": 1 } }, { "spheer": { "radius": 1 } }] } } }"#);
+    let found: Vec<String> = faults(&text).iter().map(ValidationError::to_string).collect();
+    assert_eq!(found.len(), 2, "{found:#?}");
+    assert!(found[0].contains("did you mean `union`") && found[1].contains("did you mean `sphere`"), "{found:#?}");
+}
+
+#[test]
+fn as_many_nodes_as_allowed_are_accepted() {
+    let spheres = vec![r#"{ "sphere": { "radius": 1 } }"#; MAX_NODES - 1].join(",");
+    assert_eq!(faults(&around(&format!(r#"{{ "shape": {{ "union": {{ "of": [{spheres}] }} }} }}"#))), []);
+}

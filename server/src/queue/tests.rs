@@ -5,6 +5,7 @@ mod fair_share;
 mod model;
 mod plans;
 mod sequences;
+mod workers;
 
 use proto::worker_protocol::{BatchWork, RegisterRequest};
 use proto::{JobId, WorkerId};

@@ -130,3 +130,21 @@ async fn a_paused_job_gains_no_credit() {
     assert!((9..=11).contains(&served), "{served} of 20");
     bench.check().await;
 }
+
+#[tokio::test]
+async fn shares_without_work_or_credit_are_removed() {
+    let bench = Fixture::new().await;
+    let worker = bench.worker(None).await;
+    for submitter in ["first", "second", "second"] {
+        submit(&bench, job_of(submitter, 1, 0)).await;
+        let run = claim(&bench, worker).await.expect("work");
+        finish(&bench, worker, &run).await;
+    }
+    submit(&bench, job_of("waiting", 1, 0)).await;
+    bench.queue.prune().await.expect("prunes");
+    let left: Vec<String> = sqlx::query_scalar("SELECT submitter FROM share ORDER BY submitter")
+        .fetch_all(bench.queue.readers())
+        .await
+        .expect("reads");
+    assert_eq!(left, ["second", "waiting"], "the first would start where the second was served last");
+}
