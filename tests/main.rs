@@ -3,6 +3,7 @@
 
 mod access_control;
 mod api;
+mod attacks;
 mod bad_input;
 mod bad_requests;
 mod bit_identical;

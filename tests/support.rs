@@ -30,6 +30,21 @@ pub(crate) fn eventually<T>(what: &str, mut ask: impl FnMut() -> Option<T>) -> T
     }
 }
 
+/// Polls a job's view, with these headers, until its state is as asked for.
+pub(crate) fn wait_for_state(
+    farm: &Farm,
+    path: &str,
+    headers: &[(&str, &str)],
+    what: &str,
+    is_reached: impl Fn(&str) -> bool,
+) {
+    eventually(&format!("{path} has {what}"), || {
+        let answer = farm.send("GET", path, headers, Vec::new());
+        assert_eq!(answer.status, 200, "{}", answer.text());
+        is_reached(answer.json()["state"].as_str().expect("a state")).then_some(())
+    });
+}
+
 /// Root folder of the project.
 pub(crate) fn root() -> &'static Path {
     Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("cli/ lies in the root")

@@ -1,12 +1,16 @@
-//! Fuzzes raw requests to a server: the parsers of request lines, headers, ranges, cursors, and queries.
+//! Fuzzes raw requests to a server: the parsers of request lines, headers, ranges, cursors, and queries; and the
+//! messages and bytes of a worker, while real workers render the jobs of another user.
 
 use std::io::{Read, Write};
 use std::net::{Shutdown, TcpStream};
 use std::time::Duration;
 
+use proto::worker_protocol::{REGISTER_PATH, SYNC_PATH};
+use serde_json::json;
+
 use super::{Effort, fuzz};
 use crate::jobs;
-use crate::support::Farm;
+use crate::support::{Farm, rendered_here};
 
 /// Requests of the corpus. They include neither pool changes nor webhooks, because mutations could start hundreds of
 /// processes.
@@ -59,4 +63,69 @@ fn fuzzed_requests_get_responses_without_server_errors() {
 #[ignore = "long: fuzzing for 60 s"]
 fn long_fuzzed_requests_get_responses_without_server_errors() {
     try_requests(Effort::Long);
+}
+
+/// Messages of a registered worker. Each begins with a letter for its route.
+fn worker_corpus(farm: &Farm) -> Vec<Vec<u8>> {
+    let hello = json!({ "name": "fuzzed", "device": "cpu", "picture_version": scene::PICTURE_VERSION,
+        "max_nodes": 1000, "process": 1 });
+    let register = |hello: &serde_json::Value| {
+        farm.send("POST", REGISTER_PATH, &[("content-type", "application/json")], hello.to_string().into_bytes())
+    };
+    let worker = register(&hello).json()["worker"].clone();
+    let lease = "01900000-0000-7000-8000-000000000000";
+    let hash = blake3::hash(b"bytes").to_hex().to_string();
+    let sync = |reports: serde_json::Value, wants_work: bool| {
+        json!({ "worker": worker, "rays_per_second": 1e6, "held_leases": [lease], "reports": reports,
+            "wants_work": wants_work, "wait_ms": 0,
+            "metrics": { "timings": [{ "phase": "render", "took_ms": 1.5, "rays": 7 }],
+                "memory": { "used_bytes": 1, "total_bytes": 2 } } })
+    };
+    let outcomes = json!([
+        { "lease": lease, "outcome": { "blob": { "hash": hash, "size_bytes": 5 } } },
+        { "lease": lease, "outcome": { "picture": { "hash": hash, "size_bytes": 5 } } },
+        { "lease": lease, "outcome": { "bad_blobs": { "tiles": [0, 7] } } },
+        { "lease": lease, "outcome": { "failed": { "message": "no" } } },
+        { "lease": lease, "outcome": "released" }]);
+    let messages = [("r", hello), ("s", sync(json!([]), true)), ("s", sync(outcomes, false))];
+    let messages = messages.map(|(route, message)| format!("{route}{message}").into_bytes());
+    messages.into_iter().chain([b"b\0\x01\x02sdfarm".to_vec(), b"p\x89PNG\r\n\x1a\n".to_vec()]).collect()
+}
+
+/// No message of a worker may cause a server error, and none may change another user's picture.
+fn try_workers(effort: Effort) {
+    let farm = Farm::start(&["--workers", "1", "--threads", "1", "--lease-seconds", "1"]);
+    farm.ready(1);
+    let mut seed = 0;
+    fuzz("a worker's requests", effort, &worker_corpus(&farm), |bytes| {
+        let Some((route, body)) = bytes.split_first() else { return };
+        let hash = blake3::hash(body).to_hex();
+        let (method, path) = match route {
+            b'r' => ("POST", REGISTER_PATH.to_owned()),
+            b's' => ("POST", SYNC_PATH.to_owned()),
+            b'b' => ("PUT", format!("/v1/worker/blobs/{hash}")),
+            _ => ("PUT", format!("/v1/worker/pictures/{hash}")),
+        };
+        let answer = farm.send(method, &path, &[("content-type", "application/json")], body.to_vec());
+        assert!(answer.status < 500, "{path}: {} {}", answer.status, answer.text());
+        seed += 1;
+        if seed % 200 == 1 {
+            let job = jobs::seeded(&jobs::quick(), seed);
+            let id = farm.accept(&job.to_string());
+            farm.succeeded(&id);
+            assert!(farm.picture(&id) == rendered_here(&job, 0), "other bytes than an undisturbed render's");
+        }
+    });
+    assert!(!farm.log().contains("panicked"), "{}", farm.log());
+}
+
+#[test]
+fn fuzzed_requests_of_a_worker_disturb_nobody() {
+    try_workers(Effort::Runs(300));
+}
+
+#[test]
+#[ignore = "long: fuzzing for 60 s"]
+fn long_fuzzed_requests_of_a_worker_disturb_nobody() {
+    try_workers(Effort::Long);
 }

@@ -1,0 +1,150 @@
+//! Jobs that cost as much as the schema allows: by every node, material and light, made from their examples.
+
+use scene::kinds::Example;
+use scene::lights::Light;
+use scene::materials::Material;
+use scene::nodes::Node;
+use serde_json::{Value, json};
+
+use super::{Attack, Attacker, ball};
+use crate::jobs;
+
+/// Copies of a costly thing in one job.
+const COPIES: usize = 200;
+
+pub(super) fn attacks() -> Vec<Attack> {
+    vec![
+        Attack { name: "one pixel of 65,536 samples and 2,000 glass balls", run: heavy_pixel },
+        Attack { name: "every node, many times, at many samples", run: nodes },
+        Attack { name: "every node with its whole numbers at their maximum", run: iterations },
+        Attack { name: "every material on mirrors within mirrors", run: materials },
+        Attack { name: "every light, as many as are allowed", run: lights },
+        Attack { name: "texts of eight megabytes", run: large_texts },
+        Attack { name: "texts nested as deep as they go", run: deep_texts },
+        Attack { name: "moving jobs of many frames", run: moving },
+    ]
+}
+
+/// Submits jobs in turn, and cancels each after a moment, so that every one reaches a worker.
+fn submit_each(attacker: &Attacker<'_>, jobs: &[Value]) {
+    attacker.flood(2, |number| {
+        let job = jobs::seeded(&jobs[number as usize % jobs.len()], number);
+        let Some(id) = attacker.submit(&job) else {
+            std::thread::sleep(super::PAUSE);
+            return;
+        };
+        std::thread::sleep(super::PAUSE * 4);
+        attacker.send("POST", &format!("/v1/jobs/{id}/cancel"), "");
+    });
+}
+
+/// A large picture of these objects.
+fn heavy(objects: Value) -> Value {
+    let mut job = ball();
+    job["scene"]["objects"] = objects;
+    job["image"] = json!({ "width": 640, "height": 360, "samples": 1024 });
+    job
+}
+
+fn translated(shape: &Value, number: usize) -> Value {
+    json!({ "translate": { "by": [number % 10, number / 10 % 10, number / 100], "child": shape } })
+}
+
+fn heavy_pixel(attacker: &Attacker<'_>) {
+    let glass = json!({ "surface": { "transmission": 1, "ior": 1.5 } });
+    let balls: Vec<_> = (0..2000).map(|number| translated(&json!({ "sphere": { "radius": 0.6 } }), number)).collect();
+    let mut job = heavy(json!([{ "shape": { "union": { "smooth": 0.1, "of": balls } }, "material": glass }]));
+    job["image"] = json!({ "width": 1, "height": 1, "samples": 65_536 });
+    submit_each(attacker, &[job]);
+}
+
+fn value(json: &str) -> Value {
+    serde_json::from_str(json).expect("an example is JSON")
+}
+
+fn nodes(attacker: &Attacker<'_>) {
+    let jobs: Vec<Value> = Node::examples()
+        .iter()
+        .map(|example| {
+            let copies: Vec<_> = (0..COPIES).map(|number| translated(&value(&example.node), number)).collect();
+            heavy(json!([{ "shape": { "union": { "of": copies } }, "material": { "diffuse": {} } }]))
+        })
+        .collect();
+    submit_each(attacker, &jobs);
+}
+
+/// Sets every whole number above 1 in a value.
+fn raise(value: &mut Value, to: u64) {
+    match value {
+        Value::Object(members) => members.values_mut().for_each(|value| raise(value, to)),
+        Value::Array(entries) => entries.iter_mut().for_each(|value| raise(value, to)),
+        Value::Number(number) if number.as_u64().is_some_and(|number| number > 1) => *value = json!(to),
+        _ => {}
+    }
+}
+
+fn iterations(attacker: &Attacker<'_>) {
+    // The limits differ by node, so each number is tried: those beyond a limit are refused.
+    let jobs: Vec<Value> = Node::examples()
+        .iter()
+        .flat_map(|example| [8, 12, 16, 32, 64, 256].map(|to| (value(&example.node), to)))
+        .map(|(mut node, to)| {
+            raise(&mut node, to);
+            heavy(json!([{ "shape": node, "material": { "diffuse": {} } }]))
+        })
+        .filter(|job| scene::parse(job.to_string().as_bytes()).is_ok())
+        .collect();
+    submit_each(attacker, &jobs);
+}
+
+fn each(examples: &[Example], job: impl Fn(Value) -> Value) -> Vec<Value> {
+    let jobs = examples.iter().map(|example| job(value(&example.json)));
+    jobs.filter(|job| scene::parse(job.to_string().as_bytes()).is_ok()).collect()
+}
+
+fn materials(attacker: &Attacker<'_>) {
+    let jobs = each(&Material::examples(), |material| {
+        let mirror = json!({ "surface": { "metallic": 1, "roughness": 0 } });
+        let room = json!({ "onion": { "thickness": 0.1, "child": { "sphere": { "radius": 20 } } } });
+        heavy(json!([
+            { "shape": { "sphere": { "radius": 1 } }, "material": material },
+            { "shape": room, "material": mirror },
+        ]))
+    });
+    assert!(!jobs.is_empty(), "no material's example makes a valid job");
+    submit_each(attacker, &jobs);
+}
+
+fn lights(attacker: &Attacker<'_>) {
+    let jobs = each(&Light::examples(), |light| {
+        let mut job = heavy(ball()["scene"]["objects"].clone());
+        job["scene"]["lights"] = json!(vec![light; scene::limits::MAX_LIGHTS]);
+        job
+    });
+    assert!(!jobs.is_empty(), "no light's example makes a valid job");
+    submit_each(attacker, &jobs);
+}
+
+fn large_texts(attacker: &Attacker<'_>) {
+    let mut job = ball();
+    job["name"] = json!("x".repeat(7 << 20));
+    let named = job.to_string();
+    let keys: String = (0..200_000).fold(String::new(), |text, key| text + &format!("\"unknown {key}\": [1, 2, 3], "));
+    let unknown = ball().to_string().replacen('{', &format!("{{ {keys}"), 1);
+    attacker.flood(4, |number| {
+        let text = if number % 2 == 0 { &named } else { &unknown };
+        attacker.send("POST", "/v1/jobs", text.clone());
+    });
+}
+
+fn deep_texts(attacker: &Attacker<'_>) {
+    let text = format!("{}{}", "[".repeat(4 << 20), "]".repeat(4 << 20));
+    attacker.flood(4, |_| drop(attacker.send("POST", "/v1/jobs", text.clone())));
+}
+
+fn moving(attacker: &Attacker<'_>) {
+    let mut job = ball();
+    job["scene"]["camera"]["position"] = json!([{ "keys": [[0, -3], [4000, 3]] }, 0.5, 4]);
+    job["frames"] = json!({ "count": 50_000 });
+    submit_each(attacker, &[job]);
+}
