@@ -23,5 +23,6 @@ mod pages;
 mod pictures;
 mod previews;
 mod repository;
+mod runaway;
 mod skip;
 mod support;

@@ -375,7 +375,7 @@ pub(crate) fn send(address: &str, method: &str, path: &str, headers: &[(&str, &s
     try_send(address, method, path, headers, body).unwrap_or_else(|error| panic!("{path}: {error:?}"))
 }
 
-fn try_send(
+pub(crate) fn try_send(
     address: &str,
     method: &str,
     path: &str,

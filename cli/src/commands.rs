@@ -36,11 +36,15 @@ mod webhook;
 mod worker;
 
 use std::future::Future;
+use std::time::Duration;
 
 use anyhow::Context;
 use clap::Subcommand;
 
 use crate::signals::Signals;
+
+/// How long blocking calls may go on after a command has finished.
+const SHUTDOWN_TIMEOUT: Duration = Duration::from_millis(500);
 
 /// Command to run.
 #[derive(Debug, Subcommand)]
@@ -171,7 +175,10 @@ fn run_async<T>(work: impl Future<Output = anyhow::Result<T>>) -> anyhow::Result
         .enable_all()
         .build()
         .context("could not start the network threads")?;
-    runtime.block_on(work)
+    let done = runtime.block_on(work);
+    // A blocking call that does not return, such as a render that hangs, must not keep the process.
+    runtime.shutdown_timeout(SHUTDOWN_TIMEOUT);
+    done
 }
 
 /// Runs work that Ctrl-C may drop at any time, together with its temporary files.

@@ -61,6 +61,8 @@ points! {
     StorePut = "store_put",
     /// Server, or a worker of its pool: stored bytes are about to be read.
     StoreGet = "store_get",
+    /// Worker: tiles are about to be rendered, and a delay ignores that they are cancelled.
+    Rendering = "rendering",
     /// Worker: a blob is stored, its tile has not been reported.
     BlobPut = "blob_put",
     /// Worker: a picture is stored, it has not been reported.

@@ -215,6 +215,10 @@ pub struct Batch {
     pub job: JobId,
     /// The frame, from 0.
     pub frame: u32,
+    /// Time limit for rendering a tile, in seconds: above it, the worker stops and reports the tile as failed.
+    /// `None` means no limit.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub tile_seconds: Option<u32>,
     /// Work of the batch.
     pub work: BatchWork,
 }

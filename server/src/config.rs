@@ -12,6 +12,9 @@ use crate::webhooks::AddressRange;
 /// Default maximum of unfinished jobs.
 pub const MAX_QUEUED_JOBS: u32 = 100_000;
 
+/// Default maximum time limit for rendering a tile, in seconds: 600 times what a tile of ordinary size takes.
+pub const MAX_TILE_SECONDS: u32 = 600;
+
 /// Default maximum of open connections.
 pub const MAX_CONNECTIONS: u32 = 16_384;
 
@@ -43,6 +46,8 @@ pub struct Config {
     pub tile_edge_px: Option<u32>,
     /// Length of a lease.
     pub lease: Duration,
+    /// Maximum time limit for rendering a tile, in seconds, and that of jobs without their own.
+    pub max_tile_seconds: u32,
     /// Whether to listen beyond loopback although there are no keys.
     pub insecure: bool,
     /// TLS certificate; without one the server speaks plain HTTP.
@@ -95,6 +100,7 @@ impl Default for Config {
             threads: None,
             tile_edge_px: None,
             lease: Duration::from_secs(30),
+            max_tile_seconds: MAX_TILE_SECONDS,
             insecure: false,
             tls: None,
             max_connections: MAX_CONNECTIONS,

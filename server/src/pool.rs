@@ -1,7 +1,7 @@
 //! The local pool: runs the requested number of worker processes as children of this server.
 //!
 //! When a worker process exits, its leases end at once and another one starts in its slot, on the same device.
-//! A surplus worker finishes its leases first. A slot whose device cannot render stays empty until the pool is
+//! A surplus worker finishes its leases first, if that takes no longer than the grace period. A slot whose device cannot render stays empty until the pool is
 //! resized.
 
 mod worker_process;
@@ -92,6 +92,7 @@ impl Pool {
             children: Vec::new(),
             disabled_slots: BTreeSet::new(),
             exits: JoinSet::new(),
+            grace: config.shutdown_grace,
             labels: 0,
             early_exits: 0,
             backed_off_until: None,
@@ -151,6 +152,8 @@ struct Supervisor {
     children: Vec<WorkerProcess>,
     disabled_slots: BTreeSet<usize>,
     exits: JoinSet<Exit>,
+    /// How long a surplus worker may continue its leases.
+    grace: Duration,
     labels: u32,
     early_exits: u32,
     backed_off_until: Option<Instant>,
@@ -162,6 +165,7 @@ impl Supervisor {
             let wanted = *self.target_size.borrow();
             self.reconcile(wanted as usize).await;
             let held = self.backed_off_until;
+            let overdue = self.children.iter().filter_map(WorkerProcess::deadline).min();
             tokio::select! {
                 grace = ending.recv() => break grace.unwrap_or_default(),
                 changed = self.target_size.changed() => {
@@ -173,6 +177,7 @@ impl Supervisor {
                 }
                 Some(exit) = self.exits.join_next() => self.on_exit(exit).await,
                 () = sleep_until(held), if held.is_some() => self.backed_off_until = None,
+                () = sleep_until(overdue), if overdue.is_some() => self.end_overdue(),
             }
         };
         self.end(grace).await;
@@ -231,9 +236,19 @@ impl Supervisor {
                 false
             }
         };
-        self.children[index].drain();
+        self.children[index].drain(self.grace);
         if !known {
             self.children[index].close_input();
+        }
+    }
+
+    /// Ends surplus workers that have not exited in time. Their leases end when they are reaped.
+    fn end_overdue(&mut self) {
+        let now = monotonic_now();
+        for child in &mut self.children {
+            if child.deadline().is_some_and(|deadline| deadline <= now) {
+                child.end_overdue();
+            }
         }
     }
 

@@ -82,6 +82,7 @@ pub async fn run(
         match session.work(&shutdown).await.map_err(|error| rejected(&config, &error))? {
             SessionEnd::Drained => return Ok(()),
             SessionEnd::DeviceLost(reason) => return Err(AgentError::DeviceLost { reason }),
+            SessionEnd::Stuck(reason) => return Err(AgentError::Stuck { reason }),
             SessionEnd::NotRegistered => tracing::warn!("the server no longer knows this worker; registering again"),
         }
     }
@@ -159,6 +160,12 @@ pub enum AgentError {
     /// The device is lost; its leases have been released.
     #[error("the device is lost: {reason}")]
     DeviceLost {
+        /// Reason.
+        reason: String,
+    },
+    /// A render does not stop, so its process must exit; all leases have been released.
+    #[error("{reason}: this worker exits, and its tiles are leased to others")]
+    Stuck {
         /// Reason.
         reason: String,
     },

@@ -3,12 +3,12 @@
 mod packets;
 
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
 
 use rayon::prelude::*;
 use rayon::{ThreadPool, ThreadPoolBuilder};
 use scene::Integrator;
 
+use crate::interrupt::interruptible;
 use crate::simd::Simd;
 use crate::{CancelFlag, RenderError, Renderer, TilePixels, TileRequest};
 
@@ -69,23 +69,13 @@ impl Renderer for CpuRenderer {
         let mut pixels = TilePixels::zeroed(run.rect, image.channels().len());
         let height = self.packets.block_rows() as usize;
         let width = run.rect.width as usize;
-        let stopped = AtomicBool::new(false);
-        self.threads.install(|| {
-            bands(&mut pixels.planes, width * height).into_par_iter().enumerate().for_each(|(index, band)| {
-                if stopped.load(Ordering::Relaxed) || cancel.is_cancelled() {
-                    stopped.store(true, Ordering::Relaxed);
-                    return;
-                }
+        let rendered = self.threads.install(|| {
+            bands(&mut pixels.planes, width * height).into_par_iter().enumerate().try_for_each(|(index, band)| {
                 let top = run.rect.y + (index * height) as u32;
-                let rays = band[0].len() as u64 * u64::from(image.samples);
-                if self.packets.band(&program, image, run.rect.x, top, width, band, cancel) {
-                    progress(rays);
-                } else {
-                    stopped.store(true, Ordering::Relaxed);
-                }
-            });
+                interruptible(cancel, || self.packets.band(&program, image, run.rect.x, top, width, band, progress))
+            })
         });
-        if stopped.into_inner() { Err(RenderError::Cancelled) } else { Ok(pixels) }
+        rendered.map(|()| pixels).ok_or(RenderError::Cancelled)
     }
 }
 

@@ -161,7 +161,8 @@ impl CudaRenderer {
     pub fn compile(&self, run: &TileRequest<'_>) -> Result<CompileReport, RenderError> {
         let source = KernelSource::new(&run.job.at(run.frame)?);
         let start = Instant::now();
-        let (program, was_kept) = self.program(&source, run).map_err(|trouble| self.render_error(&trouble))?;
+        let (program, was_kept) =
+            self.program(&source, run, &CancelFlag::new()).map_err(|trouble| self.render_error(&trouble))?;
         let time = start.elapsed();
         let resources =
             self.device.resources(&program.loaded, program.shape).map_err(|trouble| self.render_error(&trouble))?;
@@ -189,7 +190,12 @@ impl CudaRenderer {
     }
 
     /// Kernel of a source, compiled if necessary; also returns whether it came from the cache.
-    fn program(&self, source: &KernelSource, sample: &TileRequest<'_>) -> Result<(Arc<Kernel>, bool), CudaError> {
+    fn program(
+        &self,
+        source: &KernelSource,
+        sample: &TileRequest<'_>,
+        cancel: &CancelFlag,
+    ) -> Result<(Arc<Kernel>, bool), CudaError> {
         let key = Cache::entry_name(&source.text, &compiler::options(self.device.architecture), &self.compiler.version);
         if let Some(program) = lock(&self.programs).get(&key) {
             return Ok((program.clone(), true));
@@ -202,12 +208,11 @@ impl CudaRenderer {
         let (loaded, shape) = if let Some(kept) = kept {
             kept
         } else {
-            let code = self
-                .compiler
-                .compile(&source.text, self.device.architecture)
-                .map_err(|trouble| compiler::save_rejected_source(trouble, &source.text, self.cache.folder()))?;
+            let code =
+                compiler::compile_until_cancelled(&self.compiler, &source.text, self.device.architecture, cancel)
+                    .map_err(|trouble| compiler::save_rejected_source(trouble, &source.text, self.cache.folder()))?;
             let loaded = load(&code)?;
-            let shape = self.tune_block_dim(&loaded, source, sample)?;
+            let shape = self.tune_block_dim(&loaded, source, sample, cancel)?;
             self.cache.put(key, &CachedKernel { code, shape });
             (loaded, shape)
         };
@@ -221,15 +226,19 @@ impl CudaRenderer {
         Ok((program, was_kept))
     }
 
-    /// Measures each of the block dimensions on a part of a tile that is large enough for a meaningful time.
+    /// Measures each of the block dimensions on a part of a tile that is large enough for a meaningful time. If that
+    /// takes too long, the fastest so far is chosen.
     fn tune_block_dim(
         &self,
         loaded: &LoadedModule,
         source: &KernelSource,
         run: &TileRequest<'_>,
+        cancel: &CancelFlag,
     ) -> Result<BlockDim, CudaError> {
         const MIN_TIMED_MS: f64 = 0.5;
+        const MAX_TOTAL_MS: f64 = 500.0;
         const ROUNDS: usize = 3;
+        let mut total_ms = 0.0;
         self.device.set_uniforms(loaded, &source.parameters)?;
         let mut best = [f64::INFINITY; BLOCK_DIMS.len()];
         let mut edge = 128;
@@ -240,13 +249,21 @@ impl CudaRenderer {
             let mut buffer = self.device.buffer(piece.pixels() as usize * run.job.image.channels().len())?;
             // The first run warms up, and shows whether the part is large enough.
             let ms = self.time_block_dim(loaded, BLOCK_DIMS[0], piece, run, &mut buffer)?;
+            total_ms += ms;
             if ms < MIN_TIMED_MS && piece != run.rect {
                 edge *= 2;
                 continue;
             }
             for _ in 0..ROUNDS {
                 for (best, shape) in best.iter_mut().zip(BLOCK_DIMS) {
-                    *best = best.min(self.time_block_dim(loaded, shape, piece, run, &mut buffer)?);
+                    if cancel.is_cancelled() {
+                        return Err(CudaError::Cancelled);
+                    }
+                    if total_ms < MAX_TOTAL_MS {
+                        let ms = self.time_block_dim(loaded, shape, piece, run, &mut buffer)?;
+                        total_ms += ms;
+                        *best = best.min(ms);
+                    }
                 }
             }
             tracing::debug!(?best, edge, "chose block dimensions");
@@ -328,7 +345,7 @@ impl CudaRenderer {
         let planes = image.channels().len();
         let numbers = rects.iter().map(|rect| rect.pixels() as usize).sum::<usize>() * planes;
         let _launching = lock(&self.launching);
-        let (program, _) = self.program(source, &runs[runs.len() / 2])?;
+        let (program, _) = self.program(source, &runs[runs.len() / 2], cancel)?;
         let mut buffer = self.take_buffer(numbers)?;
         let mut known = lock(&program.known);
         if known.floats.as_ref() != Some(&source.parameters) {

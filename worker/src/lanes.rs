@@ -11,6 +11,8 @@ use fearless_simd::Level;
 use fearless_simd::prelude::*;
 use scene::real::{Bits, Bundle, Merge, Real, SQRT_FLOOR};
 
+use crate::interrupt;
+
 thread_local! {
     /// Active lanes of the running code: those that entered the innermost `when` or are still in the
     /// innermost `repeat`. An inner loop ignores the others.
@@ -363,6 +365,13 @@ impl<S: Simd, const N: usize> Real for Lanes<S, N> {
     }
 
     #[inline(always)]
+    fn labeled<T>(self, _: &'static str, f: impl FnOnce() -> T) -> T {
+        // One evaluation of a scene may take for ever, because copies can have copies.
+        interrupt::check();
+        self.vectorize(f)
+    }
+
+    #[inline(always)]
     fn when<T: Bundle<Self>>(mask: LaneMask<S, N>, otherwise: T, then: impl FnOnce() -> T) -> T {
         let live = ActiveLanesGuard::enter();
         let entering = mask.to_bits() & live.outer;
@@ -379,6 +388,7 @@ impl<S: Simd, const N: usize> Real for Lanes<S, N> {
         let mut state = state;
         let mut going = live.outer & Self::ALL;
         for _ in 0..limit {
+            interrupt::check();
             live.set(going);
             let (again, next) = step(state);
             state = if going == Self::ALL { next } else { next.merge(state, &mut SelectMerge(again.with_bits(going))) };

@@ -10,6 +10,7 @@ pub mod cpu;
 pub mod cuda;
 pub mod frame;
 pub mod image;
+mod interrupt;
 pub mod lanes;
 pub mod renderer;
 pub mod simd;

@@ -8,6 +8,8 @@ use std::time::Duration;
 
 use proto::Rect;
 
+use crate::interrupt;
+
 /// Renders tiles on one device, of which it has exclusive use.
 ///
 /// The pixels depend only on the tiles requested: all renderers are bit-identical.
@@ -16,7 +18,7 @@ pub trait Renderer: Send + Sync {
     fn device(&self) -> String;
 
     /// Renders one tile. `progress` receives the number of newly finished rays, from any thread. `cancel`
-    /// is checked at least every 50 ms.
+    /// takes effect within 50 ms.
     fn render(
         &self,
         run: &TileRequest<'_>,
@@ -117,7 +119,8 @@ impl CancelFlag {
 
     /// Sets the flag permanently.
     pub fn cancel(&self) {
-        self.0.store(true, Ordering::Relaxed);
+        self.0.store(true, Ordering::Release);
+        interrupt::announce_cancel();
     }
 
     /// Whether the flag is set.

@@ -8,7 +8,7 @@ use anyhow::Context;
 use clap::Args;
 use proto::pool::MAX_POOL_WORKERS;
 use proto::{Retention, Secret};
-use server::{AddressRange, Config, MAX_CONNECTIONS, MAX_QUEUED_JOBS, Server, TlsFiles};
+use server::{AddressRange, Config, MAX_CONNECTIONS, MAX_QUEUED_JOBS, MAX_TILE_SECONDS, Server, TlsFiles};
 use tokio_util::sync::CancellationToken;
 use worker::{CpuRenderer, RenderError, Simd};
 
@@ -20,6 +20,9 @@ use crate::terminal::print_line;
 
 /// Upper limit of `--max-queued-jobs`: the sum of the jobs' rays must fit a counter.
 const QUEUED_JOBS_LIMIT: u32 = 250_000;
+
+/// Upper limit of `--max-tile-seconds`: a day.
+const TILE_SECONDS_LIMIT: i64 = 86_400;
 
 /// Arguments of `serve`.
 #[derive(Debug, Args)]
@@ -48,6 +51,9 @@ pub(crate) struct Arguments {
     /// Seconds without a sync after which a worker's tiles are leased to others.
     #[arg(long, value_name = "SECONDS", env = "SDFARM_LEASE_SECONDS", default_value_t = 30, value_parser = clap::value_parser!(u64).range(1..=3600))]
     lease_seconds: u64,
+    /// Maximum seconds that rendering one tile may take; a job may set a lower limit. A tile above its limit has failed.
+    #[arg(long, value_name = "SECONDS", env = "SDFARM_MAX_TILE_SECONDS", default_value_t = MAX_TILE_SECONDS, value_parser = clap::value_parser!(u32).range(1..=TILE_SECONDS_LIMIT))]
+    max_tile_seconds: u32,
     /// Certificate chain (PEM), the server's own certificate first; enables https.
     #[arg(long, value_name = "FILE", env = "SDFARM_TLS_CERT", requires = "tls_key")]
     tls_cert: Option<PathBuf>,
@@ -92,6 +98,7 @@ impl Arguments {
             threads: self.threads.map(|threads| threads as usize),
             tile_edge_px: self.tile,
             lease: Duration::from_secs(self.lease_seconds),
+            max_tile_seconds: self.max_tile_seconds,
             insecure: self.insecure,
             tls: self.tls_cert.zip(self.tls_key).map(|(certificate, key)| TlsFiles { certificate, key }),
             max_connections: self.max_connections,

@@ -45,6 +45,9 @@ pub(crate) struct Arguments {
     /// Retention of the job and its pictures after it finishes: 36h, 7d, forever [default: the server's].
     #[arg(long, value_name = "AGE", env = "SDFARM_KEEP")]
     keep: Option<Retention>,
+    /// Maximum seconds that rendering one tile may take: above it the tile has failed [default: the server's].
+    #[arg(long, value_name = "SECONDS", env = "SDFARM_TILE_SECONDS", value_parser = clap::value_parser!(u32).range(1..))]
+    tile_seconds: Option<u32>,
 }
 
 /// Submits the job.
@@ -60,6 +63,7 @@ pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
         idempotency_key: Some(JobId::new().to_string()),
         webhooks: arguments.webhook.clone(),
         keep: arguments.keep,
+        tile_seconds: arguments.tile_seconds,
     };
     let job = submit(&client, &file.text, &how).await.map_err(|error| file.invalid(error))?;
     for warning in &job.warnings {

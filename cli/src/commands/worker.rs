@@ -1,9 +1,11 @@
 //! `sdfarm worker`: renders tiles for a server.
 
+use std::time::Duration;
+
 use anyhow::Context;
 use clap::Args;
 use proto::worker_protocol::TOKEN_ENV_VAR;
-use rustix::process::nice;
+use rustix::process::{Signal, getpid, kill_process, nice};
 use tokio_util::sync::CancellationToken;
 use worker::agent::{self, AgentConfig, AgentError};
 
@@ -14,6 +16,8 @@ use crate::signals::Signals;
 
 /// The device of a renderer on a processor.
 const CPU: &str = "cpu";
+/// How long the process may take to exit.
+const EXIT_TIMEOUT: Duration = Duration::from_secs(2);
 /// Niceness of a server's own workers.
 const POOL_NICENESS: i32 = 10;
 
@@ -60,10 +64,21 @@ pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
         ..AgentConfig::new(arguments.server, arguments.name.unwrap_or_else(own_name))
     };
     signals.cancel_then_exit(shutdown.clone());
-    match agent::run(config, renderer, shutdown).await {
+    let ended = agent::run(config, renderer, shutdown).await;
+    kill_this_process_after(EXIT_TIMEOUT);
+    match ended {
         Err(retired @ AgentError::DeviceLost { .. }) => Err(UnusableDevice(retired.into()).into()),
         ended => Ok(ended?),
     }
+}
+
+/// Makes sure that this process does not outlive its work: a driver may wait for its GPU when the process exits.
+fn kill_this_process_after(timeout: Duration) {
+    std::thread::spawn(move || {
+        std::thread::sleep(timeout);
+        // Whatever it returns, there is nothing else to try.
+        let _ = kill_process(getpid(), Signal::KILL);
+    });
 }
 
 fn own_name() -> String {

@@ -24,6 +24,8 @@ pub struct SubmitOptions {
     pub webhooks: Vec<String>,
     /// Retention after it finishes; `None` means the server's default.
     pub keep: Option<Retention>,
+    /// Time limit for rendering a tile, in seconds; `None` means the server's maximum.
+    pub tile_seconds: Option<u32>,
 }
 
 /// Stream of a job's events.
@@ -72,6 +74,9 @@ impl Client {
         }
         if let Some(keep) = options.keep {
             request = request.query(&[("keep", keep.to_string())]);
+        }
+        if let Some(limit) = options.tile_seconds {
+            request = request.query(&[("tile_seconds", limit)]);
         }
         for webhook in &options.webhooks {
             request = request.query(&[("webhook", webhook)]);

@@ -44,6 +44,7 @@ pub(super) async fn file(State(farm): State<Arc<Farm>>, Path(id): Path<String>) 
         ("id" = String, Path, description = "The job whose file is submitted"),
         ("dry_run" = Option<bool>, Query, description = "Only validate the job and estimate its cost: 200 if it is valid"),
         ("keep" = Option<String>, Query, description = "Retention after the job finishes: 36h, 7d, forever; by default the server's setting"),
+        ("tile_seconds" = Option<u32>, Query, description = "Time limit for rendering one tile, in seconds: above it the tile has failed; at most, and by default, the server's `--max-tile-seconds`", minimum = 1),
         ("webhook" = Option<Vec<String>>, Query, description = "Address to notify when the job has finished; up to four"),
         ("webhook_event" = Option<Vec<String>>, Query, description = "Events to send instead: job.running, job.succeeded, job.failed, job.cancelled, frame.stored"),
         ("Idempotency-Key" = Option<String>, Header, description = "Makes the request idempotent: repeating it with the same key returns the job created first"),

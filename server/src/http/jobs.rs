@@ -33,6 +33,7 @@ struct SubmitQuery {
     #[serde(default)]
     dry_run: bool,
     keep: Option<String>,
+    tile_seconds: Option<u32>,
 }
 
 #[derive(Debug, Deserialize)]
@@ -75,6 +76,7 @@ pub(super) fn has_no_cache(headers: &HeaderMap) -> bool {
     params(
         ("dry_run" = Option<bool>, Query, description = "Only validate the job and estimate its cost: 200 if it is valid"),
         ("keep" = Option<String>, Query, description = "Retention after the job finishes: 36h, 7d, forever; by default the server's setting"),
+        ("tile_seconds" = Option<u32>, Query, description = "Time limit for rendering one tile, in seconds: above it the tile has failed; at most, and by default, the server's `--max-tile-seconds`", minimum = 1),
         ("webhook" = Option<Vec<String>>, Query, description = "Address to notify when the job has finished; up to four"),
         ("webhook_event" = Option<Vec<String>>, Query, description = "Events to send instead: job.running, job.succeeded, job.failed, job.cancelled, frame.stored"),
         ("Idempotency-Key" = Option<String>, Header, description = "Makes the request idempotent: repeating it with the same key returns the job created first"),
@@ -113,6 +115,8 @@ pub(super) struct Submission {
     headers: HeaderMap,
     query: SubmitQuery,
     keep: Option<Retention>,
+    /// Time limit for rendering a tile.
+    tile_seconds: u32,
     is_known: bool,
 }
 
@@ -128,16 +132,24 @@ impl Submission {
         if !query.dry_run && !is_known {
             quota::check_jobs(farm, &caller).await?;
         }
+        let max = farm.config.max_tile_seconds;
+        let tile_seconds = query.tile_seconds.unwrap_or(max);
+        if !(1..=max).contains(&tile_seconds) {
+            return Err(ApiError::WrongQuery(format!(
+                "tile_seconds is {tile_seconds}, but must be from 1 to {max}, the limit of this server's operator \
+                 (sdfarm serve --max-tile-seconds)"
+            )));
+        }
         let keep: Option<Retention> = match query.keep.as_deref().map(str::parse).transpose() {
             Ok(keep) => keep,
             Err(error) => return Err(ApiError::WrongQuery(format!("keep: {error}"))),
         };
-        Ok(Self { caller, uri, headers, query, keep, is_known })
+        Ok(Self { caller, uri, headers, query, keep, tile_seconds, is_known })
     }
 
     /// Accepts or validates a job with this text.
     pub(super) async fn finish(self, farm: &Arc<Farm>, text: bytes::Bytes) -> Result<Response, ApiError> {
-        let Self { caller, uri, headers, query, keep, is_known } = self;
+        let Self { caller, uri, headers, query, keep, tile_seconds, is_known } = self;
         let wish = submit_options::read(&uri, &headers, &text, &farm.webhooks.guard)?;
         let parsed = farm.jobs.parse(text.clone(), |parsed| parsed.map(|job| (job.warnings(), job))).await?;
         let (warnings, job) = parsed?;
@@ -163,6 +175,7 @@ impl Submission {
             warnings,
             no_cache: has_no_cache(&headers),
             retention: keep,
+            tile_seconds,
             file_text: into_utf8(text)?,
         };
         trace_context::store_trace(farm, id, &headers).await?;

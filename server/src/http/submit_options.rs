@@ -14,7 +14,7 @@ const IDEMPOTENCY_KEY: &str = "idempotency-key";
 /// Maximum length of an idempotency key.
 const MAX_KEY_BYTES: usize = 255;
 /// Other query parameters of a submission.
-const OTHER_PARAMETERS: [&str; 2] = ["dry_run", "keep"];
+const OTHER_PARAMETERS: [&str; 3] = ["dry_run", "keep", "tile_seconds"];
 /// Maximum number of webhooks of a job.
 const MAX_WEBHOOKS: usize = 4;
 /// Maximum length of a webhook's address.

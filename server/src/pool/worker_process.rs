@@ -14,6 +14,7 @@ use tokio::process::{ChildStderr, ChildStdin, Command};
 use tokio::task::JoinSet;
 use tokio::time::Instant;
 
+use super::KILL_DELAY;
 use crate::clock::monotonic_now;
 use crate::queue::LeaseEnd;
 
@@ -52,6 +53,8 @@ pub(super) struct WorkerProcess {
     input: Option<ChildStdin>,
     started: Instant,
     draining: bool,
+    /// Time at which a surplus worker is made to exit, and then killed.
+    deadline: Option<Instant>,
 }
 
 /// How a worker process exited.
@@ -101,7 +104,8 @@ impl WorkerProcess {
             let last_line = last_line.lock().expect("no holder panics").clone();
             Exit { pid: process, status, last_line }
         });
-        Ok(Self { pid: process, label, slot: place, device, input, started: monotonic_now(), draining: false })
+        let started = monotonic_now();
+        Ok(Self { pid: process, label, slot: place, device, input, started, draining: false, deadline: None })
     }
 
     pub(super) fn pid(&self) -> u32 {
@@ -126,9 +130,27 @@ impl WorkerProcess {
         self.draining
     }
 
-    /// Whether it must drain; its exit is then expected.
-    pub(super) fn drain(&mut self) {
+    /// Makes it drain, within `grace`; its exit is then expected.
+    pub(super) fn drain(&mut self, grace: Duration) {
         self.draining = true;
+        self.deadline = Some(monotonic_now() + grace);
+    }
+
+    /// Time at which [`WorkerProcess::end_overdue`] is due.
+    pub(super) fn deadline(&self) -> Option<Instant> {
+        self.deadline
+    }
+
+    /// Makes it exit, and kills it if it was made to exit before.
+    pub(super) fn end_overdue(&mut self) {
+        if self.input.is_some() {
+            tracing::info!(worker = self.label, "a surplus worker has not finished its leases in time; ending it");
+            self.close_input();
+        } else {
+            tracing::warn!(worker = self.label, "killing a worker that did not exit");
+            self.kill();
+            self.deadline = None;
+        }
     }
 
     pub(super) fn age(&self) -> Duration {
@@ -138,6 +160,7 @@ impl WorkerProcess {
     /// Closes its standard input, which makes it exit at once.
     pub(super) fn close_input(&mut self) {
         self.input = None;
+        self.deadline = Some(monotonic_now() + KILL_DELAY);
     }
 
     /// Makes it release its leases and exit.

@@ -74,6 +74,8 @@ pub(super) struct ClaimableJob {
     plan: TilePlan,
     frames_opened: u32,
     nodes: i64,
+    /// Time limit for rendering a tile.
+    pub(super) tile_seconds: u32,
     /// Whether none of its tiles has been leased before.
     queued: bool,
     share: fair_share::FairShare,
@@ -95,6 +97,7 @@ impl ClaimableJob {
             },
             frames_opened: row.try_get("frames_opened")?,
             nodes: row.try_get("nodes")?,
+            tile_seconds: row.try_get("tile_seconds")?,
             queued: row.try_get("queued")?,
             share: fair_share::FairShare { submitter: row.try_get("submitter")?, priority: row.try_get("priority")? },
         })
@@ -149,7 +152,7 @@ pub(super) async fn claim(
     if job.queued {
         finish::mark_started(connection, job.number, moment).await?;
     }
-    Ok(ClaimOutcome::Run(Batch { job: job.id, frame, work }))
+    Ok(ClaimOutcome::Run(Batch { job: job.id, frame, tile_seconds: Some(job.tile_seconds), work }))
 }
 
 /// Called if no tile is ready: searches for a straggler to duplicate.
@@ -171,7 +174,7 @@ async fn claim_straggler(
 pub(super) async fn job(connection: &mut Connection, number: i64) -> Result<ClaimableJob> {
     let row = sqlx::query(
         "SELECT number, id, width_px, height_px, samples, pixel_bytes, edge_px, frames_total, frames_opened, nodes,
-                state = 'queued' AS queued, submitter, priority FROM job WHERE number = ?",
+                tile_seconds, state = 'queued' AS queued, submitter, priority FROM job WHERE number = ?",
     )
     .bind(number)
     .fetch_one(connection)

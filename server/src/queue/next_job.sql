@@ -1,4 +1,4 @@
-SELECT number, id, width_px, height_px, samples, pixel_bytes, edge_px, frames_total, frames_opened, nodes,
+SELECT number, id, width_px, height_px, samples, pixel_bytes, edge_px, frames_total, frames_opened, nodes, tile_seconds,
        state = 'queued' AS queued, job.submitter, job.priority
  FROM share CROSS JOIN job ON job.submitter = share.submitter AND job.priority = share.priority
  WHERE share.jobs > 0 AND finished_at_ms IS NULL AND paused = 0

@@ -100,7 +100,7 @@ async fn duplicate_leases(
         let lease = LeaseId::new();
         grant(connection, &[(tile, lease)], view, moment).await?;
         let work = claim::stitch_work(connection, job.number, old.frame, lease).await?;
-        return Ok(Batch { job: job.id, frame: old.frame, work });
+        return Ok(Batch { job: job.id, frame: old.frame, tile_seconds: Some(job.tile_seconds), work });
     }
     let held = sqlx::query(STRAGGLER_TILES_SQL)
         .bind(&old.worker)
@@ -121,7 +121,7 @@ async fn duplicate_leases(
     let (tiles, grants) = claim::new_leases(&held[..length])?;
     grant(connection, &grants, view, moment).await?;
     let work = BatchWork::Render { whole_frame: batch_size::is_whole_frame(length, whole), tiles };
-    Ok(Batch { job: job.id, frame: old.frame, work })
+    Ok(Batch { job: job.id, frame: old.frame, tile_seconds: Some(job.tile_seconds), work })
 }
 
 /// Leases tiles that are leased already, each with its next epoch.

@@ -28,6 +28,8 @@ pub(crate) struct NewJob {
     pub(crate) no_cache: bool,
     /// Retention; `None` means the server's default.
     pub(crate) retention: Option<Retention>,
+    /// Time limit for rendering a tile, in seconds.
+    pub(crate) tile_seconds: u32,
     /// Submitted bytes.
     pub(crate) file_text: String,
 }
@@ -47,6 +49,7 @@ impl NewJob {
             warnings: Vec::new(),
             no_cache: true,
             retention: None,
+            tile_seconds: 600,
             file_text: "{}".to_owned(),
         }
     }
@@ -58,8 +61,8 @@ pub(super) async fn submit(connection: &mut Connection, job: &NewJob, moment: Tr
     let number: i64 = sqlx::query_scalar(
         "INSERT INTO job (id, name, submitter, priority, state, fresh, width_px, height_px, samples, pixel_bytes,
                           edge_px, media_type, frames_total, tiles_total, rays_total, warnings, nodes,
-                          created_at_ms)
-         VALUES (?, ?, ?, ?, 'queued', ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?) RETURNING number",
+                          tile_seconds, created_at_ms)
+         VALUES (?, ?, ?, ?, 'queued', ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?) RETURNING number",
     )
     .bind(job.id.to_string())
     .bind(&job.name)
@@ -77,6 +80,7 @@ pub(super) async fn submit(connection: &mut Connection, job: &NewJob, moment: Tr
     .bind(i64::try_from(plan.rays_total()).unwrap_or(i64::MAX))
     .bind(super::json_list(&job.warnings))
     .bind(job.nodes)
+    .bind(job.tile_seconds)
     .bind(moment.wall_ms)
     .fetch_one(&mut *connection)
     .await?;

@@ -148,6 +148,7 @@ fn new_job(frames: u32) -> NewJob {
         warnings: Vec::new(),
         no_cache: true,
         retention: None,
+        tile_seconds: 600,
         file_text: "{}".to_owned(),
     }
 }

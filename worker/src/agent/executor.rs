@@ -36,6 +36,8 @@ pub(super) enum BatchEvent {
     Rendered(Option<Duration>),
     /// The device is lost, for this reason.
     DeviceLost(String),
+    /// A cancelled render does not stop, so that only the end of this process frees the device.
+    Stuck(String),
     /// This many camera rays were rendered in this many seconds.
     Speed { rays: f64, seconds: f64 },
     /// Duration of a phase; for rendering, with its camera rays.
@@ -93,6 +95,8 @@ pub(super) struct FrameTask {
     pub(super) job: Arc<Job>,
     /// Number of the frame in its job.
     pub(super) number: u32,
+    /// Time limit for rendering a tile; `None` means no limit.
+    pub(super) tile_seconds: Option<u32>,
 }
 
 /// Leases of a batch and the indices of their tiles, in the batch's order.
@@ -149,7 +153,7 @@ impl BatchExecutor {
                 return self.fail_all(&holds, &error);
             }
         };
-        let frame = FrameTask { id: run.job, job, number: run.frame };
+        let frame = FrameTask { id: run.job, job, number: run.frame, tile_seconds: run.tile_seconds };
         match run.work {
             BatchWork::Stitch { inputs: parts, .. } => self.stitch(&frame, &parts, &holds[0]).await,
             BatchWork::Render { tiles, whole_frame } => {

@@ -5,17 +5,20 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use proto::Rect;
+use proto::fail_point::{self, FailPoint};
 use proto::worker_protocol::{LeaseOutcome, Phase};
 use scene::Job;
 use tokio::sync::SemaphorePermit;
-use tokio::task::{JoinSet, spawn_blocking};
+use tokio::task::{JoinError, JoinSet, spawn_blocking};
 use tracing::Instrument;
 
 use super::executor::{
     BatchEvent, BatchExecutor, CancelOnDrop, FrameTask, LeaseHandle, MEMORY_KIB, all_dropped, chain, panic_message,
 };
-use crate::renderer::{RenderError, TilePixels, TileRequest, chunk_length};
+use crate::renderer::{CancelFlag, RenderError, TilePixels, TileRequest, chunk_length};
 
+/// How long a cancelled render may take to stop. A renderer notices within 50 ms, unless it hangs.
+const STOP_TIMEOUT: Duration = Duration::from_millis(1500);
 /// Maximum memory of the tiles of one batch that are rendered and not yet delivered.
 const MAX_BATCH_KIB: u64 = 512 << 10;
 
@@ -42,8 +45,10 @@ enum RenderOutcome {
     Pixels(Vec<TilePixels>),
     /// All leases of the tiles were dropped.
     Dropped,
-    /// The device failed.
+    /// The device failed, or a time limit has passed.
     Refused(String),
+    /// The render does not stop after its leases were dropped, or after its time limit has passed with this message.
+    Stuck(Option<String>),
 }
 
 impl BatchExecutor {
@@ -124,6 +129,14 @@ impl BatchExecutor {
             }
             RenderOutcome::Dropped => return Vec::new(),
             RenderOutcome::Refused(message) => message,
+            RenderOutcome::Stuck(message) => {
+                if let Some(message) = message {
+                    self.finish(wanted.iter().map(|place| &place.hold), &LeaseOutcome::Failed { message });
+                }
+                self.send(BatchEvent::Stuck(format!("the renderer did not stop within {STOP_TIMEOUT:?}")));
+                // This process is ending; the device stays occupied until then.
+                return std::future::pending().await;
+            }
         };
         if self.report_if_device_lost() {
             return Vec::new();
@@ -158,19 +171,35 @@ impl BatchExecutor {
         let (renderer, job, number, cancel) = (self.renderer.clone(), frame.job.clone(), frame.number, stop.0.clone());
         let start = Instant::now();
         let mut rendering = spawn_blocking(move || {
+            fail_point::trigger_infallible(FailPoint::Rendering);
             let runs: Vec<TileRequest<'_>> =
                 rects.iter().map(|&rect| TileRequest { job: &job, frame: number, rect }).collect();
             let rendered = renderer.render_tiles(&runs, &cancel, &|_| {})?;
             assert_eq!(rendered.len(), runs.len(), "a renderer renders all tiles or none");
             Ok(rendered)
         });
-        let rendered = tokio::select! {
-            rendered = &mut rendering => rendered,
-            () = all_dropped(&holds) => {
-                stop.0.cancel();
-                rendering.await
-            }
+        let over_limit = tokio::select! {
+            rendered = &mut rendering => return self.outcome(rendered, rays, start, &stop.0, None),
+            () = all_dropped(&holds) => None,
+            message = over_limit(frame.tile_seconds) => Some(message),
         };
+        stop.0.cancel();
+        match tokio::time::timeout(STOP_TIMEOUT, rendering).await {
+            Ok(rendered) => self.outcome(rendered, rays, start, &stop.0, over_limit),
+            Err(_) => RenderOutcome::Stuck(over_limit),
+        }
+    }
+
+    /// Outcome of a render that has ended, and reports its speed. A cancelled one was over its limit, with this
+    /// message, or its leases were dropped.
+    fn outcome(
+        &self,
+        rendered: Result<Result<Vec<TilePixels>, RenderError>, JoinError>,
+        rays: f64,
+        start: Instant,
+        stop: &CancelFlag,
+        over_limit: Option<String>,
+    ) -> RenderOutcome {
         match rendered {
             Ok(Ok(pixels)) => {
                 let spent = start.elapsed().saturating_sub(self.renderer.take_setup_time());
@@ -178,11 +207,24 @@ impl BatchExecutor {
                 self.send(BatchEvent::Timed { phase: Phase::Render, took: spent, rays: rays as u64 });
                 RenderOutcome::Pixels(pixels)
             }
-            Ok(Err(RenderError::Cancelled)) if stop.0.is_cancelled() => RenderOutcome::Dropped,
+            Ok(Err(RenderError::Cancelled)) if stop.is_cancelled() => {
+                over_limit.map_or(RenderOutcome::Dropped, RenderOutcome::Refused)
+            }
             Ok(Err(error)) => RenderOutcome::Refused(chain(&error)),
             Err(panic) => RenderOutcome::Refused(panic_message("the renderer", panic)),
         }
     }
+}
+
+/// Waits until the time limit of a tile has passed; returns the message of its failure.
+async fn over_limit(tile_seconds: Option<u32>) -> String {
+    let Some(limit) = tile_seconds else { return std::future::pending().await };
+    tokio::time::sleep(Duration::from_secs(limit.into())).await;
+    format!(
+        "rendering a tile took longer than its limit of {limit} s: use fewer samples or a simpler scene, smaller tiles \
+         (`sdfarm serve --tile`), or a higher limit (`sdfarm submit --tile-seconds`, at most that of `sdfarm serve \
+         --max-tile-seconds`)"
+    )
 }
 
 /// Milliseconds of a duration, for logs.

@@ -46,6 +46,8 @@ pub(super) enum SessionEnd {
     NotRegistered,
     /// The device is lost, for this reason; no leases are held any more.
     DeviceLost(String),
+    /// A render does not stop, for this reason; no leases are held any more.
+    Stuck(String),
 }
 
 /// State of a session.
@@ -63,8 +65,8 @@ pub(super) struct Session {
     rendering: usize,
     /// Whether the last batch was short.
     last_batch_was_short: bool,
-    /// Reason why the device is lost, if it is.
-    device_lost: Option<String>,
+    /// Reason to end the session at once, if there is one.
+    broken: Option<SessionEnd>,
     holds: HashMap<LeaseId, LeaseHandle>,
     pending_reports: Vec<LeaseReport>,
     speed: ThroughputEstimate,
@@ -148,7 +150,7 @@ impl Session {
             runs: JoinSet::new(),
             rendering: 0,
             last_batch_was_short: false,
-            device_lost: None,
+            broken: None,
             holds: HashMap::new(),
             pending_reports: Vec::new(),
             speed: ThroughputEstimate::default(),
@@ -170,9 +172,9 @@ impl Session {
         let mut call: Option<PendingSync> = None;
         let mut hand_back_at: Option<Instant> = None;
         let ending = loop {
-            if let Some(reason) = self.device_lost.take() {
+            if let Some(end) = self.broken.take() {
                 self.release_leases();
-                break Ok(SessionEnd::DeviceLost(reason));
+                break Ok(end);
             }
             if self.is_done() {
                 break Ok(SessionEnd::Drained);
@@ -213,7 +215,7 @@ impl Session {
                 }
             }
         };
-        if let Ok(SessionEnd::Drained | SessionEnd::DeviceLost(_)) = ending {
+        if let Ok(SessionEnd::Drained | SessionEnd::DeviceLost(_) | SessionEnd::Stuck(_)) = ending {
             self.take_back_reports(call);
             self.final_sync().await;
         }
@@ -375,8 +377,10 @@ impl Session {
 
     fn on_event(&mut self, event: BatchEvent) {
         // Only an event that frees memory can make room for another batch.
-        self.awaits_change &=
-            !matches!(event, BatchEvent::Rendered(_) | BatchEvent::DeviceLost(_) | BatchEvent::NotStored);
+        self.awaits_change &= !matches!(
+            event,
+            BatchEvent::Rendered(_) | BatchEvent::DeviceLost(_) | BatchEvent::Stuck(_) | BatchEvent::NotStored
+        );
         match event {
             BatchEvent::Finished(reports) => {
                 // Reports on leases revoked in the meantime are dropped.
@@ -387,7 +391,8 @@ impl Session {
                 self.rendering = self.rendering.saturating_sub(1);
                 self.last_batch_was_short = render.map_or(self.last_batch_was_short, |render| render < SHORT_BATCH);
             }
-            BatchEvent::DeviceLost(reason) => self.device_lost = Some(reason),
+            BatchEvent::DeviceLost(reason) => self.broken = Some(SessionEnd::DeviceLost(reason)),
+            BatchEvent::Stuck(reason) => self.broken = Some(SessionEnd::Stuck(reason)),
             BatchEvent::Speed { rays, seconds } => self.speed.update(rays, seconds),
             BatchEvent::Timed { phase, took, rays } => self.measurements.add(phase, took, rays),
             BatchEvent::Stored => self.store_back_off.reset(),

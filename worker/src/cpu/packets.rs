@@ -1,11 +1,16 @@
 //! Packets: a block of neighboring pixels rendered together, one per lane.
 
 use fearless_simd::{Level, Simd as Token};
+use scene::integrator::Radiance;
+use scene::real::{Real, vec3};
 use scene::{Image, Integrator, Layer};
 
+use crate::RenderError;
 use crate::lanes::Lanes;
 use crate::simd::{Simd, with_instructions};
-use crate::{CancelFlag, RenderError};
+
+/// Samples of a packet's pixels that are summed between two reports of progress.
+const SAMPLES_PER_RUN: u32 = 64;
 
 /// Renders packets with one CPU's vector instructions.
 #[derive(Clone, Copy, Debug)]
@@ -19,6 +24,7 @@ struct PacketRows<'a, 'b> {
     top: u32,
     width: usize,
     planes: Vec<&'b mut [f32]>,
+    progress: &'a (dyn Fn(u64) + Sync),
 }
 
 impl Packets {
@@ -42,7 +48,8 @@ impl Packets {
         with_instructions!(self.0, token, N => row_evaluations::<_, N>(token, program, left, row, width))
     }
 
-    /// Renders the rows of a band that starts in column `left` and row `top`; false if cancelled.
+    /// Renders the rows of a band that starts in column `left` and row `top`. `progress` receives the number of newly
+    /// finished rays.
     #[expect(clippy::too_many_arguments, reason = "the parts of one band")]
     pub(crate) fn band(
         self,
@@ -52,10 +59,10 @@ impl Packets {
         top: u32,
         width: usize,
         planes: Vec<&mut [f32]>,
-        cancel: &CancelFlag,
-    ) -> bool {
-        let mut band = PacketRows { program, image, left, top, width, planes };
-        with_instructions!(self.0, token, N => band.render::<_, N>(token, cancel))
+        progress: &(dyn Fn(u64) + Sync),
+    ) {
+        let mut band = PacketRows { program, image, left, top, width, planes, progress };
+        with_instructions!(self.0, token, N => band.render::<_, N>(token));
     }
 }
 
@@ -97,15 +104,11 @@ fn row_evaluations<S: Token, const N: usize>(
 
 impl PacketRows<'_, '_> {
     #[inline(always)]
-    fn render<S: Token, const N: usize>(&mut self, token: S, cancel: &CancelFlag) -> bool {
+    fn render<S: Token, const N: usize>(&mut self, token: S) {
         let (columns, _) = block::<_, N>(token);
         for column in (0..self.width).step_by(columns) {
-            if cancel.is_cancelled() {
-                return false;
-            }
             self.packet::<_, N>(token, column);
         }
-        true
     }
 
     /// Renders the block that starts in `column` of the band.
@@ -122,7 +125,7 @@ impl PacketRows<'_, '_> {
             #[inline(always)]
             |lane| (top + self.lane_position::<_, N>(token, column, lane).1) as f32,
         );
-        let seen = self.program.pixel(x, y);
+        let seen = self.radiance(token, column, x, y);
         let color = [seen.color.x, seen.color.y, seen.color.z, seen.alpha];
         for (plane, numbers) in color.into_iter().enumerate() {
             self.store(plane, column, numbers);
@@ -148,12 +151,39 @@ impl PacketRows<'_, '_> {
         }
     }
 
+    /// The color of a packet's pixels. Their samples are summed in runs, which does not change the sum.
+    #[inline(always)]
+    fn radiance<S: Token, const N: usize>(
+        &self,
+        token: S,
+        column: usize,
+        x: Lanes<S, N>,
+        y: Lanes<S, N>,
+    ) -> Radiance<Lanes<S, N>> {
+        let (columns, _) = block::<_, N>(token);
+        let pixels = columns.min(self.width - column) * self.rows();
+        let (samples, zero) = (self.image.samples, x.constant(0.0));
+        let mut sum = Radiance { color: vec3(zero, zero, zero), alpha: zero, evaluations: zero };
+        for first in (0..samples).step_by(SAMPLES_PER_RUN as usize) {
+            let run = SAMPLES_PER_RUN.min(samples - first);
+            let (first, end) = (first as f32, (first + run) as f32);
+            sum = self.program.accumulate(x, y, x.constant(first), x.constant(end), sum);
+            (self.progress)(pixels as u64 * u64::from(run));
+        }
+        self.program.mean(sum)
+    }
+
+    /// Rows of the band.
+    #[inline(always)]
+    fn rows(&self) -> usize {
+        self.planes[0].len() / self.width
+    }
+
     /// Column and row in the band of a packet's lane. Lanes beyond the band's edge repeat its last pixels.
     #[inline(always)]
     fn lane_position<S: Token, const N: usize>(&self, token: S, column: usize, lane: usize) -> (usize, usize) {
         let (columns, _) = block::<_, N>(token);
-        let rows = self.planes[0].len() / self.width;
-        ((column + lane % columns).min(self.width - 1), (lane / columns).min(rows - 1))
+        ((column + lane % columns).min(self.width - 1), (lane / columns).min(self.rows() - 1))
     }
 
     /// Writes the values of a packet that starts in `column` of the band.

@@ -6,13 +6,18 @@
 
 use std::ffi::{CString, c_char};
 use std::path::Path;
-use std::sync::OnceLock;
+use std::sync::mpsc::{self, RecvTimeoutError};
+use std::sync::{Mutex, OnceLock, PoisonError};
+use std::time::Duration;
 
 use cudarc::nvrtc::result::NvrtcError;
 use cudarc::nvrtc::{result, sys};
 
 use super::error::CudaError;
+use crate::CancelFlag;
 
+/// How often a waiting render checks whether it has been cancelled.
+const CANCEL_INTERVAL: Duration = Duration::from_millis(10);
 /// Every function that is called here.
 const FUNCTIONS: [&str; 11] = [
     "nvrtcVersion",
@@ -80,6 +85,36 @@ impl Compiler {
         match unsafe { result::compile_program(program.0, &options) } {
             Ok(()) => program.machine_code(),
             Err(_) => Err(CudaError::Compile { log: program.log(), kept: None }),
+        }
+    }
+}
+
+/// Compiles on a thread of its own, because the compiler cannot be interrupted: a cancelled render leaves it behind.
+pub(super) fn compile_until_cancelled(
+    compiler: &Compiler,
+    text: &str,
+    architecture: u32,
+    cancel: &CancelFlag,
+) -> Result<Vec<u8>, CudaError> {
+    /// Locked by the thread that compiles, so that cancelled compilations do not add up.
+    static COMPILING: Mutex<()> = Mutex::new(());
+    let (sender, receiver) = mpsc::channel();
+    let (compiler, text, flag) = (compiler.clone(), text.to_owned(), cancel.clone());
+    std::thread::spawn(move || {
+        let _compiling = COMPILING.lock().unwrap_or_else(PoisonError::into_inner);
+        if !flag.is_cancelled() {
+            // After a cancel, nobody receives the result.
+            let _ = sender.send(compiler.compile(&text, architecture));
+        }
+    });
+    loop {
+        match receiver.recv_timeout(CANCEL_INTERVAL) {
+            Ok(compiled) => return compiled,
+            Err(_) if cancel.is_cancelled() => return Err(CudaError::Cancelled),
+            Err(RecvTimeoutError::Timeout) => {}
+            Err(RecvTimeoutError::Disconnected) => {
+                return Err(CudaError::Compile { log: "the compiler panicked".to_owned(), kept: None });
+            }
         }
     }
 }

@@ -2,6 +2,7 @@
 
 mod delivery;
 mod leases;
+mod limits;
 mod pipeline;
 mod registration;
 

@@ -27,6 +27,8 @@ const DEADLINE: Duration = Duration::from_secs(20);
 #[derive(Default)]
 pub(crate) struct Farm {
     pub(crate) lease_ms: u64,
+    /// Time limit for a tile of the batches given from now on.
+    pub(crate) tile_seconds: Option<u32>,
     pub(crate) jobs: HashMap<JobId, String>,
     pub(crate) queue: VecDeque<Batch>,
     pub(crate) live: HashSet<LeaseId>,
@@ -55,7 +57,12 @@ impl Farm {
         let tiles: Vec<LeasedTile> =
             (0..).zip(rects).map(|(index, &rect)| LeasedTile { lease: LeaseId::new(), index, rect }).collect();
         let leases = tiles.iter().map(|tile| tile.lease).collect();
-        self.queue.push_back(Batch { job, frame: 3, work: BatchWork::Render { tiles, whole_frame } });
+        self.queue.push_back(Batch {
+            job,
+            frame: 3,
+            tile_seconds: self.tile_seconds,
+            work: BatchWork::Render { tiles, whole_frame },
+        });
         leases
     }
 

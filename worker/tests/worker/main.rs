@@ -4,6 +4,7 @@ mod agent;
 mod animation;
 mod bit_identical;
 mod blobs;
+mod cancel;
 mod cuda;
 mod docs;
 mod fake_renderer;

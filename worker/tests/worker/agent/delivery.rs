@@ -66,8 +66,14 @@ fn render_to_blobs(server: &FakeServer, id: JobId, job: &Job, rects: &[Rect]) ->
 
 fn stitch(server: &FakeServer, job: JobId, parts: Vec<StitchInput>) -> LeaseOutcome {
     let lease = LeaseId::new();
-    server
-        .change(|farm| farm.queue.push_back(Batch { job, frame: 3, work: BatchWork::Stitch { lease, inputs: parts } }));
+    server.change(|farm| {
+        farm.queue.push_back(Batch {
+            job,
+            frame: 3,
+            tile_seconds: None,
+            work: BatchWork::Stitch { lease, inputs: parts },
+        })
+    });
     server.outcomes(&[lease]).remove(0)
 }
 
