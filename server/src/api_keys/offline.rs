@@ -87,7 +87,7 @@ impl OfflineApiKeys {
         let kept = rows.iter().filter(|row| row.revoked_at_ms.is_none()).count();
         super::check_room(&order, rows.len(), kept).map_err(refused)?;
         let issue = secret::generate().map_err(refused)?;
-        let made = rows::insert(&mut self.connection, &issue.id, &issue.digest, &order).await;
+        let made = self.insert(&issue.id, &issue.digest, &order).await;
         let made = made.map_err(|error| self.failed(&error))?;
         match self.list().await?.into_iter().find(|key| key.id == issue.id) {
             Some(key) if made => Ok(IssuedApiKey { secret: issue.secret, key }),
@@ -103,7 +103,7 @@ impl OfflineApiKeys {
 
     /// Revokes the key with this id, or all keys of this name.
     pub async fn revoke(&mut self, id_or_name: &str) -> Result<Vec<ApiKeyView>, OfflineApiKeysError> {
-        let revoked = rows::revoke(&mut self.connection, id_or_name, now_ms()).await;
+        let revoked = self.revoke_rows(id_or_name).await;
         let revoked = revoked.map_err(|error| self.failed(&error))?;
         if revoked.is_empty() {
             return Err(refused(ApiKeyError::Unknown(id_or_name.to_owned())));
@@ -121,12 +121,48 @@ impl OfflineApiKeys {
         })
     }
 
+    async fn insert(&mut self, id: &str, digest: &[u8; 32], order: &KeySpec) -> Result<bool, DatabaseError> {
+        let mut transaction = self.connection.begin_with("BEGIN IMMEDIATE").await?;
+        let made = rows::insert(&mut transaction, id, digest, order).await?;
+        if made {
+            audit_log::insert(&mut transaction, &entry("POST", "/v1/keys", 201), now_ms(), 1).await?;
+        }
+        transaction.commit().await?;
+        Ok(made)
+    }
+
+    async fn revoke_rows(&mut self, id_or_name: &str) -> Result<Vec<String>, DatabaseError> {
+        let mut transaction = self.connection.begin_with("BEGIN IMMEDIATE").await?;
+        let revoked = rows::revoke(&mut transaction, id_or_name, now_ms()).await?;
+        if !revoked.is_empty() {
+            audit_log::insert(&mut transaction, &entry("DELETE", "/v1/keys/{id}", 200), now_ms(), 1).await?;
+        }
+        transaction.commit().await?;
+        Ok(revoked)
+    }
+
     async fn rows(&mut self) -> Result<Vec<super::key::KeyRow>, OfflineApiKeysError> {
         rows::all(&mut self.connection).await.map_err(|error| self.failed(&error))
     }
 
     fn failed(&self, error: &DatabaseError) -> OfflineApiKeysError {
         OfflineApiKeysError::Folder { folder: self.folder.clone(), reason: cause(error), cure: USE_OTHER_FOLDER_FIX }
+    }
+}
+
+/// Entry of the audit log for a change on this machine: the same as for the request that makes this change.
+fn entry(method: &str, route: &str, status: u16) -> AuditRecord {
+    AuditRecord {
+        kind: EntryKind::Admin,
+        actor: "local".to_owned(),
+        key: None,
+        address: "-".to_owned(),
+        method: method.to_owned(),
+        route: route.to_owned(),
+        job: None,
+        status,
+        code: None,
+        request_id: "-".to_owned(),
     }
 }
 

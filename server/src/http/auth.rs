@@ -18,6 +18,7 @@ use proto::api_key::Scope;
 use super::error::ApiError;
 use super::permissions::{Permission, required_permission};
 use crate::admission::{RateLimitStatus, RateLimited};
+use crate::audit_log;
 use crate::api_keys::{ApiKey, KeyLookup, constant_time_eq};
 use crate::farm::Farm;
 
@@ -94,6 +95,10 @@ pub(super) async fn authenticate_and_authorize(
         Err(refusal) => return with_caller(ApiError::from(refusal).into_response(), caller),
     };
     request.extensions_mut().insert(caller.clone());
+    audit_log::describe(|record| {
+        caller.name().clone_into(&mut record.actor);
+        record.key = caller.key().map(|key| key.id().to_owned());
+    });
     let route = request.extensions().get::<MatchedPath>().map_or("", MatchedPath::as_str);
     let limit = response_timeout(route, &request);
     let Some(key) = caller.key() else { return with_caller(with_timeout(next.run(request), limit).await, caller) };

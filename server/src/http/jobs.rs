@@ -17,6 +17,7 @@ use super::auth::Caller;
 use super::body;
 use super::error::ApiError;
 use super::{prefer, quota, submit_options, trace_context};
+use crate::audit_log;
 use crate::content_store::ContentKind;
 use crate::estimate;
 use crate::farm::Farm;
@@ -152,6 +153,7 @@ impl Submission {
             quota::check_rays(farm, &caller, plan.rays_total()).await?;
         }
         let id = JobId::new();
+        audit_log::describe(|record| record.job = Some(id));
         let new = NewJob {
             id,
             name: job.name.clone(),
