@@ -144,6 +144,8 @@ impl Database {
             .busy_timeout(Duration::from_secs(5))
             .row_buffer_size(ROW_BUFFER)
             .pragma("wal_autocheckpoint", AUTOCHECKPOINT_PAGES);
+        // Its WAL has the same mode.
+        crate::private_files::create_if_missing(&file).map_err(sqlx::Error::Io)?;
         let mut connection = options.connect().await?;
         if size_bytes <= MAX_START_CHECK_BYTES {
             let verdict: String = sqlx::query_scalar("PRAGMA quick_check(1)").fetch_one(&mut connection).await?;

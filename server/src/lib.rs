@@ -22,6 +22,7 @@ mod lock;
 mod maintenance;
 mod pool;
 mod preview_helper;
+mod private_files;
 mod queue;
 mod retention;
 mod signed_links;
@@ -44,6 +45,7 @@ pub use data_folder::{
     Backup, DataFolderError, Depth, Finding, Repair, Restored, Severity, back_up, restore, run_checks,
 };
 pub use integrity::{DoneTile, IntegrityError, IntegrityReport, check_integrity};
+pub use private_files::ExposedFile;
 pub use startup::StartError;
 pub use webhooks::{AddressRange, SecretError, webhook_secret};
 

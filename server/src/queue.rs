@@ -62,7 +62,7 @@ pub(crate) use stats::QueueStats;
 pub(crate) use submit::NewJob;
 pub(crate) use sync::{NextWork, SyncInput, SyncOutcome};
 pub(crate) use webhooks::{Attempt, Delivery};
-pub(crate) use workers::{NewWorker, Registration};
+pub(crate) use workers::{LeaseNeed, NewWorker, Registration};
 
 /// Result of a transition.
 type Result<T> = std::result::Result<T, DatabaseError>;

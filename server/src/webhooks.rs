@@ -23,7 +23,7 @@ use crate::queue::{Attempt, Delivery, jitter};
 
 pub(crate) use guard::AddressPolicy;
 pub use guard::AddressRange;
-pub(crate) use sign::Signer;
+pub(crate) use sign::{FILE as SECRET_FILE, Signer};
 pub use sign::{SecretError, webhook_secret};
 
 /// Event types of webhooks.

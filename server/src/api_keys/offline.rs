@@ -11,9 +11,11 @@ use sqlx::sqlite::SqliteConnection;
 
 use super::key::{ApiKey, KeySpec};
 use super::{ApiKeyError, rows, secret};
+use crate::audit_log::{self, AuditRecord, EntryKind};
 use crate::clock::Clock;
 use crate::database::{Database, DatabaseError, OpenError};
 use crate::lock::{FolderLock, LockError};
+use crate::private_files;
 
 /// Timeout for the database while a running server writes.
 const LOCK_TIMEOUT: Duration = Duration::from_secs(10);
@@ -62,9 +64,10 @@ impl OfflineApiKeys {
     /// a server.
     pub async fn open_or_create(folder: &Path) -> Result<Self, OfflineApiKeysError> {
         let wrong = |reason: String, cure| OfflineApiKeysError::Folder { folder: folder.to_owned(), reason, cure };
-        std::fs::create_dir_all(folder).map_err(|error| wrong(error.to_string(), USE_OTHER_FOLDER_FIX))?;
+        private_files::create_folder(folder).map_err(|error| wrong(error.to_string(), USE_OTHER_FOLDER_FIX))?;
         let lock = match FolderLock::acquire(folder) {
             Ok(lock) => {
+                private_files::restrict(folder).map_err(|error| wrong(error.to_string(), USE_OTHER_FOLDER_FIX))?;
                 let store =
                     Database::open(folder).await.map_err(|error| wrong(explain(&error), USE_OTHER_FOLDER_FIX))?;
                 store.close().await;

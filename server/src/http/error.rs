@@ -106,6 +106,10 @@ pub(crate) enum ApiError {
     KeyNotFound(ApiKeyError),
     #[error("unknown worker {0}: it did not sync for too long; register again")]
     UnknownWorker(String),
+    #[error("worker {0} was registered with another key: use that key, or register again with this one")]
+    ForeignWorker(String),
+    #[error("no worker of this key has a lease that needs this: register a worker with this key, and claim work first")]
+    NoLease,
     #[error("the worker renders picture version {found}, the server requires {wanted}: run the same release of both")]
     WrongPictureVersion { found: u32, wanted: u32 },
     #[error("{0:?} is not a BLAKE3 hash: send 64 lower-case hexadecimal digits")]
@@ -121,7 +125,9 @@ pub(crate) enum ApiError {
     #[error("the signature does not match the link: use the link unchanged, or request a new one")]
     WrongSignature,
     #[error(transparent)]
-    PreviewFailed(HelperError),
+    PreviewDelayed(HelperError),
+    #[error("the preview could not be drawn: retry in a few seconds; the server's log has the cause under this request id")]
+    PreviewFailed,
     #[error("the server is shutting down: retry in a few seconds")]
     ShuttingDown,
     #[error("the disk is full: free space for the data folder, then retry")]
@@ -208,6 +214,8 @@ impl ApiError {
             Self::TooManyKeys(_) => (StatusCode::CONFLICT, "too_many_keys", "There are too many keys"),
             Self::KeyNotFound(_) => (StatusCode::NOT_FOUND, "no_such_key", "There is no such key"),
             Self::UnknownWorker(_) => (StatusCode::NOT_FOUND, "unknown_worker", "There is no such worker"),
+            Self::ForeignWorker(_) => (StatusCode::FORBIDDEN, "foreign_worker", "The worker belongs to another key"),
+            Self::NoLease => (StatusCode::FORBIDDEN, "no_lease", "The key has no lease that needs this"),
             Self::WrongPictureVersion { .. } => {
                 (StatusCode::UNPROCESSABLE_ENTITY, "wrong_picture_version", "The worker has another picture version")
             }
@@ -219,7 +227,7 @@ impl ApiError {
             Self::LostPicture => (StatusCode::INTERNAL_SERVER_ERROR, "lost_picture", "The picture's file is gone"),
             Self::LinkExpired(_) => (StatusCode::GONE, "link_expired", "The link has expired"),
             Self::WrongSignature => (StatusCode::FORBIDDEN, "wrong_signature", "The signature is invalid"),
-            Self::PreviewFailed(_) => (StatusCode::SERVICE_UNAVAILABLE, "no_preview", "The preview failed"),
+            Self::PreviewDelayed(_) | Self::PreviewFailed => (StatusCode::SERVICE_UNAVAILABLE, "no_preview", "The preview failed"),
             Self::ShuttingDown => (StatusCode::SERVICE_UNAVAILABLE, "closing", "The server is shutting down"),
             Self::DiskFull => (StatusCode::INSUFFICIENT_STORAGE, "disk_full", "The disk is full"),
             Self::DamagedDatabase => (StatusCode::SERVICE_UNAVAILABLE, "damaged_database", "The database is damaged"),
@@ -287,7 +295,7 @@ impl IntoResponse for ApiError {
             Self::QueueFull { .. } | Self::Quota { .. } => {
                 response.headers_mut().insert(header::RETRY_AFTER, HeaderValue::from_static("10"));
             }
-            Self::ShuttingDown | Self::ResponseTimeout { .. } | Self::PreviewFailed(_) => {
+            Self::ShuttingDown | Self::ResponseTimeout { .. } | Self::PreviewDelayed(_) | Self::PreviewFailed => {
                 response.headers_mut().insert(header::RETRY_AFTER, HeaderValue::from_static("5"));
             }
             Self::WrongRange { size_bytes } => {
@@ -373,8 +381,12 @@ impl From<SyncError> for ApiError {
 
 impl From<HelperError> for ApiError {
     fn from(error: HelperError) -> Self {
+        // The message may name files of the server.
         tracing::warn!(%error, "could not draw a preview");
-        Self::PreviewFailed(error)
+        match error {
+            error @ (HelperError::Busy | HelperError::TimedOut) => Self::PreviewDelayed(error),
+            HelperError::Start(_) | HelperError::Failed(_) => Self::PreviewFailed,
+        }
     }
 }
 
