@@ -13,3 +13,27 @@ CREATE INDEX audit_by_kind ON audit (kind, number);
 ALTER TABLE worker ADD COLUMN owner TEXT;
 
 CREATE INDEX worker_by_owner ON worker (owner) WHERE state <> 'gone';
+
+-- The highest priority that a key's jobs may ask for; null means the default.
+ALTER TABLE key ADD COLUMN max_priority INTEGER CHECK (max_priority BETWEEN -100 AND 100);
+
+-- Whose a delivery is and where it goes: attempts are shared fairly among submitters and receivers.
+ALTER TABLE webhook ADD COLUMN target TEXT NOT NULL DEFAULT '';
+UPDATE webhook SET target = url;
+ALTER TABLE delivery ADD COLUMN submitter TEXT NOT NULL DEFAULT '';
+ALTER TABLE delivery ADD COLUMN target TEXT NOT NULL DEFAULT '';
+UPDATE delivery SET target = url WHERE state = 'pending';
+
+DROP INDEX delivery_due;
+CREATE INDEX delivery_due ON delivery (next_at_ms, submitter, target) WHERE state = 'pending';
+
+DROP TRIGGER webhook_due;
+CREATE TRIGGER webhook_due AFTER INSERT ON outbox WHEN new.kind IN ('state', 'frame') BEGIN
+    INSERT INTO delivery (id, event, url, target, submitter, job, name, body, state, next_at_ms)
+    SELECT 'msg_' || lower(hex(randomblob(16))),
+           iif(new.kind = 'frame', 'frame.stored', 'job.' || new.state), webhook.url, webhook.target, job.submitter,
+           job.id, job.name, new.body, 'pending', 0
+    FROM webhook CROSS JOIN job ON job.number = webhook.job
+    WHERE webhook.job = new.job
+      AND instr(webhook.events, ',' || iif(new.kind = 'frame', 'frame.stored', 'job.' || new.state) || ',') > 0;
+END;

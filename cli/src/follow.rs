@@ -186,5 +186,11 @@ pub(crate) async fn save(client: &Client, id: JobId, frame: u32, path: &str) -> 
 pub(crate) fn line(job: &JobView) -> String {
     let percent = (job.progress * 100.0).floor();
     let paused = if job.paused { "  (paused)" } else { "" };
-    format!("{}  {:<9}  {percent:>3} %  {}  {}{paused}", job.id.short(), job.state.name(), job.created_at, escape_line(&job.name))
+    format!(
+        "{}  {:<9}  {percent:>3} %  {}  {}{paused}",
+        job.id.short(),
+        job.state.name(),
+        job.created_at,
+        escape_line(&job.name)
+    )
 }

@@ -194,9 +194,9 @@ impl AuditLog {
     pub(crate) async fn reject(&self, entry: Option<Arc<PendingEntry>>, outcome: AuditRecord) {
         self.refusals.count(AuditRecord { kind: EntryKind::Refused, ..outcome }, self.clock.wall_ms());
         let Some(number) = entry.and_then(|entry| entry.number.get().copied()) else { return };
-        let removed = self.store.write(Durability::Relaxed, move |connection| {
-            Box::pin(async move { remove(connection, number).await })
-        });
+        let removed = self
+            .store
+            .write(Durability::Relaxed, move |connection| Box::pin(async move { remove(connection, number).await }));
         log_failure(removed.await);
     }
 
@@ -238,13 +238,12 @@ impl AuditLog {
 
     async fn prune(&self) -> Result<(), DatabaseError> {
         for kind in EntryKind::ALL {
-            let newest_pruned: Option<i64> = sqlx::query_scalar(
-                "SELECT number FROM audit WHERE kind = ? ORDER BY number DESC LIMIT 1 OFFSET ?",
-            )
-            .bind(kind.name())
-            .bind(kind.max_entries())
-            .fetch_optional(self.store.readers())
-            .await?;
+            let newest_pruned: Option<i64> =
+                sqlx::query_scalar("SELECT number FROM audit WHERE kind = ? ORDER BY number DESC LIMIT 1 OFFSET ?")
+                    .bind(kind.name())
+                    .bind(kind.max_entries())
+                    .fetch_optional(self.store.readers())
+                    .await?;
             let Some(newest_pruned) = newest_pruned else { continue };
             while self.prune_batch(kind, newest_pruned).await? == u64::from(PRUNE_BATCH) {}
         }

@@ -40,7 +40,9 @@ use tokio_util::sync::CancellationToken;
 
 pub use api_keys::{OfflineApiKeys, OfflineApiKeysError};
 pub use clock::{Clock, ManualClock};
-pub use config::{Config, MAX_CONNECTIONS, MAX_QUEUED_JOBS, TlsFiles};
+pub use config::{
+    Config, MAX_CONNECTIONS, MAX_JOBS_PER_NAME, MAX_PAUSED_PER_NAME, MAX_QUEUED_JOBS, MAX_RAYS_PER_NAME, TlsFiles,
+};
 pub use data_folder::{
     Backup, DataFolderError, Depth, Finding, Repair, Restored, Severity, back_up, restore, run_checks,
 };

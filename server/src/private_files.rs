@@ -14,7 +14,7 @@ const FOLDER_MODE: u32 = 0o700;
 /// Mode bits of users other than the owner.
 const OTHERS: u32 = 0o077;
 /// Folders in a data folder.
-const FOLDERS: [&str; 3] = ["pictures", "blobs", "previews"];
+const FOLDERS: [&str; 3] = ["pictures", "tiles", "previews"];
 
 /// Error returned when others may read a file and that cannot be changed.
 #[derive(Debug, thiserror::Error)]
@@ -68,7 +68,9 @@ pub(crate) fn restrict(data: &Path) -> Result<(), ExposedFile> {
 
 /// Whether a data folder's file is one that others must not read.
 fn is_private(name: &str) -> bool {
-    name.starts_with("farm.sqlite") || name.starts_with("farm-") || ["lock", signed_links::FILE, webhooks::SECRET_FILE].contains(&name)
+    name.starts_with("farm.sqlite")
+        || name.starts_with("farm-")
+        || ["lock", signed_links::FILE, webhooks::SECRET_FILE].contains(&name)
 }
 
 fn restrict_one(path: &Path, wanted: u32) -> Result<(), ExposedFile> {
@@ -79,8 +81,11 @@ fn restrict_one(path: &Path, wanted: u32) -> Result<(), ExposedFile> {
         return Ok(());
     }
     tracing::warn!(path = %path.display(), mode = format!("{mode:o}"), "other users could read it; its mode is now {wanted:o}");
-    fs::set_permissions(path, Permissions::from_mode(wanted))
-        .map_err(|source| ExposedFile { path: path.to_owned(), mode, source })
+    fs::set_permissions(path, Permissions::from_mode(wanted)).map_err(|source| ExposedFile {
+        path: path.to_owned(),
+        mode,
+        source,
+    })
 }
 
 #[cfg(test)]

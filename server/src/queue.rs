@@ -45,10 +45,10 @@ use tokio::sync::Notify;
 use crate::clock::Clock;
 use crate::database::{Database, DatabaseError, Durability};
 
+pub(crate) use backlog::{BacklogLimits, ExceededLimit};
 pub(crate) use events::Event;
 pub(crate) use finish::{CancelOutcome, DeleteOutcome};
 pub(crate) use frames::{FrameSet, StoredFrame};
-pub(crate) use backlog::{BacklogLimits, ExceededLimit};
 pub(crate) use idempotency::{IdempotencyKey, NewWebhook, SubmitOptions, SubmitOutcome};
 pub(crate) use job_changes::ChangeOutcome;
 pub(crate) use lease::{LeaseEnd, jitter};
@@ -62,7 +62,7 @@ pub(crate) use retention::FinishedJob;
 pub(crate) use stats::QueueStats;
 pub(crate) use submit::NewJob;
 pub(crate) use sync::{NextWork, SyncInput, SyncOutcome};
-pub(crate) use webhooks::{Attempt, Delivery};
+pub(crate) use webhooks::{Attempt, BusyReceivers, Delivery};
 pub(crate) use workers::{LeaseNeed, NewWorker, Registration};
 
 /// Result of a transition.

@@ -101,7 +101,10 @@ mod tests {
         });
         let text = String::from_utf8(lines.0.lock().expect("no holder panics").clone()).expect("text");
         assert_eq!(text.lines().count(), 1, "{text}");
-        assert!(!text.trim_end().contains(|character: char| character.is_control() || character == '\u{202e}'), "{text:?}");
+        assert!(
+            !text.trim_end().contains(|character: char| character.is_control() || character == '\u{202e}'),
+            "{text:?}"
+        );
         assert!(text.contains("worker=a\\u{1b}]0;owned\\u{7}\\nINFO forged"), "{text}");
     }
 }

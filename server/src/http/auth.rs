@@ -18,8 +18,8 @@ use proto::api_key::Scope;
 use super::error::ApiError;
 use super::permissions::{Permission, required_permission};
 use crate::admission::{RateLimitStatus, RateLimited};
-use crate::audit_log;
 use crate::api_keys::{ApiKey, KeyLookup, constant_time_eq};
+use crate::audit_log;
 use crate::farm::Farm;
 
 /// Time limit for the start of a response, unless its route waits or receives a large body.

@@ -94,6 +94,11 @@ pub(crate) enum ApiError {
     QueueFull { limit: i64 },
     #[error("{name} may have at most {limit} {what}: retry when some have finished, or cancel some")]
     Quota { name: String, what: &'static str, limit: i64 },
+    #[error(
+        "the key of {name} gives jobs priorities up to {max}, not {found}: use a lower priority, or ask an administrator \
+         for a key with a higher one (`sdfarm key new NAME --max-priority {found}`)"
+    )]
+    PriorityTooHigh { name: String, found: i32, max: i32 },
     #[error("the body arrived too slowly, or not at all: send it without pauses")]
     SlowBody,
     #[error("the server could not respond within {limit_seconds} s: retry")]
@@ -126,7 +131,9 @@ pub(crate) enum ApiError {
     WrongSignature,
     #[error(transparent)]
     PreviewDelayed(HelperError),
-    #[error("the preview could not be drawn: retry in a few seconds; the server's log has the cause under this request id")]
+    #[error(
+        "the preview could not be drawn: retry in a few seconds; the server's log has the cause under this request id"
+    )]
     PreviewFailed,
     #[error("the server is shutting down: retry in a few seconds")]
     ShuttingDown,
@@ -208,6 +215,7 @@ impl ApiError {
             Self::TooManyRequests { .. } => (StatusCode::TOO_MANY_REQUESTS, "too_many_requests", "Too many requests"),
             Self::QueueFull { .. } => (StatusCode::TOO_MANY_REQUESTS, "queue_full", "The queue is full"),
             Self::Quota { .. } => (StatusCode::TOO_MANY_REQUESTS, "quota", "The submitter's quota is used up"),
+            Self::PriorityTooHigh { .. } => (StatusCode::FORBIDDEN, "priority_too_high", "The priority is too high"),
             Self::SlowBody => (StatusCode::REQUEST_TIMEOUT, "slow_body", "The body arrived too slowly"),
             Self::ResponseTimeout { .. } => (StatusCode::SERVICE_UNAVAILABLE, "too_long", "The response timed out"),
             Self::InvalidNewKey(_) => (StatusCode::UNPROCESSABLE_ENTITY, "wrong_key", "The new key is invalid"),
@@ -227,7 +235,9 @@ impl ApiError {
             Self::LostPicture => (StatusCode::INTERNAL_SERVER_ERROR, "lost_picture", "The picture's file is gone"),
             Self::LinkExpired(_) => (StatusCode::GONE, "link_expired", "The link has expired"),
             Self::WrongSignature => (StatusCode::FORBIDDEN, "wrong_signature", "The signature is invalid"),
-            Self::PreviewDelayed(_) | Self::PreviewFailed => (StatusCode::SERVICE_UNAVAILABLE, "no_preview", "The preview failed"),
+            Self::PreviewDelayed(_) | Self::PreviewFailed => {
+                (StatusCode::SERVICE_UNAVAILABLE, "no_preview", "The preview failed")
+            }
             Self::ShuttingDown => (StatusCode::SERVICE_UNAVAILABLE, "closing", "The server is shutting down"),
             Self::DiskFull => (StatusCode::INSUFFICIENT_STORAGE, "disk_full", "The disk is full"),
             Self::DamagedDatabase => (StatusCode::SERVICE_UNAVAILABLE, "damaged_database", "The database is damaged"),
@@ -348,6 +358,7 @@ impl From<ApiKeyError> for ApiError {
             error @ (ApiKeyError::Name(_)
             | ApiKeyError::NoScope
             | ApiKeyError::Limit { .. }
+            | ApiKeyError::Priority(_)
             | ApiKeyError::FirstNotAdmin) => Self::InvalidNewKey(error),
             error @ (ApiKeyError::TooManyLive { .. } | ApiKeyError::TooMany) => Self::TooManyKeys(error),
             error @ ApiKeyError::Unknown(_) => Self::KeyNotFound(error),

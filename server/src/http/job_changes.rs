@@ -74,6 +74,7 @@ pub(super) async fn retry(
 )]
 pub(super) async fn patch(
     State(farm): State<Arc<Farm>>,
+    caller: Caller,
     Path(id): Path<String>,
     headers: HeaderMap,
     request: Body,
@@ -87,6 +88,9 @@ pub(super) async fn patch(
             "/priority",
             format!("{priority} is not a priority: use a number from -100 to 100"),
         ));
+    }
+    if let Some(priority) = patch.priority {
+        quota::check_priority(&caller, priority)?;
     }
     match farm.queue.patch(job, patch).await? {
         ChangeOutcome::Done => view(&farm, job).await,

@@ -87,6 +87,7 @@ pub(super) fn has_no_cache(headers: &HeaderMap) -> bool {
          headers(("Location" = String, description = "The job"))),
         (status = 200, description = "The job is valid (dry run), or the job that was accepted before with the same Idempotency-Key", body = ref("#/components/schemas/SubmitAnswer")),
         (status = 400, description = "Not JSON", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+        (status = 403, description = "The priority is above the highest of the key", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
         (status = 413, description = "Too large", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
         (status = 415, description = "The content type is not JSON", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
         (status = 422, description = "The job is invalid: `errors` lists all errors", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
@@ -142,6 +143,7 @@ impl Submission {
         let wish = submit_options::read(&uri, &headers, &text, &farm.webhooks.guard, limits)?;
         let parsed = farm.jobs.parse(text.clone(), |parsed| parsed.map(|job| (job.warnings(), job))).await?;
         let (warnings, job) = parsed?;
+        quota::check_priority(&caller, job.priority)?;
         let plan = TilePlan::new(&job, farm.config.tile_edge_px);
         if query.dry_run {
             let (tiles, rays) = (plan.tiles_total(), plan.rays_total());

@@ -1,7 +1,9 @@
-//! Quotas: maximum unfinished jobs and rays, for the farm and for each submitter.
+//! Quotas: maximum unfinished jobs, rays and paused jobs, for the farm and for each submitter; highest priorities.
 //!
 //! The transaction that accepts a job decides (`queue/backlog.rs`). The check at the head of a request only saves
 //! reading a body that would be rejected.
+
+use proto::api_key::Scope;
 
 use super::auth::Caller;
 use super::error::ApiError;
@@ -10,10 +12,14 @@ use crate::queue::{BacklogLimits, ExceededLimit};
 
 /// Limits of the unfinished work of this caller and of the farm.
 pub(super) fn limits(farm: &Farm, caller: &Caller) -> BacklogLimits {
+    let farm_jobs = Some(farm.config.max_queued_jobs.into());
+    // A farm without keys has one submitter.
+    let Some(key) = caller.key() else { return BacklogLimits { farm_jobs, ..BacklogLimits::default() } };
     BacklogLimits {
-        farm_jobs: Some(farm.config.max_queued_jobs.into()),
-        jobs: caller.key().and_then(|key| key.max_jobs()),
-        rays: caller.key().and_then(|key| key.max_rays()),
+        farm_jobs,
+        jobs: Some(key.max_jobs().unwrap_or(farm.config.max_jobs_per_name.into())),
+        rays: Some(key.max_rays().unwrap_or(i64::try_from(farm.config.max_rays_per_name).unwrap_or(i64::MAX))),
+        leaves_half: key.max_jobs().is_none(),
     }
 }
 
@@ -22,6 +28,27 @@ pub(super) async fn check_jobs(farm: &Farm, caller: &Caller) -> Result<(), ApiEr
     match farm.queue.exceeded_limit(limits(farm, caller), caller.name(), 0).await? {
         None => Ok(()),
         Some(limit) => Err(exceeded(caller, limit)),
+    }
+}
+
+/// Maximum number of paused jobs of a job's submitter, if this caller pauses it; administrators may pause any number.
+pub(super) fn max_paused(farm: &Farm, caller: &Caller) -> Option<u32> {
+    let key = caller.key().filter(|key| !key.scopes().is_allowed(Scope::Admin));
+    key.map(|_| farm.config.max_paused_per_name)
+}
+
+/// Error for a job that this caller cannot pause.
+pub(super) fn too_many_paused(caller: &Caller, limit: u32) -> ApiError {
+    ApiError::Quota { name: caller.name().to_owned(), what: "paused jobs", limit: limit.into() }
+}
+
+/// Rejects a priority above the highest that the caller's key permits.
+pub(super) fn check_priority(caller: &Caller, priority: i32) -> Result<(), ApiError> {
+    match caller.key() {
+        Some(key) if priority > key.max_priority() => {
+            Err(ApiError::PriorityTooHigh { name: key.name().to_owned(), found: priority, max: key.max_priority() })
+        }
+        Some(_) | None => Ok(()),
     }
 }
 

@@ -53,7 +53,12 @@ pub(super) fn read(
     if events.is_empty() {
         events = FINAL_EVENTS.to_vec();
     }
-    let webhooks = urls.into_iter().map(|url| NewWebhook { url, events: events.clone() }).collect();
+    let webhooks = urls.into_iter().map(|url| NewWebhook {
+        target: format!("{}:{}", url.host_str().unwrap_or_default(), url.port_or_known_default().unwrap_or_default()),
+        url: url.to_string(),
+        events: events.clone(),
+    });
+    let webhooks = webhooks.collect();
     let once = key(headers)?.map(|key| IdempotencyKey { key, fingerprint: fingerprint(uri, headers, text) });
     Ok(SubmitOptions { idempotency: once, webhooks, limits })
 }
@@ -66,13 +71,13 @@ pub(super) async fn is_replay(farm: &Farm, caller: &Caller, headers: &HeaderMap)
     }
 }
 
-fn webhook_url(text: &str, guard: &AddressPolicy) -> Result<String, ApiError> {
+fn webhook_url(text: &str, guard: &AddressPolicy) -> Result<Url, ApiError> {
     if text.len() > MAX_URL_BYTES {
         return Err(ApiError::WrongWebhook(format!(
             "the webhook's address has more than {MAX_URL_BYTES} bytes: use a shorter one"
         )));
     }
-    guard.check(text).map(|url| url.to_string()).map_err(|error| ApiError::WrongWebhook(error.to_string()))
+    guard.check(text).map_err(|error| ApiError::WrongWebhook(error.to_string()))
 }
 
 fn event(name: &str) -> Result<&'static str, ApiError> {

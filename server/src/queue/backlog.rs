@@ -23,6 +23,8 @@ pub(crate) struct BacklogLimits {
     pub(crate) jobs: Option<i64>,
     /// Camera rays of the submitter's unfinished jobs.
     pub(crate) rays: Option<i64>,
+    /// Whether the submitter leaves half of what others have left of the queue, so that no submitter can fill it.
+    pub(crate) leaves_half: bool,
 }
 
 /// Limit that another job would exceed, with its value.
@@ -42,8 +44,15 @@ impl BacklogLimits {
         let above = |limit: Option<i64>, wanted: i64| limit.filter(|limit| wanted > *limit);
         above(self.farm_jobs, farm.jobs.saturating_add(1))
             .map(ExceededLimit::FarmJobs)
-            .or_else(|| above(self.jobs, own.jobs.saturating_add(1)).map(ExceededLimit::Jobs))
+            .or_else(|| above(self.own_jobs(farm, own), own.jobs.saturating_add(1)).map(ExceededLimit::Jobs))
             .or_else(|| above(self.rays, own.rays.saturating_add_unsigned(rays)).map(ExceededLimit::Rays))
+    }
+
+    /// Maximum number of unfinished jobs of the submitter: half of what others have left, rounded up, if that is less.
+    fn own_jobs(self, farm: Backlog, own: Backlog) -> Option<i64> {
+        let Some(farm_jobs) = self.farm_jobs.filter(|_| self.leaves_half) else { return self.jobs };
+        let half = (farm_jobs - (farm.jobs - own.jobs) + 1) / 2;
+        Some(self.jobs.map_or(half, |jobs| jobs.min(half)))
     }
 
     /// The limit that one more job of this submitter would exceed, as the transaction of `connection` sees it.
@@ -93,5 +102,32 @@ impl Queue {
             .fetch_optional(self.readers())
             .await?;
         Ok(submitter)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn no_submitter_can_fill_the_queue() {
+        let limits = BacklogLimits { farm_jobs: Some(100), jobs: Some(1000), rays: None, leaves_half: true };
+        let mut farm = Backlog::default();
+        let mut taken = Vec::new();
+        for _ in 0..8 {
+            let mut own = Backlog::default();
+            while limits.exceeded(farm, own, 1).is_none() {
+                own.jobs += 1;
+                farm.jobs += 1;
+            }
+            taken.push(own.jobs);
+        }
+        // Each submitter leaves half, so that the next one has room as long as there is any.
+        assert_eq!(taken, [50, 25, 13, 6, 3, 2, 1, 0]);
+        let own = Backlog { jobs: 50, rays: 0 };
+        let farm = Backlog { jobs: 50, rays: 0 };
+        assert_eq!(limits.exceeded(farm, own, 1), Some(ExceededLimit::Jobs(50)));
+        assert_eq!(BacklogLimits { leaves_half: false, ..limits }.exceeded(farm, own, 1), None);
+        assert_eq!(BacklogLimits { jobs: Some(20), ..limits }.exceeded(farm, own, 1), Some(ExceededLimit::Jobs(20)));
     }
 }

@@ -5,7 +5,10 @@
 use proto::JobId;
 use sqlx::Row;
 
-use super::{BacklogLimits, Connection, ExceededLimit, NewJob, Queue, Result, TransitionContext, Wake, expect_rows, parse_column, submit};
+use super::{
+    BacklogLimits, Connection, ExceededLimit, NewJob, Queue, Result, TransitionContext, Wake, expect_rows,
+    parse_column, submit,
+};
 use crate::database::Durability;
 
 /// Retention of idempotency keys.
@@ -27,6 +30,8 @@ pub(crate) struct IdempotencyKey {
 pub(crate) struct NewWebhook {
     /// The address.
     pub(crate) url: String,
+    /// Its host and port: attempts to one target are limited together.
+    pub(crate) target: String,
     /// Event types to send.
     pub(crate) events: Vec<&'static str>,
 }
@@ -129,9 +134,10 @@ async fn accept(
         expect_rows("idempotency: stored", 1, &kept)?;
     }
     for webhook in &wish.webhooks {
-        let kept = sqlx::query("INSERT INTO webhook (job, url, events) VALUES (?, ?, ?)")
+        let kept = sqlx::query("INSERT INTO webhook (job, url, target, events) VALUES (?, ?, ?, ?)")
             .bind(number)
             .bind(&webhook.url)
+            .bind(&webhook.target)
             .bind(format!(",{},", webhook.events.join(",")))
             .execute(&mut *connection)
             .await?;

@@ -154,9 +154,9 @@ async fn touch_worker(
     moment: TransitionContext,
 ) -> Result<Option<WorkerRow>> {
     let row = sqlx::query(
-        "UPDATE worker SET seen_ms = ?, rays_per_second = coalesce(?, rays_per_second), owner = coalesce(owner, ?3)
-         WHERE coalesce(owner, ?3) = ?3 AND id = ? AND state <> 'gone'
-         RETURNING state, coalesce(max_nodes, ?) AS max_nodes",
+        "UPDATE worker SET seen_ms = ?1, rays_per_second = coalesce(?2, rays_per_second), owner = coalesce(owner, ?3)
+         WHERE id = ?4 AND state <> 'gone' AND coalesce(owner, ?3) = ?3
+         RETURNING state, coalesce(max_nodes, ?5) AS max_nodes",
     )
     .bind(moment.now_ms)
     .bind(turn.rays_per_second)

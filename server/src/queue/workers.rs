@@ -1,7 +1,7 @@
 //! Workers: registration, draining and exit.
 
-use proto::{JobId, WorkerId};
 use proto::worker_protocol::RegisterRequest;
+use proto::{JobId, WorkerId};
 use sqlx::Row;
 
 use super::lease::{self, LeaseEnd};

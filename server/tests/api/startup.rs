@@ -67,7 +67,8 @@ async fn only_the_servers_user_may_read_its_data() {
 
     let mode = |path: &Path| std::fs::metadata(path).expect("it is there").permissions().mode() & 0o777;
     let loosen = |path: &Path| {
-        std::fs::set_permissions(path, std::fs::Permissions::from_mode(mode(path) | 0o055)).expect("its mode is changed");
+        std::fs::set_permissions(path, std::fs::Permissions::from_mode(mode(path) | 0o055))
+            .expect("its mode is changed");
     };
     let farm = Farm::start().await;
     farm.submit(&small_job(1)).await;
