@@ -1,6 +1,7 @@
 //! Process-level tests: the real binary, over HTTP and on the command line.
 //! They use only what users can use; internals are tested next to the code.
 
+mod abuse;
 mod access_control;
 mod api;
 mod attacks;

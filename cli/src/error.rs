@@ -4,7 +4,7 @@ use proto::problem::ValidationErrorView;
 use proto::worker_protocol::EXIT_UNUSABLE_DEVICE;
 use proto::{ClientError, Problem};
 
-use crate::terminal::print_note;
+use crate::terminal::{escape_line, print_note};
 
 const EXIT_FAILURE: u8 = 1;
 const EXIT_USAGE: u8 = 2;
@@ -47,8 +47,8 @@ pub(crate) fn report(error: &anyhow::Error) -> u8 {
 /// Formats one error like a compiler: `FILE:LINE:COLUMN: pointer: message`.
 fn line(file: &str, fault: &ValidationErrorView) -> String {
     let ValidationErrorView { pointer, message, line, column } = fault;
-    let place = if pointer.is_empty() { String::new() } else { format!("{pointer}: ") };
-    format!("{file}:{line}:{column}: {place}{message}")
+    let place = if pointer.is_empty() { String::new() } else { format!("{}: ", escape_line(pointer)) };
+    format!("{file}:{line}:{column}: {place}{}", escape_line(message))
 }
 
 /// Formats the error and its causes as one line. Of an HTTP client's long chain, only the root is printed.
@@ -57,6 +57,8 @@ fn message(error: &anyhow::Error) -> String {
     let mut after_client = false;
     for cause in error.chain() {
         let text = if after_client { error.root_cause().to_string() } else { cause.to_string() };
+        // The lines of a usage error are this program's own.
+        let text = if cause.is::<UsageError>() { text } else { escape_line(&text).into_owned() };
         if words.is_empty() {
             words = text;
         } else if !words.contains(&text) {

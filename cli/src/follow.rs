@@ -9,7 +9,7 @@ use proto::{Client, ClientError, JobId};
 
 use crate::output_file::OutputFile;
 use crate::progress::Progress;
-use crate::terminal::print_note;
+use crate::terminal::{escape_line, print_note};
 
 const INITIAL_BACK_OFF: Duration = Duration::from_millis(20);
 const MAX_BACK_OFF: Duration = Duration::from_millis(500);
@@ -186,5 +186,11 @@ pub(crate) async fn save(client: &Client, id: JobId, frame: u32, path: &str) -> 
 pub(crate) fn line(job: &JobView) -> String {
     let percent = (job.progress * 100.0).floor();
     let paused = if job.paused { "  (paused)" } else { "" };
-    format!("{}  {:<9}  {percent:>3} %  {}  {}{paused}", job.id.short(), job.state.name(), job.created_at, job.name)
+    format!(
+        "{}  {:<9}  {percent:>3} %  {}  {}{paused}",
+        job.id.short(),
+        job.state.name(),
+        job.created_at,
+        escape_line(&job.name)
+    )
 }

@@ -1,6 +1,7 @@
 //! Logs to standard error, as text or JSON, filtered by `SDFARM_LOG`; optionally, traces to a collector.
 
 mod json_format;
+mod text_fields;
 mod traces;
 
 use std::io::{IsTerminal, stderr};
@@ -73,7 +74,8 @@ impl LogArguments {
         };
         let lines = match self.format {
             LogFormat::Text => {
-                tracing_subscriber::fmt::layer().with_writer(stderr).with_ansi(stderr().is_terminal()).boxed()
+                let layer = tracing_subscriber::fmt::layer().fmt_fields(text_fields::PlainFields);
+                layer.with_writer(stderr).with_ansi(stderr().is_terminal()).boxed()
             }
             LogFormat::Json => tracing_subscriber::fmt::layer()
                 .with_writer(stderr)

@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 
 use indicatif::{ProgressBar, ProgressStyle};
 
-use crate::terminal::print_note;
+use crate::terminal::{escape_line, print_note};
 
 /// Time between plain lines; work that finishes sooner prints none.
 const LINE_INTERVAL: Duration = Duration::from_secs(5);
@@ -31,11 +31,12 @@ enum ProgressDisplay {
 impl Progress {
     /// Shows progress toward `total` units, under a label.
     pub(crate) fn new(label: &str, total: u64) -> Self {
+        let label = escape_line(label).into_owned();
         let shown = if std::io::stderr().is_terminal() {
             let style = ProgressStyle::with_template(BAR).expect("the template above is one").progress_chars("=> ");
-            ProgressDisplay::Bar(ProgressBar::new(total).with_style(style).with_message(label.to_owned()))
+            ProgressDisplay::Bar(ProgressBar::new(total).with_style(style).with_message(label))
         } else {
-            ProgressDisplay::Lines { label: label.to_owned(), last: Mutex::new(Instant::now()) }
+            ProgressDisplay::Lines { label, last: Mutex::new(Instant::now()) }
         };
         Self { shown, done: AtomicU64::new(0), total }
     }

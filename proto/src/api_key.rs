@@ -67,6 +67,9 @@ pub struct NewApiKey {
     /// Maximum number of requests per second; the server's default if absent.
     #[serde(default)]
     pub requests_per_second: Option<u32>,
+    /// Highest priority of its jobs, -100 to 100; if absent, 0, and 100 with scope admin.
+    #[serde(default)]
+    pub max_priority: Option<i32>,
 }
 
 /// A key, without its secret.
@@ -82,10 +85,12 @@ pub struct ApiKeyView {
     pub scopes: Vec<Scope>,
     /// Maximum number of unfinished jobs of its name; null means the server's default.
     pub max_jobs: Option<u32>,
-    /// Maximum number of camera rays of the unfinished jobs of its name together; null means no limit.
+    /// Maximum number of camera rays of the unfinished jobs of its name together; null means the server's default.
     pub max_rays: Option<u64>,
     /// Maximum number of requests per second; null means the server's default.
     pub requests_per_second: Option<u32>,
+    /// Highest priority of its jobs.
+    pub max_priority: i32,
     /// Time of creation.
     pub created_at: String,
     /// Time of expiry; null means never.

@@ -14,6 +14,7 @@ pub mod frame;
 pub mod ids;
 pub mod job;
 pub mod link;
+pub mod plain_text;
 pub mod pool;
 pub mod preview_helper;
 pub mod problem;

@@ -58,6 +58,9 @@ pub(crate) enum ApiKeyError {
         /// Maximum.
         most: u64,
     },
+    /// The highest priority is out of range.
+    #[error("the highest priority of a key is {0}: use a value from -100 to 100, or leave it out")]
+    Priority(i32),
     /// The first key lacks scope `admin`, so no key could administer the farm.
     #[error(
         "the first key needs the scope admin, because the farm then rejects all requests without a key: \

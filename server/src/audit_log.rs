@@ -1,32 +1,78 @@
 //! The audit log: who did what, from where, with what outcome, as rows and as events of the log.
 //!
-//! Stores the newest 100,000 entries and never blocks a request: if records arrive faster than they can be
-//! written, equal ones are counted together and the excess is dropped with a warning.
+//! A change is recorded in the transaction that makes it, so that neither a crash nor a client that leaves can
+//! separate them. Rejections are counted by source, in one row for each source and period. Each kind of entry has
+//! its own maximum, so that rejections never evict changes.
 
-use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
+mod refusals;
+
+use std::sync::{Arc, Mutex, OnceLock};
 use std::time::Duration;
 
 use proto::JobId;
 use proto::audit::{AuditEntry, AuditPage};
 use sqlx::Row;
 use sqlx::sqlite::{SqliteConnection, SqliteRow};
-use tokio::sync::{Mutex, mpsc};
 use tokio_util::sync::CancellationToken;
 
 use crate::clock::{Clock, rfc3339};
 use crate::database::{Database, DatabaseError, Durability};
+use refusals::Refusals;
 
-/// Maximum number of entries.
-const MAX_ENTRIES: i64 = 100_000;
-/// Maximum number of records waiting to be written.
-const QUEUE_CAPACITY: usize = 4096;
-/// Delay in which records are collected before they are written together.
+/// Maximum number of entries of changes to keys, the pool and the farm.
+const MAX_ADMIN_ENTRIES: u32 = 100_000;
+/// Maximum number of entries of changes to jobs, and of registered workers.
+const MAX_WORK_ENTRIES: u32 = 100_000;
+/// Maximum number of entries of rejections.
+const MAX_REFUSED_ENTRIES: u32 = 20_000;
+/// Interval at which counts of rejections are written.
 const FLUSH_INTERVAL: Duration = Duration::from_millis(250);
+/// Interval at which the oldest entries are pruned.
+const PRUNE_INTERVAL: Duration = Duration::from_mins(1);
+/// Number of entries deleted in one transaction.
+const PRUNE_BATCH: u32 = 1000;
+
+tokio::task_local! {
+    /// Entry of the request that the task handles, if the request may change something.
+    static ENTRY: Arc<PendingEntry>;
+}
+
+/// Kind of an entry; each has its own maximum.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub(crate) enum EntryKind {
+    /// Change to keys, the pool or the farm.
+    Admin,
+    /// Change to a job, or a registered worker.
+    Work,
+    /// Rejected request.
+    Refused,
+}
+
+impl EntryKind {
+    const ALL: [Self; 3] = [Self::Admin, Self::Work, Self::Refused];
+
+    fn name(self) -> &'static str {
+        match self {
+            Self::Admin => "admin",
+            Self::Work => "work",
+            Self::Refused => "refused",
+        }
+    }
+
+    fn max_entries(self) -> u32 {
+        match self {
+            Self::Admin => MAX_ADMIN_ENTRIES,
+            Self::Work => MAX_WORK_ENTRIES,
+            Self::Refused => MAX_REFUSED_ENTRIES,
+        }
+    }
+}
 
 /// An action of a caller, or its rejection.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub(crate) struct AuditRecord {
+    /// Kind of the entry.
+    pub(crate) kind: EntryKind,
     /// The key's name, or `local`, `pool` or `-`.
     pub(crate) actor: String,
     /// The key's id.
@@ -48,18 +94,55 @@ pub(crate) struct AuditRecord {
 }
 
 impl AuditRecord {
-    /// Whether it is the same rejection, apart from the request id.
-    fn is_same_rejection(&self, other: &Self) -> bool {
-        self.code.is_some() && *self == Self { request_id: self.request_id.clone(), ..other.clone() }
+    /// Writes it to the log; `times` is the number of equal rejections.
+    fn log(&self, times: u32, message: &'static str) {
+        tracing::info!(
+            target: "audit", who = self.actor, key = self.key, address = self.address, method = self.method,
+            route = self.route, job = self.job.map(tracing::field::display), status = self.status,
+            code = self.code, id = self.request_id, times, "{message}"
+        );
     }
 }
 
-/// Record with the number of its repeats.
+/// Entry of a request that may change something, written with the request's first change.
 #[derive(Debug)]
-struct AggregatedRecord {
-    deed: AuditRecord,
+pub(crate) struct PendingEntry {
     at_ms: i64,
-    times: u32,
+    /// What is known of the request so far.
+    record: Mutex<AuditRecord>,
+    /// Number of the entry, once it is committed.
+    number: OnceLock<i64>,
+}
+
+impl PendingEntry {
+    /// Writes the entry in the transaction of a change; returns its number.
+    pub(crate) async fn insert(&self, connection: &mut SqliteConnection) -> Result<i64, DatabaseError> {
+        let record = self.record.lock().expect("no holder panics").clone();
+        insert(connection, &record, self.at_ms, 1).await
+    }
+
+    /// Whether the entry is committed.
+    pub(crate) fn is_written(&self) -> bool {
+        self.number.get().is_some()
+    }
+
+    /// Remembers that the entry is committed.
+    pub(crate) fn set_number(&self, number: i64) {
+        // It is set already if this was not the request's first change.
+        let _ = self.number.set(number);
+    }
+}
+
+/// Entry of the request that this task handles; `None` if the request changes nothing.
+pub(crate) fn pending_entry() -> Option<Arc<PendingEntry>> {
+    ENTRY.try_with(Arc::clone).ok()
+}
+
+/// Adds to the record of the request that this task handles.
+pub(crate) fn describe(add: impl FnOnce(&mut AuditRecord)) {
+    if let Some(entry) = pending_entry() {
+        add(&mut entry.record.lock().expect("no holder panics"));
+    }
 }
 
 /// The audit log.
@@ -67,77 +150,120 @@ struct AggregatedRecord {
 pub(crate) struct AuditLog {
     store: Arc<Database>,
     clock: Clock,
-    deeds: mpsc::Sender<AuditRecord>,
-    waiting: Mutex<mpsc::Receiver<AuditRecord>>,
-    dropped: AtomicU64,
+    refusals: Refusals,
 }
 
 impl AuditLog {
-    /// Opens the audit log of a database; records are written while [`AuditLog::run`] runs.
+    /// Opens the audit log of a database; counts of rejections are written while [`AuditLog::run`] runs.
     pub(crate) fn new(store: Arc<Database>, clock: Clock) -> Self {
-        let (deeds, waiting) = mpsc::channel(QUEUE_CAPACITY);
-        Self { store, clock, deeds, waiting: Mutex::new(waiting), dropped: AtomicU64::new(0) }
+        Self { store, clock, refusals: Refusals::default() }
     }
 
-    /// Queues a record to be written.
-    pub(crate) fn record(&self, deed: AuditRecord) {
-        if self.deeds.try_send(deed).is_err() {
-            self.dropped.fetch_add(1, Ordering::Relaxed);
+    /// Handles a request so that its first change also commits its entry; `expected` describes a success.
+    pub(crate) async fn handle<T>(
+        &self,
+        expected: AuditRecord,
+        handling: impl Future<Output = T>,
+    ) -> (T, Arc<PendingEntry>) {
+        let entry = Arc::new(PendingEntry {
+            at_ms: self.clock.wall_ms(),
+            record: Mutex::new(expected),
+            number: OnceLock::new(),
+        });
+        (ENTRY.scope(Arc::clone(&entry), handling).await, entry)
+    }
+
+    /// Records the outcome of a request that changed something, before its response is sent.
+    pub(crate) async fn finish(&self, entry: Arc<PendingEntry>, outcome: AuditRecord) {
+        outcome.log(1, "done");
+        if entry.is_written() && *entry.record.lock().expect("no holder panics") == outcome {
+            return;
         }
+        let written = self.store.write(Durability::Relaxed, move |connection| {
+            Box::pin(async move {
+                if let Some(number) = entry.number.get() {
+                    remove(connection, *number).await?;
+                }
+                insert(connection, &outcome, entry.at_ms, 1).await
+            })
+        });
+        log_failure(written.await);
     }
 
-    /// Writes records until shutdown, then the remaining ones.
+    /// Counts a rejection, and withdraws the entry of a request that was rejected after all.
+    pub(crate) async fn reject(&self, entry: Option<Arc<PendingEntry>>, outcome: AuditRecord) {
+        self.refusals.count(AuditRecord { kind: EntryKind::Refused, ..outcome }, self.clock.wall_ms());
+        let Some(number) = entry.and_then(|entry| entry.number.get().copied()) else { return };
+        let removed = self
+            .store
+            .write(Durability::Relaxed, move |connection| Box::pin(async move { remove(connection, number).await }));
+        log_failure(removed.await);
+    }
+
+    /// Writes counts of rejections, and prunes the oldest entries, until shutdown.
     pub(crate) async fn run(&self, end: CancellationToken) {
-        let mut waiting = self.waiting.lock().await;
+        let mut tick = tokio::time::interval(FLUSH_INTERVAL);
+        tick.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
+        let mut prune = tokio::time::interval(PRUNE_INTERVAL);
         loop {
-            let first = tokio::select! {
-                biased;
-                first = waiting.recv() => first,
-                () = end.cancelled() => None,
+            let done = tokio::select! {
+                () = end.cancelled() => return log_failure(self.flush().await),
+                _ = tick.tick() => self.flush().await,
+                _ = prune.tick() => self.prune().await,
             };
-            let Some(first) = first else { return };
-            let mut gathered = Vec::new();
-            self.aggregate(&mut gathered, first);
-            tokio::select! {
-                () = end.cancelled() => {}
-                () = tokio::time::sleep(FLUSH_INTERVAL) => {}
-            }
-            while let Ok(deed) = waiting.try_recv() {
-                self.aggregate(&mut gathered, deed);
-            }
-            let unwritten = self.dropped.swap(0, Ordering::Relaxed);
-            if unwritten > 0 {
-                tracing::warn!(target: "audit", unwritten, "audit records dropped: the queue is full");
-            }
-            if let Err(error) = self.write(gathered).await {
-                tracing::error!(%error, cause = ?std::error::Error::source(&error), "could not write the audit log");
-            }
+            log_failure(done);
         }
     }
 
-    fn aggregate(&self, gathered: &mut Vec<AggregatedRecord>, deed: AuditRecord) {
-        if let Some(like) = gathered.iter_mut().rev().take(16).find(|like| like.deed.is_same_rejection(&deed)) {
-            like.times = like.times.saturating_add(1);
-        } else {
-            gathered.push(AggregatedRecord { deed, at_ms: self.clock.wall_ms(), times: 1 });
+    async fn flush(&self) -> Result<(), DatabaseError> {
+        let counts = self.refusals.take_unwritten(self.clock.now_ms());
+        if counts.is_empty() {
+            return Ok(());
         }
+        let written = self
+            .store
+            .write(Durability::Relaxed, move |connection| {
+                Box::pin(async move {
+                    let mut written = Vec::with_capacity(counts.len());
+                    for refused in counts {
+                        written.push(refused.write(connection).await?);
+                    }
+                    Ok(written)
+                })
+            })
+            .await?;
+        self.refusals.set_numbers(written);
+        Ok(())
     }
 
-    async fn write(&self, gathered: Vec<AggregatedRecord>) -> Result<(), DatabaseError> {
-        for AggregatedRecord { deed, times, .. } in &gathered {
-            tracing::info!(
-                target: "audit", who = deed.actor, key = deed.key, address = deed.address, method = deed.method,
-                route = deed.route, job = deed.job.map(tracing::field::display), status = deed.status,
-                code = deed.code, id = deed.request_id, times, "done"
-            );
+    async fn prune(&self) -> Result<(), DatabaseError> {
+        for kind in EntryKind::ALL {
+            let newest_pruned: Option<i64> =
+                sqlx::query_scalar("SELECT number FROM audit WHERE kind = ? ORDER BY number DESC LIMIT 1 OFFSET ?")
+                    .bind(kind.name())
+                    .bind(kind.max_entries())
+                    .fetch_optional(self.store.readers())
+                    .await?;
+            let Some(newest_pruned) = newest_pruned else { continue };
+            while self.prune_batch(kind, newest_pruned).await? == u64::from(PRUNE_BATCH) {}
         }
+        Ok(())
+    }
+
+    async fn prune_batch(&self, kind: EntryKind, newest_pruned: i64) -> Result<u64, DatabaseError> {
         self.store
             .write(Durability::Relaxed, move |connection| {
                 Box::pin(async move {
-                    for counted in &gathered {
-                        insert(connection, counted).await?;
-                    }
-                    prune(connection).await
+                    let pruned = sqlx::query(
+                        "DELETE FROM audit WHERE number IN (
+                             SELECT number FROM audit WHERE kind = ? AND number <= ? ORDER BY number LIMIT ?)",
+                    )
+                    .bind(kind.name())
+                    .bind(newest_pruned)
+                    .bind(PRUNE_BATCH)
+                    .execute(connection)
+                    .await?;
+                    Ok(pruned.rows_affected())
                 })
             })
             .await
@@ -160,33 +286,43 @@ impl AuditLog {
     }
 }
 
-async fn insert(connection: &mut SqliteConnection, counted: &AggregatedRecord) -> Result<(), DatabaseError> {
-    let deed = &counted.deed;
-    sqlx::query(
-        "INSERT INTO audit (at_ms, who, key, address, method, route, job, status, code, request_id, times)
-         VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
-    )
-    .bind(counted.at_ms)
-    .bind(&deed.actor)
-    .bind(&deed.key)
-    .bind(&deed.address)
-    .bind(&deed.method)
-    .bind(&deed.route)
-    .bind(deed.job.map(|job| job.to_string()))
-    .bind(deed.status)
-    .bind(&deed.code)
-    .bind(&deed.request_id)
-    .bind(counted.times)
-    .execute(connection)
-    .await?;
-    Ok(())
+fn log_failure<T>(done: Result<T, DatabaseError>) {
+    if let Err(error) = done {
+        tracing::error!(%error, cause = ?std::error::Error::source(&error), "could not write the audit log");
+    }
 }
 
-async fn prune(connection: &mut SqliteConnection) -> Result<(), DatabaseError> {
-    sqlx::query("DELETE FROM audit WHERE number <= (SELECT max(number) FROM audit) - ?")
-        .bind(MAX_ENTRIES)
-        .execute(connection)
-        .await?;
+/// Inserts an entry; returns its number.
+pub(crate) async fn insert(
+    connection: &mut SqliteConnection,
+    record: &AuditRecord,
+    at_ms: i64,
+    times: u32,
+) -> Result<i64, DatabaseError> {
+    let number = sqlx::query_scalar(
+        "INSERT INTO audit (at_ms, who, key, address, method, route, job, status, code, request_id, times, kind)
+         VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?) RETURNING number",
+    )
+    .bind(at_ms)
+    .bind(&record.actor)
+    .bind(&record.key)
+    .bind(&record.address)
+    .bind(&record.method)
+    .bind(&record.route)
+    .bind(record.job.map(|job| job.to_string()))
+    .bind(record.status)
+    .bind(&record.code)
+    .bind(&record.request_id)
+    .bind(times)
+    .bind(record.kind.name())
+    .fetch_one(connection)
+    .await?;
+    Ok(number)
+}
+
+async fn remove(connection: &mut SqliteConnection, number: i64) -> Result<(), DatabaseError> {
+    // No row is not an error: it may have been pruned.
+    sqlx::query("DELETE FROM audit WHERE number = ?").bind(number).execute(connection).await?;
     Ok(())
 }
 
@@ -207,3 +343,6 @@ fn read(row: &SqliteRow) -> Result<AuditEntry, DatabaseError> {
         times: row.try_get("times")?,
     })
 }
+
+#[cfg(test)]
+mod tests;

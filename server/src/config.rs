@@ -15,6 +15,15 @@ pub const MAX_QUEUED_JOBS: u32 = 100_000;
 /// Default maximum time limit for rendering a tile, in seconds: 600 times what a tile of ordinary size takes.
 pub const MAX_TILE_SECONDS: u32 = 600;
 
+/// Default maximum of unfinished jobs of a key's name.
+pub const MAX_JOBS_PER_NAME: u32 = 10_000;
+
+/// Default maximum of camera rays of the unfinished jobs of a key's name: 57 jobs of the largest size.
+pub const MAX_RAYS_PER_NAME: u64 = 1_000_000_000_000_000;
+
+/// Default maximum of paused jobs of a key's name.
+pub const MAX_PAUSED_PER_NAME: u32 = 1_000;
+
 /// Default maximum of open connections.
 pub const MAX_CONNECTIONS: u32 = 16_384;
 
@@ -56,6 +65,12 @@ pub struct Config {
     pub max_connections: u32,
     /// Maximum number of unfinished jobs.
     pub max_queued_jobs: u32,
+    /// Maximum number of unfinished jobs of a key's name; a key can have its own.
+    pub max_jobs_per_name: u32,
+    /// Maximum number of camera rays of the unfinished jobs of a key's name; a key can have its own.
+    pub max_rays_per_name: u64,
+    /// Maximum number of paused jobs of a key's name.
+    pub max_paused_per_name: u32,
     /// Host names, without port, that the `Host` header may contain in addition to loopback names and IP
     /// addresses.
     pub allowed_hosts: Vec<String>,
@@ -105,6 +120,9 @@ impl Default for Config {
             tls: None,
             max_connections: MAX_CONNECTIONS,
             max_queued_jobs: MAX_QUEUED_JOBS,
+            max_jobs_per_name: MAX_JOBS_PER_NAME,
+            max_rays_per_name: MAX_RAYS_PER_NAME,
+            max_paused_per_name: MAX_PAUSED_PER_NAME,
             allowed_hosts: Vec::new(),
             allowed_webhook_ranges: Vec::new(),
             webhook_secret: None,

@@ -20,6 +20,7 @@ pub use restore::{Restored, restore};
 
 use crate::database::{DatabaseError, OpenError};
 use crate::lock::LockError;
+use crate::private_files::ExposedFile;
 
 /// Error of a backup, a restore or a check, with its fix.
 #[derive(Debug, thiserror::Error)]
@@ -78,6 +79,9 @@ pub enum DataFolderError {
         /// Reason.
         reason: String,
     },
+    /// Others may read the folder's secrets.
+    #[error(transparent)]
+    Exposed(#[from] ExposedFile),
     /// A server uses the folder.
     #[error("a server (pid {holder}) uses {folder}: stop it first")]
     InUse {

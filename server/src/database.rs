@@ -18,6 +18,7 @@ use sqlx::sqlite::{
     SqliteConnectOptions, SqliteConnection, SqliteJournalMode, SqlitePool, SqlitePoolOptions, SqliteSynchronous,
 };
 
+use crate::audit_log;
 use wal::Wal;
 use writer::Writer;
 pub(crate) use writer::{CommitTimes, Durability};
@@ -143,6 +144,8 @@ impl Database {
             .busy_timeout(Duration::from_secs(5))
             .row_buffer_size(ROW_BUFFER)
             .pragma("wal_autocheckpoint", AUTOCHECKPOINT_PAGES);
+        // Its WAL has the same mode.
+        crate::private_files::create_if_missing(&file).map_err(sqlx::Error::Io)?;
         let mut connection = options.connect().await?;
         if size_bytes <= MAX_START_CHECK_BYTES {
             let verdict: String = sqlx::query_scalar("PRAGMA quick_check(1)").fetch_one(&mut connection).await?;
@@ -166,13 +169,26 @@ impl Database {
         })
     }
 
-    /// Runs `operation` in a transaction of the writer and returns when it is committed.
+    /// Runs `operation` in a transaction of the writer and returns when it is committed. The first one of a request
+    /// that is recorded in the audit log also writes its entry.
     pub(crate) async fn write<T, F>(&self, durability: Durability, operation: F) -> Result<T, DatabaseError>
     where
         T: Send + 'static,
         F: for<'c> FnOnce(&'c mut SqliteConnection) -> BoxFuture<'c, Result<T, DatabaseError>> + Send + 'static,
     {
-        self.writer.write(durability, operation).await
+        let Some(entry) = audit_log::pending_entry().filter(|entry| !entry.is_written()) else {
+            return self.writer.write(durability, operation).await;
+        };
+        let written = Arc::clone(&entry);
+        let recorded = self.writer.write(durability, move |connection| {
+            Box::pin(async move {
+                let result = operation(&mut *connection).await?;
+                Ok((result, written.insert(connection).await?))
+            })
+        });
+        let (result, number) = recorded.await?;
+        entry.set_number(number);
+        Ok(result)
     }
 
     /// Durations of commits.

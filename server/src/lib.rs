@@ -22,6 +22,7 @@ mod lock;
 mod maintenance;
 mod pool;
 mod preview_helper;
+mod private_files;
 mod queue;
 mod retention;
 mod signed_links;
@@ -39,11 +40,15 @@ use tokio_util::sync::CancellationToken;
 
 pub use api_keys::{OfflineApiKeys, OfflineApiKeysError};
 pub use clock::{Clock, ManualClock};
-pub use config::{Config, MAX_CONNECTIONS, MAX_QUEUED_JOBS, MAX_TILE_SECONDS, TlsFiles};
+pub use config::{
+    Config, MAX_CONNECTIONS, MAX_JOBS_PER_NAME, MAX_PAUSED_PER_NAME, MAX_QUEUED_JOBS, MAX_RAYS_PER_NAME,
+    MAX_TILE_SECONDS, TlsFiles,
+};
 pub use data_folder::{
     Backup, DataFolderError, Depth, Finding, Repair, Restored, Severity, back_up, restore, run_checks,
 };
 pub use integrity::{DoneTile, IntegrityError, IntegrityReport, check_integrity};
+pub use private_files::ExposedFile;
 pub use startup::StartError;
 pub use webhooks::{AddressRange, SecretError, webhook_secret};
 

@@ -45,6 +45,7 @@ use tokio::sync::Notify;
 use crate::clock::Clock;
 use crate::database::{Database, DatabaseError, Durability};
 
+pub(crate) use backlog::{BacklogLimits, ExceededLimit};
 pub(crate) use events::Event;
 pub(crate) use finish::{CancelOutcome, DeleteOutcome};
 pub(crate) use frames::{FrameSet, StoredFrame};
@@ -61,8 +62,8 @@ pub(crate) use retention::FinishedJob;
 pub(crate) use stats::QueueStats;
 pub(crate) use submit::NewJob;
 pub(crate) use sync::{NextWork, SyncInput, SyncOutcome};
-pub(crate) use webhooks::{Attempt, Delivery};
-pub(crate) use workers::{NewWorker, Registration};
+pub(crate) use webhooks::{Attempt, BusyReceivers, Delivery};
+pub(crate) use workers::{LeaseNeed, NewWorker, Registration};
 
 /// Result of a transition.
 type Result<T> = std::result::Result<T, DatabaseError>;

@@ -17,7 +17,7 @@ use proto::link::LinkContent;
 use sha2::Sha256;
 
 /// Name of the secret's file in the data folder.
-const FILE: &str = "links.secret";
+pub(crate) const FILE: &str = "links.secret";
 /// Size of the secret, in bytes.
 const SECRET_BYTES: usize = 32;
 /// Prefix of the signed text, so that a signature is valid for nothing else.

@@ -22,6 +22,7 @@ use crate::listen::Listeners;
 use crate::lock::{FolderLock, LockError};
 use crate::pool::Pool;
 use crate::preview_helper::PreviewHelper;
+use crate::private_files::{self, ExposedFile};
 use crate::queue::Queue;
 use crate::signed_links::LinkSigner;
 use crate::telemetry::Telemetry;
@@ -45,6 +46,9 @@ pub enum StartError {
         /// Error of the system.
         source: io::Error,
     },
+    /// Others may read the data folder's secrets.
+    #[error(transparent)]
+    Exposed(#[from] ExposedFile),
     /// Another server uses the data folder.
     #[error(
         "data folder {folder} is in use by another server (pid {holder}): stop that server, or pass another folder with --data"
@@ -91,11 +95,12 @@ const UPGRADE_FIX: &str = "it may be from a newer release: run that one";
 /// See [`Server::start`].
 pub(crate) async fn start(config: Config, clock: Clock) -> Result<Server, StartError> {
     let folder = |source| StartError::DataFolder { folder: config.data.clone(), source };
-    std::fs::create_dir_all(&config.data).map_err(folder)?;
+    private_files::create_folder(&config.data).map_err(folder)?;
     let lock = FolderLock::acquire(&config.data).map_err(|error| match error {
         LockError::InUse(holder) => StartError::InUse { folder: config.data.clone(), holder },
         LockError::Io(source) => folder(source),
     })?;
+    private_files::restrict(&config.data)?;
     let pictures = ContentStore::open(&config.data).map_err(folder)?;
     let links = LinkSigner::open(&config.data).map_err(folder)?;
     let sketches = PreviewHelper::open(&config.data, &config.worker_program).map_err(folder)?;

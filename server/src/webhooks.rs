@@ -6,7 +6,7 @@
 mod guard;
 mod sign;
 
-use std::collections::HashSet;
+use std::collections::{HashMap, HashSet};
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -19,11 +19,11 @@ use tokio_util::sync::CancellationToken;
 
 use crate::database::DatabaseError;
 use crate::farm::Farm;
-use crate::queue::{Attempt, Delivery, jitter};
+use crate::queue::{Attempt, BusyReceivers, Delivery, jitter};
 
 pub(crate) use guard::AddressPolicy;
 pub use guard::AddressRange;
-pub(crate) use sign::Signer;
+pub(crate) use sign::{FILE as SECRET_FILE, Signer};
 pub use sign::{SecretError, webhook_secret};
 
 /// Event types of webhooks.
@@ -32,7 +32,11 @@ pub(crate) const EVENTS: [&str; 5] = ["job.running", "job.succeeded", "job.faile
 pub(crate) const FINAL_EVENTS: [&str; 3] = ["job.succeeded", "job.failed", "job.cancelled"];
 
 /// Maximum number of concurrent attempts.
-const MAX_CONCURRENT: usize = 16;
+const MAX_CONCURRENT: usize = 128;
+/// Maximum number of concurrent attempts of a submitter, so that a few of them cannot delay the others' messages.
+const MAX_CONCURRENT_OF_SUBMITTER: usize = 16;
+/// Maximum number of concurrent attempts to one host and port, which may be slow on purpose.
+const MAX_CONCURRENT_TO_TARGET: usize = 4;
 /// Time limit for connecting.
 const CONNECT_TIMEOUT: Duration = Duration::from_secs(5);
 /// Time limit for a response.
@@ -96,14 +100,14 @@ impl ClientPair {
 pub(crate) async fn run(farm: Arc<Farm>, end: CancellationToken) {
     let mut commits = farm.queue.commits();
     let mut clients = ClientPair::default();
-    let mut under_way = HashSet::new();
+    let mut under_way = UnderWay::default();
     let mut attempts: JoinSet<(i64, Result<(), DatabaseError>)> = JoinSet::new();
     loop {
         tokio::select! {
             () = end.cancelled() => return,
             Some(done) = attempts.join_next(), if !attempts.is_empty() => match done {
                 Ok((number, written)) => {
-                    under_way.remove(&number);
+                    under_way.end(number);
                     if let Err(error) = written {
                         tracing::error!(%error, "could not record a webhook attempt; the message will be sent again");
                     }
@@ -112,18 +116,7 @@ pub(crate) async fn run(farm: Arc<Farm>, end: CancellationToken) {
             },
             changed = tokio::time::timeout(POLL_INTERVAL, commits.changed()) => if matches!(changed, Ok(Err(_))) { return },
         }
-        let limit = MAX_CONCURRENT + under_way.len();
-        let due = match farm.queue.due_deliveries(limit as u32).await {
-            Ok(due) => due,
-            Err(error) => {
-                tracing::error!(%error, "could not read due deliveries");
-                continue;
-            }
-        };
-        for delivery in due {
-            if under_way.len() >= MAX_CONCURRENT || !under_way.insert(delivery.number) {
-                continue;
-            }
+        for delivery in start_due(&farm, &mut under_way).await {
             let is_http = delivery.url.starts_with("http:");
             let client = clients.get(&farm.webhooks, is_http);
             let farm = Arc::clone(&farm);
@@ -133,6 +126,84 @@ pub(crate) async fn run(farm: Arc<Farm>, end: CancellationToken) {
             });
         }
         tokio::time::sleep(MIN_POLL_INTERVAL).await;
+    }
+}
+
+/// Due deliveries whose attempts may start now; marks them as under way.
+async fn start_due(farm: &Farm, under_way: &mut UnderWay) -> Vec<Delivery> {
+    let mut starting = Vec::new();
+    loop {
+        let due = match farm.queue.due_deliveries(&under_way.busy(), under_way.free()).await {
+            Ok(due) => due,
+            Err(error) => {
+                tracing::error!(%error, "could not read due deliveries");
+                return starting;
+            }
+        };
+        let before = starting.len();
+        starting.extend(due.into_iter().filter(|delivery| under_way.start(delivery)));
+        // Those that were read and may not start hide others, until they are known to be busy.
+        if starting.len() == before || under_way.free() == 0 {
+            return starting;
+        }
+    }
+}
+
+/// Attempts under way.
+#[derive(Debug, Default)]
+struct UnderWay(HashMap<i64, Origin>);
+
+/// Whose an attempt is, and where it goes.
+#[derive(Debug)]
+struct Origin {
+    submitter: String,
+    target: String,
+}
+
+impl UnderWay {
+    /// Number of attempts that may start.
+    fn free(&self) -> u32 {
+        MAX_CONCURRENT.saturating_sub(self.0.len()) as u32
+    }
+
+    fn of_submitter(&self, submitter: &str) -> usize {
+        self.0.values().filter(|origin| origin.submitter == submitter).count()
+    }
+
+    fn to_target(&self, target: &str) -> usize {
+        self.0.values().filter(|origin| origin.target == target).count()
+    }
+
+    /// Deliveries that may not start.
+    fn busy(&self) -> BusyReceivers {
+        let submitters: HashSet<_> = self.0.values().map(|origin| &origin.submitter).collect();
+        let targets: HashSet<_> = self.0.values().map(|origin| &origin.target).collect();
+        let full_submitters =
+            submitters.into_iter().filter(|name| self.of_submitter(name) >= MAX_CONCURRENT_OF_SUBMITTER);
+        let full_targets = targets.into_iter().filter(|name| self.to_target(name) >= MAX_CONCURRENT_TO_TARGET);
+        BusyReceivers {
+            deliveries: self.0.keys().copied().collect(),
+            submitters: full_submitters.cloned().collect(),
+            targets: full_targets.cloned().collect(),
+        }
+    }
+
+    /// Marks a delivery as under way, unless too many others are.
+    fn start(&mut self, delivery: &Delivery) -> bool {
+        let Delivery { number, submitter, target, .. } = delivery;
+        let may_start = self.free() > 0
+            && !self.0.contains_key(number)
+            && self.of_submitter(submitter) < MAX_CONCURRENT_OF_SUBMITTER
+            && self.to_target(target) < MAX_CONCURRENT_TO_TARGET;
+        if may_start {
+            self.0.insert(*number, Origin { submitter: submitter.clone(), target: target.clone() });
+        }
+        may_start
+    }
+
+    /// Forgets a delivery whose attempt has ended.
+    fn end(&mut self, number: i64) {
+        self.0.remove(&number);
     }
 }
 
@@ -221,12 +292,46 @@ mod tests {
     }
 
     #[test]
+    fn attempts_are_bounded_by_target_and_by_submitter() {
+        let mut under_way = UnderWay::default();
+        let mut started = |submitter: &str, target: &str, number: i64| {
+            let (submitter, target) = (submitter.to_owned(), target.to_owned());
+            let text = String::new;
+            under_way.start(&Delivery {
+                number,
+                id: text(),
+                event: text(),
+                url: text(),
+                target,
+                submitter,
+                job: text(),
+                name: text(),
+                body: text(),
+                attempts: 0,
+            })
+        };
+        let to_one_target = (0..240).filter(|number| started("anna", "tar-pit:80", *number)).count();
+        assert_eq!(to_one_target, MAX_CONCURRENT_TO_TARGET);
+        let of_one_submitter =
+            (240..500).filter(|number| started("anna", &format!("{number}.example:80"), *number)).count();
+        assert_eq!(of_one_submitter, MAX_CONCURRENT_OF_SUBMITTER - MAX_CONCURRENT_TO_TARGET);
+        assert!(started("bert", "hooks.example:443", 500) && !started("bert", "tar-pit:80", 501));
+        let busy = under_way.busy();
+        assert_eq!((busy.submitters, busy.targets), (vec!["anna".to_owned()], vec!["tar-pit:80".to_owned()]));
+        assert_eq!(busy.deliveries.len(), MAX_CONCURRENT_OF_SUBMITTER + 1);
+        under_way.end(0);
+        assert_eq!(under_way.busy().targets, Vec::<String>::new());
+    }
+
+    #[test]
     fn a_message_has_the_same_bytes_in_every_attempt() {
         let mut delivery = Delivery {
             number: 1,
             id: "msg_1".to_owned(),
             event: "job.failed".to_owned(),
             url: "https://farm.example/".to_owned(),
+            target: "farm.example:443".to_owned(),
+            submitter: "local".to_owned(),
             job: "j".to_owned(),
             name: "csg".to_owned(),
             body: r#"{"state":"failed","errors":["no"],"at":"2026-01-01T00:00:00.000Z"}"#.to_owned(),

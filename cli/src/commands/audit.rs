@@ -4,7 +4,7 @@ use clap::Args;
 use proto::audit::AuditEntry;
 
 use crate::arguments::ServerArguments;
-use crate::terminal::{print_line, print_note};
+use crate::terminal::{escape_line, print_line, print_note};
 
 /// Arguments of `audit`.
 #[derive(Debug, Args)]
@@ -30,7 +30,7 @@ pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
         return print_line(&serde_json::to_string_pretty(&page)?);
     }
     for entry in &page.entries {
-        print_line(&line(entry))?;
+        print_line(&escape_line(&line(entry)))?;
     }
     if let Some(cursor) = page.next_cursor {
         print_note(&format!("more: sdfarm audit --cursor {cursor}"));

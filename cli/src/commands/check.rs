@@ -10,7 +10,7 @@ use self::size::Outlook;
 use crate::error::InvalidJob;
 use crate::job_file::JobFile;
 use crate::preview_helper::sample;
-use crate::terminal::{print_line, print_note};
+use crate::terminal::{escape_line, print_line, print_note};
 
 /// Arguments of `check`.
 #[derive(Debug, Args)]
@@ -51,7 +51,7 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
         return print_line(&format!("{:#}", outlook.json(&warnings)));
     }
     for warning in &warnings {
-        print_note(&format!("{}: warning: {warning}", file.name));
+        print_note(&format!("{}: warning: {}", file.name, escape_line(warning)));
     }
     print_line(&format!("{}: valid", file.name))?;
     for line in outlook.lines() {

@@ -6,7 +6,7 @@ use worker::cuda::KernelSource;
 use crate::commands::render::check_frame;
 use crate::counted::{counted, counted_len};
 use crate::job_file::JobFile;
-use crate::terminal::{print_line, print_note};
+use crate::terminal::{escape_line, print_line, print_note};
 
 /// Arguments of `explain`.
 #[derive(Debug, Args)]
@@ -31,7 +31,7 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
     }
     let image = &job.image;
     let (nodes, frames) = (counted(job.nodes(), "node"), counted(job.frames.count, "frame"));
-    print_line(&format!("{}: {nodes}, {frames}", job.name))?;
+    print_line(&format!("{}: {nodes}, {frames}", escape_line(&job.name)))?;
     let rays = counted(job.rays_per_frame(), "camera ray");
     print_line(&format!("each frame: {}×{} pixels, {rays}", image.width, image.height))?;
     let distance =

@@ -5,7 +5,7 @@ use proto::retention::GcReport;
 
 use crate::arguments::ServerArguments;
 use crate::counted::counted_len;
-use crate::terminal::{print_line, print_note};
+use crate::terminal::{escape_line, print_line, print_note};
 
 /// Arguments of `gc`.
 #[derive(Debug, Args)]
@@ -45,7 +45,7 @@ fn print_report(collection: &GcReport) -> anyhow::Result<()> {
             job.finished_at,
             job.reason.name(),
             job.freed_bytes,
-            job.name
+            escape_line(&job.name)
         ))?;
     }
     let limit = max_store_bytes.map_or_else(|| "no limit".to_owned(), |bytes| format!("at most {bytes}"));

@@ -48,15 +48,18 @@ struct New {
     /// Expiry, counted from now: 12h, 90d or 52w [default: never].
     #[arg(long, value_name = "TIME", env = "SDFARM_EXPIRES")]
     expires: Option<KeyLifetime>,
-    /// Maximum number of unfinished jobs of its name.
+    /// Maximum number of unfinished jobs of its name [default: the server's].
     #[arg(long, value_name = "N", env = "SDFARM_MAX_JOBS")]
     max_jobs: Option<u32>,
-    /// Maximum number of camera rays of the unfinished jobs of its name together.
+    /// Maximum number of camera rays of the unfinished jobs of its name together [default: the server's].
     #[arg(long, value_name = "N", env = "SDFARM_MAX_RAYS")]
     max_rays: Option<u64>,
     /// Maximum number of requests per second [default: 1000].
     #[arg(long, value_name = "N", env = "SDFARM_RATE")]
     rate: Option<u32>,
+    /// Highest priority of its jobs, -100 to 100 [default: 0, and 100 with scope admin].
+    #[arg(long, value_name = "N", env = "SDFARM_MAX_PRIORITY", allow_negative_numbers = true)]
+    max_priority: Option<i32>,
     #[command(flatten)]
     folder: Folder,
 }
@@ -120,6 +123,7 @@ async fn create(new: New) -> anyhow::Result<()> {
         max_jobs: new.max_jobs,
         max_rays: new.max_rays,
         requests_per_second: new.rate,
+        max_priority: new.max_priority,
     };
     let issued = folder.create(order).await.map_err(as_usage_error)?;
     folder.close().await?;

@@ -20,7 +20,7 @@ use crate::job_file::JobFile;
 use crate::output_file::{OutputFile, check_format, format_of};
 use crate::progress::Progress;
 use crate::signals::Signals;
-use crate::terminal::print_note;
+use crate::terminal::{escape_line, print_note};
 
 /// Arguments of `render`.
 #[derive(Debug, Args)]
@@ -69,7 +69,7 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let warnings = job.warnings();
     if !arguments.json {
         for warning in &warnings {
-            print_note(&format!("{}: warning: {warning}", file.name));
+            print_note(&format!("{}: warning: {}", file.name, escape_line(warning)));
         }
     }
     let renderer = arguments.renderer.renderer()?;

@@ -4,7 +4,7 @@ use clap::Args;
 
 use crate::arguments::ServerArguments;
 use crate::job_name::JobName;
-use crate::terminal::{print_line, print_note};
+use crate::terminal::{escape_line, print_line, print_note};
 
 /// Arguments of `resubmit`.
 #[derive(Debug, Args)]
@@ -28,7 +28,7 @@ pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     let id = arguments.id.find(&client).await?;
     let job = client.resubmit(id, arguments.patch, arguments.no_cache).await?;
     for warning in &job.warnings {
-        print_note(&format!("{}: warning: {warning}", job.name));
+        print_note(&format!("{}: warning: {}", escape_line(&job.name), escape_line(warning)));
     }
     print_line(&job.id.to_string())
 }

@@ -8,7 +8,10 @@ use anyhow::Context;
 use clap::Args;
 use proto::pool::MAX_POOL_WORKERS;
 use proto::{Retention, Secret};
-use server::{AddressRange, Config, MAX_CONNECTIONS, MAX_QUEUED_JOBS, MAX_TILE_SECONDS, Server, TlsFiles};
+use server::{
+    AddressRange, Config, MAX_CONNECTIONS, MAX_JOBS_PER_NAME, MAX_PAUSED_PER_NAME, MAX_QUEUED_JOBS, MAX_RAYS_PER_NAME,
+    MAX_TILE_SECONDS, Server, TlsFiles,
+};
 use tokio_util::sync::CancellationToken;
 use worker::{CpuRenderer, RenderError, Simd};
 
@@ -66,6 +69,15 @@ pub(crate) struct Arguments {
     /// Maximum number of unfinished jobs; above it, submissions are rejected because the queue is full.
     #[arg(long, value_name = "N", env = "SDFARM_MAX_QUEUED_JOBS", default_value_t = MAX_QUEUED_JOBS, value_parser = clap::value_parser!(u32).range(1..=i64::from(QUEUED_JOBS_LIMIT)))]
     max_queued_jobs: u32,
+    /// Maximum number of unfinished jobs of a key's name, unless the key has its own.
+    #[arg(long, value_name = "N", env = "SDFARM_MAX_JOBS_PER_NAME", default_value_t = MAX_JOBS_PER_NAME, value_parser = clap::value_parser!(u32).range(1..))]
+    max_jobs_per_name: u32,
+    /// Maximum number of camera rays of the unfinished jobs of a key's name, unless the key has its own.
+    #[arg(long, value_name = "N", env = "SDFARM_MAX_RAYS_PER_NAME", default_value_t = MAX_RAYS_PER_NAME, value_parser = clap::value_parser!(u64).range(1..))]
+    max_rays_per_name: u64,
+    /// Maximum number of paused jobs of a key's name.
+    #[arg(long, value_name = "N", env = "SDFARM_MAX_PAUSED_PER_NAME", default_value_t = MAX_PAUSED_PER_NAME)]
+    max_paused_per_name: u32,
     /// Retention of finished jobs that do not set their own: 36h, 30d, forever.
     #[arg(long, value_name = "AGE", env = "SDFARM_KEEP_JOBS", default_value = "forever")]
     keep_jobs: Retention,
@@ -103,6 +115,9 @@ impl Arguments {
             tls: self.tls_cert.zip(self.tls_key).map(|(certificate, key)| TlsFiles { certificate, key }),
             max_connections: self.max_connections,
             max_queued_jobs: self.max_queued_jobs,
+            max_jobs_per_name: self.max_jobs_per_name,
+            max_rays_per_name: self.max_rays_per_name,
+            max_paused_per_name: self.max_paused_per_name,
             allowed_hosts: self.host,
             job_retention: match self.keep_jobs {
                 Retention::Forever => None,

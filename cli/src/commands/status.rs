@@ -6,7 +6,7 @@ use clap::builder::FalseyValueParser;
 use crate::arguments::ServerArguments;
 use crate::counted::{counted, counted_len};
 use crate::overview::{Overview, duration, fetch, scaled};
-use crate::terminal::print_line;
+use crate::terminal::{escape_line, print_line};
 
 /// Maximum number of jobs, and of workers, to list.
 const LISTED: usize = 8;
@@ -75,8 +75,8 @@ fn lines(overview: &Overview) -> Vec<String> {
         let state = format!("{:?}", worker.state).to_lowercase();
         lines.push(format!(
             "worker   {:<20} {:<8} {state:<11} {:>10}  {speed}",
-            worker.name,
-            worker.device,
+            escape_line(&worker.name),
+            escape_line(&worker.device),
             counted(worker.leases, "lease")
         ));
     }
@@ -88,7 +88,7 @@ fn lines(overview: &Overview) -> Vec<String> {
             "job      {}  {:<8} {percent:>3} %{paused}{left}  {}",
             job.id.short(),
             job.state.name(),
-            job.name
+            escape_line(&job.name)
         ));
     }
     for (noun, all) in [("more worker", overview.workers.len()), ("more unfinished job", overview.jobs.len())] {
@@ -98,7 +98,7 @@ fn lines(overview: &Overview) -> Vec<String> {
     }
     match &overview.warnings[..] {
         [] => lines.push("alerts   none".to_owned()),
-        concerns => lines.extend(concerns.iter().map(|concern| format!("alert    {concern}"))),
+        concerns => lines.extend(concerns.iter().map(|concern| format!("alert    {}", escape_line(concern)))),
     }
     lines
 }

@@ -13,7 +13,7 @@ use crate::counted::counted;
 use crate::error::UsageError;
 use crate::job_file::JobFile;
 use crate::output_file::{check_writable, format_of, is_folder};
-use crate::terminal::{print_line, print_note};
+use crate::terminal::{escape_line, print_line, print_note};
 use crate::{follow, frame_files};
 
 /// Delays between attempts to submit.
@@ -67,7 +67,7 @@ pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     };
     let job = submit(&client, &file.text, &how).await.map_err(|error| file.invalid(error))?;
     for warning in &job.warnings {
-        print_note(&format!("{}: warning: {warning}", file.name));
+        print_note(&format!("{}: warning: {}", file.name, escape_line(warning)));
     }
     // If the picture goes to standard output, nothing else may.
     if arguments.output.as_deref() == Some("-") {

@@ -15,6 +15,7 @@ use ratatui::widgets::{Block, Borders, Cell, Gauge, Paragraph, Row, Sparkline, T
 use crate::arguments::ServerArguments;
 use crate::error::UsageError;
 use crate::overview::{Overview, duration, fetch, scaled};
+use crate::terminal::escape_line;
 
 /// Number of speeds kept for the chart: the width of a wide terminal.
 const HISTORY: usize = 400;
@@ -155,7 +156,7 @@ fn header(overview: &Overview) -> Vec<Line<'static>> {
 fn alerts(concerns: &[&String]) -> Vec<Line<'static>> {
     match concerns {
         [] => vec!["none".to_owned().green().into()],
-        concerns => concerns.iter().map(|concern| Line::from((*concern).clone().yellow())).collect(),
+        concerns => concerns.iter().map(|concern| Line::from(escape_line(concern).into_owned().yellow())).collect(),
     }
 }
 
@@ -163,7 +164,7 @@ fn job_table(overview: &Overview) -> Table<'static> {
     let rows = overview.jobs.iter().map(|job| {
         let left = job.eta_seconds.map_or_else(|| "-".to_owned(), duration);
         let cells = [
-            job.name.clone(),
+            escape_line(&job.name).into_owned(),
             if job.paused { "paused" } else { job.state.name() }.to_owned(),
             format!("{:>3} %", (job.progress * 100.0).floor()),
             format!("{}/{}", job.tiles.done, job.tiles.total),
@@ -189,8 +190,8 @@ fn job_table(overview: &Overview) -> Table<'static> {
 fn worker_table(overview: &Overview) -> Table<'static> {
     let rows = overview.workers.iter().map(|worker| {
         let cells = [
-            worker.name.clone(),
-            worker.device.clone(),
+            escape_line(&worker.name).into_owned(),
+            escape_line(&worker.device).into_owned(),
             format!("{:?}", worker.state).to_lowercase(),
             worker.leases.to_string(),
             worker.rays_per_second.map_or_else(|| "-".to_owned(), |speed| format!("{}rays/s", scaled(speed))),

@@ -19,6 +19,10 @@ use crate::clock::rfc3339;
 const MAX_REQUESTS_PER_SECOND: u32 = 100_000;
 /// Default rate limit of a key, in requests per second.
 pub(crate) const REQUESTS_PER_SECOND: u32 = 1000;
+/// Lowest and highest priority of a job.
+const PRIORITIES: std::ops::RangeInclusive<i32> = -100..=100;
+/// Default highest priority of a key's jobs: users may let their jobs wait, and administrators may prefer some.
+const MAX_PRIORITY: i32 = 0;
 /// Sentinel for a key that was never used.
 const NEVER: i64 = i64::MIN;
 
@@ -58,6 +62,7 @@ pub(super) struct KeySpec {
     pub(super) max_jobs: Option<u32>,
     pub(super) max_rays: Option<i64>,
     pub(super) requests_per_second: Option<u32>,
+    pub(super) max_priority: Option<i32>,
     pub(super) created_at_ms: i64,
     pub(super) expires_at_ms: Option<i64>,
 }
@@ -85,12 +90,16 @@ impl KeySpec {
             new.requests_per_second.map(u64::from),
             MAX_REQUESTS_PER_SECOND.into(),
         )?;
+        if let Some(priority) = new.max_priority.filter(|priority| !PRIORITIES.contains(priority)) {
+            return Err(ApiKeyError::Priority(priority));
+        }
         Ok(Self {
             scopes: Scopes::from_fn(|scope| new.scopes.contains(&scope)),
             name: new.name,
             max_jobs: new.max_jobs,
             max_rays: new.max_rays.map(u64::cast_signed),
             requests_per_second: new.requests_per_second,
+            max_priority: new.max_priority,
             created_at_ms: now_ms,
             expires_at_ms: new.expires_in_seconds.map(|seconds| now_ms + (seconds * 1000).cast_signed()),
         })
@@ -115,6 +124,7 @@ pub(super) struct KeyRow {
     pub(super) max_jobs: Option<i64>,
     pub(super) max_rays: Option<i64>,
     pub(super) requests_per_second: Option<u32>,
+    pub(super) max_priority: Option<i32>,
     pub(super) created_at_ms: i64,
     pub(super) expires_at_ms: Option<i64>,
     pub(super) revoked_at_ms: Option<i64>,
@@ -211,6 +221,12 @@ impl ApiKey {
         self.row.max_rays
     }
 
+    /// Highest priority of its jobs.
+    pub(crate) fn max_priority(&self) -> i32 {
+        let default = if self.row.scopes.has(Scope::Admin) { *PRIORITIES.end() } else { MAX_PRIORITY };
+        self.row.max_priority.unwrap_or(default)
+    }
+
     /// Cancelled when the key is no longer valid.
     pub(crate) fn revoked(&self) -> &CancellationToken {
         &self.ongoing.revoked
@@ -237,6 +253,7 @@ impl ApiKey {
             max_jobs: row.max_jobs.and_then(|jobs| u32::try_from(jobs).ok()),
             max_rays: row.max_rays.map(i64::unsigned_abs),
             requests_per_second: row.requests_per_second,
+            max_priority: self.max_priority(),
             created_at: rfc3339(row.created_at_ms),
             expires_at: row.expires_at_ms.map(rfc3339),
             revoked_at: row.revoked_at_ms.map(rfc3339),
@@ -257,6 +274,7 @@ mod tests {
             max_jobs: None,
             max_rays: None,
             requests_per_second: None,
+            max_priority: None,
         }
     }
 
@@ -272,6 +290,9 @@ mod tests {
         assert!(!is_fine(NewApiKey { max_rays: rays.map(|rays| rays + 1), ..new("a") }));
         assert!(is_fine(NewApiKey { max_jobs: Some(1), requests_per_second: Some(100_000), ..new("a") }));
         assert!(!is_fine(NewApiKey { requests_per_second: Some(100_001), ..new("a") }));
+        for (priority, fine) in [(-101, false), (-100, true), (100, true), (101, false)] {
+            assert_eq!(is_fine(NewApiKey { max_priority: Some(priority), ..new("a") }), fine, "{priority}");
+        }
         assert!(
             !is_fine(NewApiKey { max_jobs: Some(0), ..new("a") })
                 && !is_fine(NewApiKey { max_rays: Some(0), ..new("a") })
@@ -293,6 +314,7 @@ mod tests {
             max_jobs: Some(3),
             max_rays: Some(500),
             requests_per_second: Some(9),
+            max_priority: None,
             created_at_ms: 0,
             expires_at_ms,
             revoked_at_ms,

@@ -11,9 +11,11 @@ use sqlx::sqlite::SqliteConnection;
 
 use super::key::{ApiKey, KeySpec};
 use super::{ApiKeyError, rows, secret};
+use crate::audit_log::{self, AuditRecord, EntryKind};
 use crate::clock::Clock;
 use crate::database::{Database, DatabaseError, OpenError};
 use crate::lock::{FolderLock, LockError};
+use crate::private_files;
 
 /// Timeout for the database while a running server writes.
 const LOCK_TIMEOUT: Duration = Duration::from_secs(10);
@@ -62,9 +64,10 @@ impl OfflineApiKeys {
     /// a server.
     pub async fn open_or_create(folder: &Path) -> Result<Self, OfflineApiKeysError> {
         let wrong = |reason: String, cure| OfflineApiKeysError::Folder { folder: folder.to_owned(), reason, cure };
-        std::fs::create_dir_all(folder).map_err(|error| wrong(error.to_string(), USE_OTHER_FOLDER_FIX))?;
+        private_files::create_folder(folder).map_err(|error| wrong(error.to_string(), USE_OTHER_FOLDER_FIX))?;
         let lock = match FolderLock::acquire(folder) {
             Ok(lock) => {
+                private_files::restrict(folder).map_err(|error| wrong(error.to_string(), USE_OTHER_FOLDER_FIX))?;
                 let store =
                     Database::open(folder).await.map_err(|error| wrong(explain(&error), USE_OTHER_FOLDER_FIX))?;
                 store.close().await;
@@ -87,7 +90,7 @@ impl OfflineApiKeys {
         let kept = rows.iter().filter(|row| row.revoked_at_ms.is_none()).count();
         super::check_room(&order, rows.len(), kept).map_err(refused)?;
         let issue = secret::generate().map_err(refused)?;
-        let made = rows::insert(&mut self.connection, &issue.id, &issue.digest, &order).await;
+        let made = self.insert(&issue.id, &issue.digest, &order).await;
         let made = made.map_err(|error| self.failed(&error))?;
         match self.list().await?.into_iter().find(|key| key.id == issue.id) {
             Some(key) if made => Ok(IssuedApiKey { secret: issue.secret, key }),
@@ -103,7 +106,7 @@ impl OfflineApiKeys {
 
     /// Revokes the key with this id, or all keys of this name.
     pub async fn revoke(&mut self, id_or_name: &str) -> Result<Vec<ApiKeyView>, OfflineApiKeysError> {
-        let revoked = rows::revoke(&mut self.connection, id_or_name, now_ms()).await;
+        let revoked = self.revoke_rows(id_or_name).await;
         let revoked = revoked.map_err(|error| self.failed(&error))?;
         if revoked.is_empty() {
             return Err(refused(ApiKeyError::Unknown(id_or_name.to_owned())));
@@ -121,12 +124,48 @@ impl OfflineApiKeys {
         })
     }
 
+    async fn insert(&mut self, id: &str, digest: &[u8; 32], order: &KeySpec) -> Result<bool, DatabaseError> {
+        let mut transaction = self.connection.begin_with("BEGIN IMMEDIATE").await?;
+        let made = rows::insert(&mut transaction, id, digest, order).await?;
+        if made {
+            audit_log::insert(&mut transaction, &entry("POST", "/v1/keys", 201), now_ms(), 1).await?;
+        }
+        transaction.commit().await?;
+        Ok(made)
+    }
+
+    async fn revoke_rows(&mut self, id_or_name: &str) -> Result<Vec<String>, DatabaseError> {
+        let mut transaction = self.connection.begin_with("BEGIN IMMEDIATE").await?;
+        let revoked = rows::revoke(&mut transaction, id_or_name, now_ms()).await?;
+        if !revoked.is_empty() {
+            audit_log::insert(&mut transaction, &entry("DELETE", "/v1/keys/{id}", 200), now_ms(), 1).await?;
+        }
+        transaction.commit().await?;
+        Ok(revoked)
+    }
+
     async fn rows(&mut self) -> Result<Vec<super::key::KeyRow>, OfflineApiKeysError> {
         rows::all(&mut self.connection).await.map_err(|error| self.failed(&error))
     }
 
     fn failed(&self, error: &DatabaseError) -> OfflineApiKeysError {
         OfflineApiKeysError::Folder { folder: self.folder.clone(), reason: cause(error), cure: USE_OTHER_FOLDER_FIX }
+    }
+}
+
+/// Entry of the audit log for a change on this machine: the same as for the request that makes this change.
+fn entry(method: &str, route: &str, status: u16) -> AuditRecord {
+    AuditRecord {
+        kind: EntryKind::Admin,
+        actor: "local".to_owned(),
+        key: None,
+        address: "-".to_owned(),
+        method: method.to_owned(),
+        route: route.to_owned(),
+        job: None,
+        status,
+        code: None,
+        request_id: "-".to_owned(),
     }
 }
 

@@ -19,8 +19,8 @@ pub(super) async fn insert(
 ) -> Result<bool, DatabaseError> {
     let done = sqlx::query(
         "INSERT INTO key (id, name, digest, may_submit, may_read, may_work, may_administer, max_jobs, max_rays,
-                          requests_per_second, created_at_ms, expires_at_ms)
-         SELECT ?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12
+                          requests_per_second, created_at_ms, expires_at_ms, max_priority)
+         SELECT ?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12, ?14
          WHERE (SELECT count(*) FROM key WHERE name = ?2 AND revoked_at_ms IS NULL
                 AND (expires_at_ms IS NULL OR expires_at_ms > ?11)) < ?13",
     )
@@ -37,6 +37,7 @@ pub(super) async fn insert(
     .bind(order.created_at_ms)
     .bind(order.expires_at_ms)
     .bind(MAX_LIVE_OF_A_NAME)
+    .bind(order.max_priority)
     .execute(connection)
     .await?;
     Ok(done.rows_affected() == 1)
@@ -77,7 +78,7 @@ pub(super) async fn set_last_used(
 pub(super) async fn all<'e>(connection: impl SqliteExecutor<'e>) -> Result<Vec<KeyRow>, DatabaseError> {
     let rows = sqlx::query(
         "SELECT number, id, name, digest, may_submit, may_read, may_work, may_administer, max_jobs, max_rays,
-                requests_per_second, created_at_ms, expires_at_ms, revoked_at_ms, last_used_at_ms
+                requests_per_second, max_priority, created_at_ms, expires_at_ms, revoked_at_ms, last_used_at_ms
          FROM key ORDER BY number DESC",
     )
     .fetch_all(connection)
@@ -110,6 +111,7 @@ fn read(row: &SqliteRow) -> Result<KeyRow, DatabaseError> {
         max_jobs: row.try_get("max_jobs")?,
         max_rays: row.try_get("max_rays")?,
         requests_per_second: row.try_get("requests_per_second")?,
+        max_priority: row.try_get("max_priority")?,
         created_at_ms: row.try_get("created_at_ms")?,
         expires_at_ms: row.try_get("expires_at_ms")?,
         revoked_at_ms: row.try_get("revoked_at_ms")?,

@@ -18,6 +18,7 @@ fn new(name: &str) -> NewApiKey {
         max_jobs: None,
         max_rays: None,
         requests_per_second: None,
+        max_priority: None,
     }
 }
 

@@ -13,6 +13,7 @@ use super::database::PictureRef;
 use super::manifest::{self, Manifest};
 use super::{DataFolderError, database, hashed_files};
 use crate::clock::{Clock, rfc3339};
+use crate::private_files;
 
 /// Maximum number of repeats if pictures in the database's copy were deleted in the meantime.
 const MAX_ATTEMPTS: u32 = 4;
@@ -40,9 +41,8 @@ pub async fn back_up(data: &Path, folder: &Path) -> Result<Backup, DataFolderErr
     let earlier = prepare(data, folder)?;
     let part = folder.join("farm.sqlite.part");
     for round in 1.. {
-        if part.exists() {
-            fs::remove_file(&part).map_err(DataFolderError::file("remove", &part))?;
-        }
+        // The copy is written to an empty file, so that it has that file's mode.
+        private_files::create_file(&part).map_err(DataFolderError::file("write", &part))?;
         let into = sqlx::query("VACUUM INTO ?").bind(part.to_string_lossy().into_owned());
         into.execute(&mut live).await.map_err(DataFolderError::database(&crate::database::Database::file(data)))?;
         let names = picture_refs(&part).await?;
@@ -59,7 +59,7 @@ pub async fn back_up(data: &Path, folder: &Path) -> Result<Backup, DataFolderErr
 }
 
 fn prepare(data: &Path, folder: &Path) -> Result<Option<Manifest>, DataFolderError> {
-    fs::create_dir_all(folder).map_err(DataFolderError::file("make", folder))?;
+    private_files::create_folder(folder).map_err(DataFolderError::file("make", folder))?;
     let real = |path: &Path| fs::canonicalize(path).map_err(DataFolderError::file("find", path));
     if real(folder)?.starts_with(real(data)?) {
         return Err(DataFolderError::BackupInsideData(folder.to_owned()));
@@ -75,7 +75,8 @@ fn prepare(data: &Path, folder: &Path) -> Result<Option<Manifest>, DataFolderErr
     }
     File::create(&begun).map_err(DataFolderError::file("write", &begun))?;
     let pictures = folder.join("pictures");
-    fs::create_dir_all(&pictures).map_err(DataFolderError::file("make", &pictures))?;
+    private_files::create_folder(&pictures).map_err(DataFolderError::file("make", &pictures))?;
+    private_files::restrict(folder)?;
     Ok(earlier)
 }
 

@@ -4,6 +4,8 @@ use std::fs::{self, File};
 use std::io::{self, Read, Write};
 use std::path::Path;
 
+use crate::private_files;
+
 /// Number of bytes read and written at a time.
 const PIECE_BYTES: usize = 1 << 20;
 
@@ -29,7 +31,7 @@ fn copy_bytes(from: &mut dyn Read, to: &mut dyn Write) -> io::Result<(String, u6
 pub(super) fn copy(from: &Path, to: &Path, name: &str) -> io::Result<bool> {
     let part = to.with_extension("part");
     let mut source = File::open(from)?;
-    let mut target = File::create(&part)?;
+    let mut target = private_files::create_file(&part)?;
     let copied = copy_bytes(&mut source, &mut target).and_then(|copied| target.sync_all().map(|()| copied));
     match copied {
         Ok((actual, _)) if actual == name => {

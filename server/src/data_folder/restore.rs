@@ -9,6 +9,7 @@ use super::manifest::Manifest;
 use super::{DataFolderError, database, hashed_files};
 use crate::database::Database;
 use crate::lock::FolderLock;
+use crate::private_files;
 
 /// Result of a restore.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -43,7 +44,7 @@ pub async fn restore(folder: &Path, data: &Path) -> Result<Restored, DataFolderE
     connection.close().await.map_err(DataFolderError::database(&copy))?;
 
     let pictures = data.join("pictures");
-    fs::create_dir_all(&pictures).map_err(DataFolderError::file("make", &pictures))?;
+    private_files::create_folder(&pictures).map_err(DataFolderError::file("make", &pictures))?;
     let lock = FolderLock::acquire(data).map_err(DataFolderError::lock(data))?;
     let mut restored = Restored { made_at: manifest.made_at.clone(), ..Restored::default() };
     for named in names {
@@ -65,6 +66,7 @@ pub async fn restore(folder: &Path, data: &Path) -> Result<Restored, DataFolderE
         Ok(false) => return Err(damaged("it changed while it was copied".to_owned())),
         Err(error) => return Err(DataFolderError::file("write", &file)(error)),
     }
+    private_files::restrict(data)?;
     hashed_files::sync_folder(data).map_err(DataFolderError::file("write", data))?;
     drop(lock);
     Ok(restored)

@@ -1,4 +1,4 @@
-//! Records every change and every rejection in the audit log, and serves its pages to administrators.
+//! Records every change in the audit log, counts rejections there, and serves its pages to administrators.
 //!
 //! Of workers, only registrations and rejections are recorded.
 
@@ -18,54 +18,134 @@ use super::auth::{Caller, Peer};
 use super::body;
 use super::error::ApiError;
 use super::request_id::RequestId;
-use crate::audit_log::AuditRecord;
+use crate::audit_log::{AuditRecord, EntryKind};
 use crate::farm::Farm;
 
 /// Default number of entries on a page.
 const DEFAULT_PAGE_SIZE: u32 = 100;
 /// Entries on a page, at most.
 const MAX_PAGE: u32 = 1000;
-/// Maximum length of a recorded path that matches no route, in characters.
-const MAX_PATH_CHARACTERS: usize = 200;
+/// Route of a request that matches none.
+const NO_ROUTE: &str = "-";
 
-/// Records the outcome of a request in the audit log.
+/// Records the outcome of a request in the audit log, before its response is sent.
+///
+/// A change is recorded with the write that makes it, also if its client has left.
 pub(super) async fn record_request(
     State(farm): State<Arc<Farm>>,
     parameters: Result<RawPathParams, RawPathParamsRejection>,
     request: Request,
     next: Next,
 ) -> Response {
-    let extensions = request.extensions();
-    let route = extensions.get::<MatchedPath>().map(|route| route.as_str().to_owned());
-    let address = extensions.get::<Peer>().map_or_else(|| "-".to_owned(), |peer| peer.0.to_string());
-    let request_id = extensions.get::<RequestId>().map_or_else(String::new, |id| id.0.clone());
-    let method = request.method().clone();
-    let path = request.uri().path().chars().take(MAX_PATH_CHARACTERS).collect();
-    let named = parameters.ok().and_then(|parameters| {
-        parameters.iter().find(|(name, _)| *name == "id").and_then(|(_, id)| id.parse::<JobId>().ok())
-    });
-    let response = next.run(request).await;
-    let changes = ![Method::GET, Method::HEAD, Method::OPTIONS].contains(&method) && is_recorded(route.as_deref());
-    if changes || is_rejection(response.status()) {
-        let caller = response.extensions().get::<Caller>().cloned().unwrap_or(Caller::Anonymous);
-        farm.admission.audit.record(AuditRecord {
-            actor: caller.name().to_owned(),
-            key: caller.key().map(|key| key.id().to_owned()),
-            address,
-            method: method.to_string(),
-            route: route.unwrap_or(path),
-            job: named.or_else(|| created_job(&response)),
-            status: response.status().as_u16(),
-            code: response.extensions().get::<Problem>().map(|problem| problem.code.clone()),
-            request_id,
-        });
+    let audit = &farm.admission.audit;
+    let expected = expected_record(&request, parameters.ok().as_ref());
+    let route = expected.route.clone();
+    if !may_change(request.method(), &route) {
+        let response = next.run(request).await;
+        if is_rejection(response.status()) {
+            audit.reject(None, outcome(expected, &response)).await;
+        }
+        return response;
+    }
+    let (response, entry) = audit.handle(expected.clone(), next.run(request)).await;
+    let outcome = outcome(expected, &response);
+    match effect_of(response.status(), entry.is_written(), &route) {
+        Effect::Change => audit.finish(entry, outcome).await,
+        Effect::Refusal => audit.reject(Some(entry), outcome).await,
+        Effect::None => {}
     }
     response
 }
 
-/// Whether changes by this route are recorded; a request without a route changes nothing.
-fn is_recorded(route: Option<&str>) -> bool {
-    route.is_some_and(|route| !route.starts_with("/v1/worker/") || route == proto::worker_protocol::REGISTER_PATH)
+/// Effect of a request.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Effect {
+    /// It changed something.
+    Change,
+    /// It was rejected.
+    Refusal,
+    /// It was accepted and changed nothing.
+    None,
+}
+
+/// Effect of a request that was allowed to change something; `is_written` is true if it wrote to the database.
+fn effect_of(status: StatusCode, is_written: bool, route: &str) -> Effect {
+    let is_submission = route == "/v1/jobs" || route.ends_with("/resubmit");
+    match (status.is_client_error(), is_written) {
+        // The key was revoked while its request was handled: what is written stays.
+        (true, true) if status == StatusCode::UNAUTHORIZED => Effect::Change,
+        (true, _) => Effect::Refusal,
+        (false, true) => Effect::Change,
+        (false, false) if status.is_server_error() => Effect::Refusal,
+        // A dry run.
+        (false, false) if is_submission => Effect::None,
+        (false, false) => Effect::Change,
+    }
+}
+
+/// Record of a request that will succeed.
+fn expected_record(request: &Request, parameters: Option<&RawPathParams>) -> AuditRecord {
+    let extensions = request.extensions();
+    let route = extensions.get::<MatchedPath>().map_or(NO_ROUTE, MatchedPath::as_str);
+    let creates = *request.method() == Method::POST
+        && (route == "/v1/jobs" || route == "/v1/keys" || route.ends_with("/resubmit"));
+    let status = if creates { StatusCode::CREATED } else { StatusCode::OK };
+    let id = parameters.and_then(|parameters| parameters.iter().find(|(name, _)| *name == "id"));
+    AuditRecord {
+        kind: if is_about_work(route) { EntryKind::Work } else { EntryKind::Admin },
+        actor: Caller::Anonymous.name().to_owned(),
+        key: None,
+        address: extensions.get::<Peer>().map_or_else(|| "-".to_owned(), |peer| peer.0.to_string()),
+        method: standard_method(request.method()).to_owned(),
+        route: route.to_owned(),
+        job: id.and_then(|(_, id)| id.parse::<JobId>().ok()),
+        status: status.as_u16(),
+        code: None,
+        request_id: extensions.get::<RequestId>().map_or_else(String::new, |id| id.0.clone()),
+    }
+}
+
+/// Record of a request with this response.
+fn outcome(expected: AuditRecord, response: &Response) -> AuditRecord {
+    let caller = response.extensions().get::<Caller>().unwrap_or(&Caller::Anonymous);
+    let status = response.status();
+    let code = response.extensions().get::<Problem>().map(|problem| problem.code.clone());
+    AuditRecord {
+        actor: caller.name().to_owned(),
+        key: caller.key().map(|key| key.id().to_owned()),
+        job: expected.job.or_else(|| created_job(response)),
+        status: status.as_u16(),
+        code,
+        ..expected
+    }
+}
+
+/// A method of HTTP, or `other`: clients can invent any number of others.
+fn standard_method(method: &Method) -> &str {
+    let standard = [
+        Method::GET,
+        Method::HEAD,
+        Method::POST,
+        Method::PUT,
+        Method::PATCH,
+        Method::DELETE,
+        Method::OPTIONS,
+        Method::TRACE,
+        Method::CONNECT,
+    ];
+    if standard.contains(method) { method.as_str() } else { "other" }
+}
+
+/// Whether a request may change something that is recorded; a request without a route changes nothing.
+fn may_change(method: &Method, route: &str) -> bool {
+    ![Method::GET, Method::HEAD, Method::OPTIONS].contains(method)
+        && route != NO_ROUTE
+        && (!route.starts_with("/v1/worker/") || route == proto::worker_protocol::REGISTER_PATH)
+}
+
+/// Whether changes by this route are to jobs or workers, and not to the farm.
+fn is_about_work(route: &str) -> bool {
+    route.starts_with("/v1/jobs") || route.starts_with("/v1/worker/")
 }
 
 fn is_rejection(status: StatusCode) -> bool {
@@ -86,7 +166,8 @@ struct PageQuery {
 
 /// List the audit log.
 ///
-/// Contains every change and every rejection, newest first; the newest 100,000 entries are kept.
+/// Contains every change, and rejections counted by source in periods of 10 minutes, newest first. The newest 100,000
+/// changes to keys, the pool and the farm are kept, as many changes to jobs, and 20,000 entries of rejections.
 #[utoipa::path(
     get, path = "/v1/audit", tag = "keys", operation_id = "audit",
     params(

@@ -8,7 +8,7 @@ use std::time::Duration;
 
 use axum::body::Body;
 use axum::extract::{FromRequestParts, MatchedPath, RawPathParams, Request, State};
-use axum::http::{HeaderMap, Method, header};
+use axum::http::{HeaderMap, HeaderValue, Method, header};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 use futures_util::StreamExt;
@@ -19,13 +19,14 @@ use super::error::ApiError;
 use super::permissions::{Permission, required_permission};
 use crate::admission::{RateLimitStatus, RateLimited};
 use crate::api_keys::{ApiKey, KeyLookup, constant_time_eq};
+use crate::audit_log;
 use crate::farm::Farm;
 
 /// Time limit for the start of a response, unless its route waits or receives a large body.
 const RESPONSE_TIMEOUT: Duration = Duration::from_mins(1);
 
 /// Submitter of all jobs on a farm without keys.
-const KEYLESS_SUBMITTER: &str = "local";
+pub(super) const KEYLESS_SUBMITTER: &str = "local";
 
 /// Address of the client.
 #[derive(Clone, Copy, Debug)]
@@ -58,6 +59,11 @@ impl Caller {
     /// Name whose jobs are the only ones the caller may see; `None` if it may see every job.
     pub(crate) fn visible_submitter(&self) -> Option<&str> {
         self.key().filter(|key| !key.scopes().is_allowed(Scope::Read)).map(|key| key.name())
+    }
+
+    /// Owner of the workers that the caller registers: a key's id, `pool`, or `local` without keys.
+    pub(crate) fn owner(&self) -> &str {
+        self.key().map_or_else(|| self.name(), |key| key.id())
     }
 
     /// Key of the caller, if it sent one.
@@ -94,6 +100,10 @@ pub(super) async fn authenticate_and_authorize(
         Err(refusal) => return with_caller(ApiError::from(refusal).into_response(), caller),
     };
     request.extensions_mut().insert(caller.clone());
+    audit_log::describe(|record| {
+        caller.name().clone_into(&mut record.actor);
+        record.key = caller.key().map(|key| key.id().to_owned());
+    });
     let route = request.extensions().get::<MatchedPath>().map_or("", MatchedPath::as_str);
     let limit = response_timeout(route, &request);
     let Some(key) = caller.key() else { return with_caller(with_timeout(next.run(request), limit).await, caller) };
@@ -101,7 +111,7 @@ pub(super) async fn authenticate_and_authorize(
         response = with_timeout(next.run(request), limit) => response,
         () = key.revoked().cancelled() => ApiError::RevokedKey.into_response(),
     };
-    let response = end_with_key(with_rate_limit_headers(response, pace), key);
+    let response = keep_private(end_with_key(with_rate_limit_headers(response, pace), key));
     with_caller(response, caller)
 }
 
@@ -198,6 +208,18 @@ fn with_rate_limit_headers(mut response: Response, pace: Option<RateLimitStatus>
     response
 }
 
+/// Forbids shared caches to store a response that needed a key.
+fn keep_private(mut response: Response) -> Response {
+    let headers = response.headers_mut();
+    let directives = headers.get(header::CACHE_CONTROL).and_then(|value| value.to_str().ok()).unwrap_or_default();
+    let kept = directives.split(',').map(str::trim).filter(|directive| !["", "public", "private"].contains(directive));
+    let value = std::iter::once("private").chain(kept).collect::<Vec<_>>().join(", ");
+    if let Ok(value) = HeaderValue::from_str(&value) {
+        headers.insert(header::CACHE_CONTROL, value);
+    }
+    response
+}
+
 /// Ends a response of unknown length, such as an event stream, when the key is revoked.
 fn end_with_key(response: Response, key: &ApiKey) -> Response {
     use axum::body::HttpBody;
@@ -252,6 +274,22 @@ mod tests {
         assert!(answer.status().is_server_error());
         for limit in [None, Some(RESPONSE_TIMEOUT)] {
             assert!(with_timeout(std::future::ready(Response::default()), limit).await.status().is_success());
+        }
+    }
+
+    #[test]
+    fn responses_that_needed_a_key_are_private() {
+        for (set, kept) in [
+            ("", "private"),
+            ("public, max-age=31536000, immutable", "private, max-age=31536000, immutable"),
+            ("no-cache", "private, no-cache"),
+            ("private, no-store", "private, no-store"),
+        ] {
+            let mut response = Response::new(Body::empty());
+            if !set.is_empty() {
+                response.headers_mut().insert(header::CACHE_CONTROL, HeaderValue::from_static(set));
+            }
+            assert_eq!(keep_private(response).headers()[header::CACHE_CONTROL], kept);
         }
     }
 

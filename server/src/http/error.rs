@@ -94,6 +94,11 @@ pub(crate) enum ApiError {
     QueueFull { limit: i64 },
     #[error("{name} may have at most {limit} {what}: retry when some have finished, or cancel some")]
     Quota { name: String, what: &'static str, limit: i64 },
+    #[error(
+        "the key of {name} gives jobs priorities up to {max}, not {found}: use a lower priority, or ask an administrator \
+         for a key with a higher one (`sdfarm key new NAME --max-priority {found}`)"
+    )]
+    PriorityTooHigh { name: String, found: i32, max: i32 },
     #[error("the body arrived too slowly, or not at all: send it without pauses")]
     SlowBody,
     #[error("the server could not respond within {limit_seconds} s: retry")]
@@ -106,6 +111,10 @@ pub(crate) enum ApiError {
     KeyNotFound(ApiKeyError),
     #[error("unknown worker {0}: it did not sync for too long; register again")]
     UnknownWorker(String),
+    #[error("worker {0} was registered with another key: use that key, or register again with this one")]
+    ForeignWorker(String),
+    #[error("no worker of this key has a lease that needs this: register a worker with this key, and claim work first")]
+    NoLease,
     #[error("the worker renders picture version {found}, the server requires {wanted}: run the same release of both")]
     WrongPictureVersion { found: u32, wanted: u32 },
     #[error("{0:?} is not a BLAKE3 hash: send 64 lower-case hexadecimal digits")]
@@ -121,7 +130,11 @@ pub(crate) enum ApiError {
     #[error("the signature does not match the link: use the link unchanged, or request a new one")]
     WrongSignature,
     #[error(transparent)]
-    PreviewFailed(HelperError),
+    PreviewDelayed(HelperError),
+    #[error(
+        "the preview could not be drawn: retry in a few seconds; the server's log has the cause under this request id"
+    )]
+    PreviewFailed,
     #[error("the server is shutting down: retry in a few seconds")]
     ShuttingDown,
     #[error("the disk is full: free space for the data folder, then retry")]
@@ -202,12 +215,15 @@ impl ApiError {
             Self::TooManyRequests { .. } => (StatusCode::TOO_MANY_REQUESTS, "too_many_requests", "Too many requests"),
             Self::QueueFull { .. } => (StatusCode::TOO_MANY_REQUESTS, "queue_full", "The queue is full"),
             Self::Quota { .. } => (StatusCode::TOO_MANY_REQUESTS, "quota", "The submitter's quota is used up"),
+            Self::PriorityTooHigh { .. } => (StatusCode::FORBIDDEN, "priority_too_high", "The priority is too high"),
             Self::SlowBody => (StatusCode::REQUEST_TIMEOUT, "slow_body", "The body arrived too slowly"),
             Self::ResponseTimeout { .. } => (StatusCode::SERVICE_UNAVAILABLE, "too_long", "The response timed out"),
             Self::InvalidNewKey(_) => (StatusCode::UNPROCESSABLE_ENTITY, "wrong_key", "The new key is invalid"),
             Self::TooManyKeys(_) => (StatusCode::CONFLICT, "too_many_keys", "There are too many keys"),
             Self::KeyNotFound(_) => (StatusCode::NOT_FOUND, "no_such_key", "There is no such key"),
             Self::UnknownWorker(_) => (StatusCode::NOT_FOUND, "unknown_worker", "There is no such worker"),
+            Self::ForeignWorker(_) => (StatusCode::FORBIDDEN, "foreign_worker", "The worker belongs to another key"),
+            Self::NoLease => (StatusCode::FORBIDDEN, "no_lease", "The key has no lease that needs this"),
             Self::WrongPictureVersion { .. } => {
                 (StatusCode::UNPROCESSABLE_ENTITY, "wrong_picture_version", "The worker has another picture version")
             }
@@ -219,7 +235,9 @@ impl ApiError {
             Self::LostPicture => (StatusCode::INTERNAL_SERVER_ERROR, "lost_picture", "The picture's file is gone"),
             Self::LinkExpired(_) => (StatusCode::GONE, "link_expired", "The link has expired"),
             Self::WrongSignature => (StatusCode::FORBIDDEN, "wrong_signature", "The signature is invalid"),
-            Self::PreviewFailed(_) => (StatusCode::SERVICE_UNAVAILABLE, "no_preview", "The preview failed"),
+            Self::PreviewDelayed(_) | Self::PreviewFailed => {
+                (StatusCode::SERVICE_UNAVAILABLE, "no_preview", "The preview failed")
+            }
             Self::ShuttingDown => (StatusCode::SERVICE_UNAVAILABLE, "closing", "The server is shutting down"),
             Self::DiskFull => (StatusCode::INSUFFICIENT_STORAGE, "disk_full", "The disk is full"),
             Self::DamagedDatabase => (StatusCode::SERVICE_UNAVAILABLE, "damaged_database", "The database is damaged"),
@@ -287,7 +305,7 @@ impl IntoResponse for ApiError {
             Self::QueueFull { .. } | Self::Quota { .. } => {
                 response.headers_mut().insert(header::RETRY_AFTER, HeaderValue::from_static("10"));
             }
-            Self::ShuttingDown | Self::ResponseTimeout { .. } | Self::PreviewFailed(_) => {
+            Self::ShuttingDown | Self::ResponseTimeout { .. } | Self::PreviewDelayed(_) | Self::PreviewFailed => {
                 response.headers_mut().insert(header::RETRY_AFTER, HeaderValue::from_static("5"));
             }
             Self::WrongRange { size_bytes } => {
@@ -340,6 +358,7 @@ impl From<ApiKeyError> for ApiError {
             error @ (ApiKeyError::Name(_)
             | ApiKeyError::NoScope
             | ApiKeyError::Limit { .. }
+            | ApiKeyError::Priority(_)
             | ApiKeyError::FirstNotAdmin) => Self::InvalidNewKey(error),
             error @ (ApiKeyError::TooManyLive { .. } | ApiKeyError::TooMany) => Self::TooManyKeys(error),
             error @ ApiKeyError::Unknown(_) => Self::KeyNotFound(error),
@@ -373,8 +392,12 @@ impl From<SyncError> for ApiError {
 
 impl From<HelperError> for ApiError {
     fn from(error: HelperError) -> Self {
+        // The message may name files of the server.
         tracing::warn!(%error, "could not draw a preview");
-        Self::PreviewFailed(error)
+        match error {
+            error @ (HelperError::Busy | HelperError::TimedOut) => Self::PreviewDelayed(error),
+            HelperError::Start(_) | HelperError::Failed(_) => Self::PreviewFailed,
+        }
     }
 }
 

@@ -17,6 +17,7 @@ use super::auth::Caller;
 use super::body;
 use super::error::ApiError;
 use super::{prefer, quota, submit_options, trace_context};
+use crate::audit_log;
 use crate::content_store::ContentKind;
 use crate::estimate;
 use crate::farm::Farm;
@@ -88,6 +89,7 @@ pub(super) fn has_no_cache(headers: &HeaderMap) -> bool {
          headers(("Location" = String, description = "The job"))),
         (status = 200, description = "The job is valid (dry run), or the job that was accepted before with the same Idempotency-Key", body = ref("#/components/schemas/SubmitAnswer")),
         (status = 400, description = "Not JSON", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+        (status = 403, description = "The priority is above the highest of the key", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
         (status = 413, description = "Too large", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
         (status = 415, description = "The content type is not JSON", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
         (status = 422, description = "The job is invalid: `errors` lists all errors", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
@@ -117,7 +119,6 @@ pub(super) struct Submission {
     keep: Option<Retention>,
     /// Time limit for rendering a tile.
     tile_seconds: u32,
-    is_known: bool,
 }
 
 impl Submission {
@@ -144,15 +145,17 @@ impl Submission {
             Ok(keep) => keep,
             Err(error) => return Err(ApiError::WrongQuery(format!("keep: {error}"))),
         };
-        Ok(Self { caller, uri, headers, query, keep, tile_seconds, is_known })
+        Ok(Self { caller, uri, headers, query, keep, tile_seconds })
     }
 
     /// Accepts or validates a job with this text.
     pub(super) async fn finish(self, farm: &Arc<Farm>, text: bytes::Bytes) -> Result<Response, ApiError> {
-        let Self { caller, uri, headers, query, keep, tile_seconds, is_known } = self;
-        let wish = submit_options::read(&uri, &headers, &text, &farm.webhooks.guard)?;
+        let Self { caller, uri, headers, query, keep, tile_seconds } = self;
+        let limits = quota::limits(farm, &caller);
+        let wish = submit_options::read(&uri, &headers, &text, &farm.webhooks.guard, limits)?;
         let parsed = farm.jobs.parse(text.clone(), |parsed| parsed.map(|job| (job.warnings(), job))).await?;
         let (warnings, job) = parsed?;
+        quota::check_priority(&caller, job.priority)?;
         let plan = TilePlan::new(&job, farm.config.tile_edge_px);
         if query.dry_run {
             let (tiles, rays) = (plan.tiles_total(), plan.rays_total());
@@ -160,10 +163,8 @@ impl Submission {
             let frames = plan.frames.into();
             return Ok(Json(DryRun { valid: true, tiles, frames, rays, estimate, warnings }).into_response());
         }
-        if !is_known {
-            quota::check_rays(farm, &caller, plan.rays_total()).await?;
-        }
         let id = JobId::new();
+        audit_log::describe(|record| record.job = Some(id));
         let new = NewJob {
             id,
             name: job.name.clone(),
@@ -184,6 +185,7 @@ impl Submission {
             SubmitOutcome::Created(_) => (StatusCode::CREATED, id),
             SubmitOutcome::Replayed(id) => (StatusCode::OK, id),
             SubmitOutcome::KeyReused => return Err(ApiError::IdempotencyKeyReused),
+            SubmitOutcome::Rejected(limit) => return Err(quota::exceeded(&caller, limit)),
         };
         fail_point::trigger_infallible(FailPoint::SubmitCommitted);
         let mut response = prefer::answer(farm, id, &headers, status).await?;

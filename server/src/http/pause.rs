@@ -7,8 +7,10 @@ use axum::extract::{Path, State};
 use proto::farm::FarmView;
 use proto::job::JobView;
 
+use super::auth::Caller;
 use super::error::ApiError;
 use super::jobs::{job_id, view};
+use super::quota;
 use crate::farm::Farm;
 use crate::queue::PauseOutcome;
 
@@ -20,10 +22,15 @@ use crate::queue::PauseOutcome;
         (status = 200, description = "The job is paused", body = ref("#/components/schemas/JobView")),
         (status = 404, description = "No such job", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
         (status = 409, description = "The job has finished", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+        (status = 429, description = "The submitter has too many paused jobs: see Retry-After", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
     )
 )]
-pub(super) async fn pause_job(farm: State<Arc<Farm>>, id: Path<String>) -> Result<Json<JobView>, ApiError> {
-    set_job(&farm, &id, true).await
+pub(super) async fn pause_job(
+    farm: State<Arc<Farm>>,
+    caller: Caller,
+    id: Path<String>,
+) -> Result<Json<JobView>, ApiError> {
+    set_job(&farm, &caller, &id, true).await
 }
 
 /// Resume a paused job.
@@ -36,15 +43,20 @@ pub(super) async fn pause_job(farm: State<Arc<Farm>>, id: Path<String>) -> Resul
         (status = 409, description = "The job has finished", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
     )
 )]
-pub(super) async fn resume_job(farm: State<Arc<Farm>>, id: Path<String>) -> Result<Json<JobView>, ApiError> {
-    set_job(&farm, &id, false).await
+pub(super) async fn resume_job(
+    farm: State<Arc<Farm>>,
+    caller: Caller,
+    id: Path<String>,
+) -> Result<Json<JobView>, ApiError> {
+    set_job(&farm, &caller, &id, false).await
 }
 
-async fn set_job(farm: &Farm, id: &str, paused: bool) -> Result<Json<JobView>, ApiError> {
+async fn set_job(farm: &Farm, caller: &Caller, id: &str, paused: bool) -> Result<Json<JobView>, ApiError> {
     let job = job_id(id)?;
-    match farm.queue.pause(job, paused).await? {
+    match farm.queue.pause(job, paused, quota::max_paused(farm, caller)).await? {
         PauseOutcome::Done => view(farm, job).await,
         PauseOutcome::AlreadyFinished(state) => Err(ApiError::Finished { job, state }),
+        PauseOutcome::TooMany(limit) => Err(quota::too_many_paused(caller, limit)),
         PauseOutcome::Unknown => Err(ApiError::UnknownJob(id.to_owned())),
     }
 }

@@ -1,31 +1,63 @@
-//! Quotas: maximum unfinished jobs and rays, for the farm and for each submitter.
+//! Quotas: maximum unfinished jobs, rays and paused jobs, for the farm and for each submitter; highest priorities.
 //!
-//! Concurrent submissions may exceed a limit together, by at most their number.
+//! The transaction that accepts a job decides (`queue/backlog.rs`). The check at the head of a request only saves
+//! reading a body that would be rejected.
+
+use proto::api_key::Scope;
 
 use super::auth::Caller;
 use super::error::ApiError;
 use crate::farm::Farm;
+use crate::queue::{BacklogLimits, ExceededLimit};
 
-/// Rejects a job before its body is read, if its submitter or the farm has too many unfinished jobs.
-pub(super) async fn check_jobs(farm: &Farm, caller: &Caller) -> Result<(), ApiError> {
-    let limit = i64::from(farm.config.max_queued_jobs);
-    if farm.queue.backlog().await?.jobs >= limit {
-        return Err(ApiError::QueueFull { limit });
+/// Limits of the unfinished work of this caller and of the farm.
+pub(super) fn limits(farm: &Farm, caller: &Caller) -> BacklogLimits {
+    let farm_jobs = Some(farm.config.max_queued_jobs.into());
+    // A farm without keys has one submitter.
+    let Some(key) = caller.key() else { return BacklogLimits { farm_jobs, ..BacklogLimits::default() } };
+    BacklogLimits {
+        farm_jobs,
+        jobs: Some(key.max_jobs().unwrap_or(farm.config.max_jobs_per_name.into())),
+        rays: Some(key.max_rays().unwrap_or(i64::try_from(farm.config.max_rays_per_name).unwrap_or(i64::MAX))),
+        leaves_half: key.max_jobs().is_none(),
     }
-    if let Some(limit) = caller.key().and_then(|key| key.max_jobs())
-        && farm.queue.backlog_of(caller.name()).await?.jobs >= limit
-    {
-        return Err(ApiError::Quota { name: caller.name().to_owned(), what: "unfinished jobs", limit });
-    }
-    Ok(())
 }
 
-/// Rejects a job with this many rays, if its submitter would have too many.
-pub(super) async fn check_rays(farm: &Farm, caller: &Caller, rays: u64) -> Result<(), ApiError> {
-    let Some(limit) = caller.key().and_then(|key| key.max_rays()) else { return Ok(()) };
-    let waiting = farm.queue.backlog_of(caller.name()).await?.rays;
-    if waiting.saturating_add_unsigned(rays) > limit {
-        return Err(ApiError::Quota { name: caller.name().to_owned(), what: "rays of unfinished jobs", limit });
+/// Rejects another job of this caller if no job, however small, is within the limits now.
+pub(super) async fn check_jobs(farm: &Farm, caller: &Caller) -> Result<(), ApiError> {
+    match farm.queue.exceeded_limit(limits(farm, caller), caller.name(), 0).await? {
+        None => Ok(()),
+        Some(limit) => Err(exceeded(caller, limit)),
     }
-    Ok(())
+}
+
+/// Maximum number of paused jobs of a job's submitter, if this caller pauses it; administrators may pause any number.
+pub(super) fn max_paused(farm: &Farm, caller: &Caller) -> Option<u32> {
+    let key = caller.key().filter(|key| !key.scopes().is_allowed(Scope::Admin));
+    key.map(|_| farm.config.max_paused_per_name)
+}
+
+/// Error for a job that this caller cannot pause.
+pub(super) fn too_many_paused(caller: &Caller, limit: u32) -> ApiError {
+    ApiError::Quota { name: caller.name().to_owned(), what: "paused jobs", limit: limit.into() }
+}
+
+/// Rejects a priority above the highest that the caller's key permits.
+pub(super) fn check_priority(caller: &Caller, priority: i32) -> Result<(), ApiError> {
+    match caller.key() {
+        Some(key) if priority > key.max_priority() => {
+            Err(ApiError::PriorityTooHigh { name: key.name().to_owned(), found: priority, max: key.max_priority() })
+        }
+        Some(_) | None => Ok(()),
+    }
+}
+
+/// Error for a job of this caller that exceeds a limit.
+pub(super) fn exceeded(caller: &Caller, limit: ExceededLimit) -> ApiError {
+    let quota = |what, limit| ApiError::Quota { name: caller.name().to_owned(), what, limit };
+    match limit {
+        ExceededLimit::FarmJobs(limit) => ApiError::QueueFull { limit },
+        ExceededLimit::Jobs(limit) => quota("unfinished jobs", limit),
+        ExceededLimit::Rays(limit) => quota("rays of unfinished jobs", limit),
+    }
 }

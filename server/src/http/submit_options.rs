@@ -6,7 +6,7 @@ use reqwest::Url;
 use super::auth::Caller;
 use super::error::ApiError;
 use crate::farm::Farm;
-use crate::queue::{IdempotencyKey, NewWebhook, SubmitOptions};
+use crate::queue::{BacklogLimits, IdempotencyKey, NewWebhook, SubmitOptions};
 use crate::webhooks::{AddressPolicy, EVENTS, FINAL_EVENTS};
 
 /// Header with the idempotency key.
@@ -26,6 +26,7 @@ pub(super) fn read(
     headers: &HeaderMap,
     text: &[u8],
     guard: &AddressPolicy,
+    limits: BacklogLimits,
 ) -> Result<SubmitOptions, ApiError> {
     let (mut urls, mut events) = (Vec::new(), Vec::new());
     let query = Url::parse(&format!("http://query/?{}", uri.query().unwrap_or_default()))
@@ -52,9 +53,14 @@ pub(super) fn read(
     if events.is_empty() {
         events = FINAL_EVENTS.to_vec();
     }
-    let webhooks = urls.into_iter().map(|url| NewWebhook { url, events: events.clone() }).collect();
+    let webhooks = urls.into_iter().map(|url| NewWebhook {
+        target: format!("{}:{}", url.host_str().unwrap_or_default(), url.port_or_known_default().unwrap_or_default()),
+        url: url.to_string(),
+        events: events.clone(),
+    });
+    let webhooks = webhooks.collect();
     let once = key(headers)?.map(|key| IdempotencyKey { key, fingerprint: fingerprint(uri, headers, text) });
-    Ok(SubmitOptions { idempotency: once, webhooks })
+    Ok(SubmitOptions { idempotency: once, webhooks, limits })
 }
 
 /// Whether the request is a replay, which adds no job to the queue.
@@ -65,13 +71,13 @@ pub(super) async fn is_replay(farm: &Farm, caller: &Caller, headers: &HeaderMap)
     }
 }
 
-fn webhook_url(text: &str, guard: &AddressPolicy) -> Result<String, ApiError> {
+fn webhook_url(text: &str, guard: &AddressPolicy) -> Result<Url, ApiError> {
     if text.len() > MAX_URL_BYTES {
         return Err(ApiError::WrongWebhook(format!(
             "the webhook's address has more than {MAX_URL_BYTES} bytes: use a shorter one"
         )));
     }
-    guard.check(text).map(|url| url.to_string()).map_err(|error| ApiError::WrongWebhook(error.to_string()))
+    guard.check(text).map_err(|error| ApiError::WrongWebhook(error.to_string()))
 }
 
 fn event(name: &str) -> Result<&'static str, ApiError> {

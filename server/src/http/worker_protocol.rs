@@ -15,7 +15,7 @@ use proto::fail_point::{self, FailPoint};
 use proto::worker_protocol::{ContentFolders, RegisterRequest, RegisterResponse, SyncRequest, SyncResponse};
 use tracing::Instrument;
 
-use super::auth::Caller;
+use super::auth::{Caller, KEYLESS_SUBMITTER};
 use super::body;
 use super::error::ApiError;
 use super::jobs::job_id;
@@ -23,7 +23,7 @@ use super::trace_context;
 use crate::clock::monotonic_now;
 use crate::content_store::{ContentHash, ContentKind};
 use crate::farm::Farm;
-use crate::queue::{NewWorker, NextWork, SyncInput, SyncOutcome};
+use crate::queue::{LeaseNeed, NewWorker, NextWork, SyncInput, SyncOutcome};
 
 /// Maximum size of a registration; valid ones are smaller.
 const MAX_REGISTER_BYTES: usize = 16 << 10;
@@ -46,9 +46,9 @@ pub(super) async fn register(
         return Err(ApiError::WrongPictureVersion { found: hello.picture_version, wanted: scene::PICTURE_VERSION });
     }
     let label = matches!(caller, Caller::Pool).then(|| farm.pool.label(hello.process)).flatten();
-    let (pool, device) = (label.is_some(), hello.device.clone());
+    let (pool, device, owner) = (label.is_some(), hello.device.clone(), caller.owner().to_owned());
     let name = label.unwrap_or_else(|| hello.name.clone());
-    let worker = farm.queue.register(NewWorker { request: hello, pool, name: name.clone() }).await?.worker;
+    let worker = farm.queue.register(NewWorker { request: hello, pool, name: name.clone(), owner }).await?.worker;
     farm.telemetry.record_worker(worker, &name, &device);
     tracing::info!(%worker, %name, pool, "worker registered");
     let folders = if pool { folders(&farm) } else { None };
@@ -69,14 +69,15 @@ fn folders(farm: &Farm) -> Option<ContentFolders> {
 /// Results are confirmed at once. If the client disconnects, the wait ends with its connection.
 pub(super) async fn sync(
     State(farm): State<Arc<Farm>>,
+    caller: Caller,
     headers: HeaderMap,
     request: Body,
 ) -> Result<Json<SyncResponse>, ApiError> {
     let request: SyncRequest = body::read_json(&headers, request, MAX_SYNC_BYTES).await?;
-    farm.telemetry.record_metrics(request.worker, &request.metrics);
     let mut deadline = monotonic_now() + max_wait(&farm, &request);
     let mut turn = SyncInput {
         worker: request.worker,
+        owner: caller.owner().to_owned(),
         rays_per_second: request.rays_per_second.filter(|rate| rate.is_finite() && *rate > 0.0),
         held_leases: request.held_leases,
         reports: request.reports,
@@ -84,6 +85,7 @@ pub(super) async fn sync(
         shutting_down: request.shutting_down,
         opening: None,
     };
+    let mut metrics = Some(request.metrics);
     loop {
         let bell = farm.queue.wake_signals();
         let (mut work, mut news) = (pin!(bell.work.notified()), pin!(bell.updates.notified()));
@@ -93,7 +95,10 @@ pub(super) async fn sync(
         let prompt = turn.has_reports();
         let again = SyncInput { reports: Vec::new(), ..turn.clone() };
         let begun = monotonic_now();
-        let turned = farm.sync(turn).await?.ok_or_else(|| ApiError::UnknownWorker(again.worker.to_string()))?;
+        let Some(turned) = farm.sync(turn).await? else { return Err(unknown_worker(&farm, again.worker).await?) };
+        if let Some(metrics) = metrics.take() {
+            farm.telemetry.record_metrics(again.worker, &metrics);
+        }
         let now = monotonic_now();
         if again.wants_work {
             farm.telemetry.metrics.record_claim(now - begun);
@@ -114,6 +119,25 @@ pub(super) async fn sync(
             () = farm.shutdown.cancelled() => {}
         }
         turn = again;
+    }
+}
+
+/// Error of a sync for a worker that the caller may not speak for. A worker that registered before the farm had keys
+/// registers again.
+async fn unknown_worker(farm: &Farm, worker: WorkerId) -> Result<ApiError, ApiError> {
+    let owner = farm.queue.worker_owner(worker).await?;
+    Ok(match owner.filter(|owner| owner != KEYLESS_SUBMITTER) {
+        Some(_) => ApiError::ForeignWorker(worker.to_string()),
+        None => ApiError::UnknownWorker(worker.to_string()),
+    })
+}
+
+/// Rejects a transfer by a key whose workers hold no lease that needs it. The pool's own workers, and clients of a farm
+/// without keys, may transfer everything.
+async fn check_lease(farm: &Farm, caller: &Caller, needs: LeaseNeed<'_>) -> Result<(), ApiError> {
+    match caller.key() {
+        Some(key) if !farm.queue.has_lease(key.id(), needs).await? => Err(ApiError::NoLease),
+        Some(_) | None => Ok(()),
     }
 }
 
@@ -140,31 +164,46 @@ async fn reply(farm: &Farm, worker: WorkerId, turned: SyncOutcome) -> SyncRespon
 }
 
 /// Returns the JSON of a job, as it was submitted.
-pub(super) async fn job(State(farm): State<Arc<Farm>>, Path(id): Path<String>) -> Result<Response, ApiError> {
-    let text = farm.queue.file(job_id(&id)?).await?.ok_or(ApiError::UnknownJob(id))?;
+pub(super) async fn job(
+    State(farm): State<Arc<Farm>>,
+    caller: Caller,
+    Path(id): Path<String>,
+) -> Result<Response, ApiError> {
+    let job = job_id(&id)?;
+    check_lease(&farm, &caller, LeaseNeed::JobFile(job)).await?;
+    let text = farm.queue.file(job).await?.ok_or(ApiError::UnknownJob(id))?;
     Ok(([(header::CONTENT_TYPE, "application/json")], text).into_response())
 }
 
 /// Stores a tile's blob.
 pub(super) async fn put_blob(
     State(farm): State<Arc<Farm>>,
+    caller: Caller,
     Path(hash): Path<String>,
     request: Body,
 ) -> Result<StatusCode, ApiError> {
-    put(&farm, ContentKind::Blob, hash, request).await
+    put(&farm, &caller, ContentKind::Blob, hash, request).await
 }
 
 /// Stores a frame's picture; it is durable when the response is sent.
 pub(super) async fn put_picture(
     State(farm): State<Arc<Farm>>,
+    caller: Caller,
     Path(hash): Path<String>,
     request: Body,
 ) -> Result<StatusCode, ApiError> {
-    put(&farm, ContentKind::Picture, hash, request).await
+    put(&farm, &caller, ContentKind::Picture, hash, request).await
 }
 
-async fn put(farm: &Farm, kind: ContentKind, hash: String, request: Body) -> Result<StatusCode, ApiError> {
+async fn put(
+    farm: &Farm,
+    caller: &Caller,
+    kind: ContentKind,
+    hash: String,
+    request: Body,
+) -> Result<StatusCode, ApiError> {
     let name = ContentHash::parse(&hash).ok_or_else(|| ApiError::WrongHash(hash.clone()))?;
+    check_lease(farm, caller, LeaseNeed::Upload).await?;
     let bytes = request.into_data_stream().map_err(std::io::Error::other);
     let span = tracing::info_span!("store", ?kind, %hash);
     farm.content.put(kind, &name, bytes).instrument(span).await?;
@@ -176,8 +215,13 @@ async fn put(farm: &Farm, kind: ContentKind, hash: String, request: Body) -> Res
 }
 
 /// Returns a tile's blob.
-pub(super) async fn get_blob(State(farm): State<Arc<Farm>>, Path(hash): Path<String>) -> Result<Response, ApiError> {
+pub(super) async fn get_blob(
+    State(farm): State<Arc<Farm>>,
+    caller: Caller,
+    Path(hash): Path<String>,
+) -> Result<Response, ApiError> {
     let Some(name) = ContentHash::parse(&hash) else { return Err(ApiError::WrongHash(hash)) };
+    check_lease(&farm, &caller, LeaseNeed::Blob(&hash)).await?;
     match farm.content.get(ContentKind::Blob, &name, None).await? {
         Some((length_bytes, bytes)) => {
             Ok(([(header::CONTENT_LENGTH, length_bytes)], Body::from_stream(bytes)).into_response())

@@ -5,7 +5,10 @@
 use proto::JobId;
 use sqlx::Row;
 
-use super::{Connection, NewJob, Queue, Result, TransitionContext, Wake, expect_rows, parse_column, submit};
+use super::{
+    BacklogLimits, Connection, ExceededLimit, NewJob, Queue, Result, TransitionContext, Wake, expect_rows,
+    parse_column, submit,
+};
 use crate::database::Durability;
 
 /// Retention of idempotency keys.
@@ -27,6 +30,8 @@ pub(crate) struct IdempotencyKey {
 pub(crate) struct NewWebhook {
     /// The address.
     pub(crate) url: String,
+    /// Its host and port: attempts to one target are limited together.
+    pub(crate) target: String,
     /// Event types to send.
     pub(crate) events: Vec<&'static str>,
 }
@@ -38,6 +43,8 @@ pub(crate) struct SubmitOptions {
     pub(crate) idempotency: Option<IdempotencyKey>,
     /// Webhooks of the job.
     pub(crate) webhooks: Vec<NewWebhook>,
+    /// Maximum unfinished work, this job included.
+    pub(crate) limits: BacklogLimits,
 }
 
 /// Outcome of a submission.
@@ -49,6 +56,8 @@ pub(crate) enum SubmitOutcome {
     Replayed(JobId),
     /// The idempotency key belongs to another request.
     KeyReused,
+    /// The job would exceed a limit of unfinished work.
+    Rejected(ExceededLimit),
 }
 
 impl Queue {
@@ -105,6 +114,11 @@ async fn accept(
     {
         return Ok(granted);
     }
+    // Decided here, because transactions are serial: concurrent submissions cannot exceed a limit together.
+    let rays = job.plan.rays_total();
+    if let Some(limit) = wish.limits.find_exceeded(connection, &job.submitter, rays).await? {
+        return Ok(SubmitOutcome::Rejected(limit));
+    }
     let number = submit::submit(connection, job, moment).await?;
     if let Some(once) = &wish.idempotency {
         let kept = sqlx::query(
@@ -120,9 +134,10 @@ async fn accept(
         expect_rows("idempotency: stored", 1, &kept)?;
     }
     for webhook in &wish.webhooks {
-        let kept = sqlx::query("INSERT INTO webhook (job, url, events) VALUES (?, ?, ?)")
+        let kept = sqlx::query("INSERT INTO webhook (job, url, target, events) VALUES (?, ?, ?, ?)")
             .bind(number)
             .bind(&webhook.url)
+            .bind(&webhook.target)
             .bind(format!(",{},", webhook.events.join(",")))
             .execute(&mut *connection)
             .await?;

@@ -13,11 +13,36 @@ pub(crate) enum PauseOutcome {
     Done,
     /// The job had finished already.
     AlreadyFinished(JobState),
+    /// Its submitter has the maximum of paused jobs.
+    TooMany(u32),
     /// The job does not exist.
     Unknown,
 }
 
-async fn pause_job(connection: &mut Connection, id: JobId, paused: bool) -> Result<PauseOutcome> {
+/// Whether the job's submitter has this number of paused jobs, without this one.
+async fn has_paused(connection: &mut Connection, id: JobId, limit: u32) -> Result<bool> {
+    let others: i64 = sqlx::query_scalar(
+        "SELECT count(*) FROM job
+         WHERE submitter = (SELECT submitter FROM job WHERE id = ?1) AND paused = 1 AND finished_at_ms IS NULL
+           AND id <> ?1",
+    )
+    .bind(id.to_string())
+    .fetch_one(connection)
+    .await?;
+    Ok(others >= i64::from(limit))
+}
+
+async fn pause_job(
+    connection: &mut Connection,
+    id: JobId,
+    paused: bool,
+    max_paused: Option<u32>,
+) -> Result<PauseOutcome> {
+    if let Some(limit) = max_paused.filter(|_| paused)
+        && has_paused(connection, id, limit).await?
+    {
+        return Ok(PauseOutcome::TooMany(limit));
+    }
     let changed = sqlx::query("UPDATE job SET paused = ? WHERE id = ? AND finished_at_ms IS NULL")
         .bind(paused)
         .bind(id.to_string())
@@ -40,11 +65,11 @@ async fn pause_farm(connection: &mut Connection, paused: bool) -> Result<()> {
 }
 
 impl Queue {
-    /// Pauses or resumes a job that has not finished.
-    pub(crate) async fn pause(&self, job: JobId, paused: bool) -> Result<PauseOutcome> {
+    /// Pauses or resumes a job that has not finished, if its submitter has fewer paused jobs than the maximum.
+    pub(crate) async fn pause(&self, job: JobId, paused: bool, max_paused: Option<u32>) -> Result<PauseOutcome> {
         let done = self
             .database
-            .write(Durability::Full, move |connection| Box::pin(pause_job(connection, job, paused)))
+            .write(Durability::Full, move |connection| Box::pin(pause_job(connection, job, paused, max_paused)))
             .await?;
         if !paused {
             self.wake(Wake::WORK);

@@ -21,6 +21,8 @@ const UNHEARD_LEASE_MS: i64 = 2000;
 pub(crate) struct SyncInput {
     /// The calling worker.
     pub(crate) worker: WorkerId,
+    /// Caller that speaks for the worker.
+    pub(crate) owner: String,
     /// Its measured camera rays a second.
     pub(crate) rays_per_second: Option<f64>,
     /// Leases that the worker holds.
@@ -95,7 +97,7 @@ pub(crate) enum NextWork {
     Nothing(Option<i64>),
 }
 
-/// Carries out a worker's sync; `None` if the worker is unknown.
+/// Carries out a worker's sync; `None` if the worker is unknown, or belongs to another caller.
 pub(super) async fn sync(
     connection: &mut Connection,
     turn: SyncInput,
@@ -152,11 +154,13 @@ async fn touch_worker(
     moment: TransitionContext,
 ) -> Result<Option<WorkerRow>> {
     let row = sqlx::query(
-        "UPDATE worker SET seen_ms = ?, rays_per_second = coalesce(?, rays_per_second)
-         WHERE id = ? AND state <> 'gone' RETURNING state, coalesce(max_nodes, ?) AS max_nodes",
+        "UPDATE worker SET seen_ms = ?1, rays_per_second = coalesce(?2, rays_per_second), owner = coalesce(owner, ?3)
+         WHERE id = ?4 AND state <> 'gone' AND coalesce(owner, ?3) = ?3
+         RETURNING state, coalesce(max_nodes, ?5) AS max_nodes",
     )
     .bind(moment.now_ms)
     .bind(turn.rays_per_second)
+    .bind(&turn.owner)
     .bind(turn.worker.to_string())
     .bind(claim::ANY_NODES)
     .fetch_optional(connection)

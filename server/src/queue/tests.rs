@@ -66,7 +66,7 @@ impl Fixture {
             process: process.unwrap_or_default(),
         };
         self.queue
-            .register(NewWorker { request: hello, pool, name: "test".to_owned() })
+            .register(NewWorker { request: hello, pool, name: "test".to_owned(), owner: "local".to_owned() })
             .await
             .expect("registered")
             .worker
@@ -156,6 +156,7 @@ fn new_job(frames: u32) -> NewJob {
 fn turn(worker: WorkerId) -> SyncInput {
     SyncInput {
         worker,
+        owner: "local".to_owned(),
         rays_per_second: None,
         held_leases: Vec::new(),
         reports: Vec::new(),

@@ -9,7 +9,7 @@ use proto::webhook::{DeliveryState, DeliveryView};
 use sqlx::Row;
 use sqlx::sqlite::SqliteRow;
 
-use super::{Queue, Result, expect_rows, parse_column};
+use super::{Queue, Result, expect_rows, json_list, json_numbers, parse_column};
 use crate::clock::rfc3339;
 use crate::database::Durability;
 
@@ -31,6 +31,10 @@ pub(crate) struct Delivery {
     pub(crate) event: String,
     /// Receiver's address.
     pub(crate) url: String,
+    /// Host and port of the address.
+    pub(crate) target: String,
+    /// Submitter of the job.
+    pub(crate) submitter: String,
     /// The job's id.
     pub(crate) job: String,
     /// The job's name.
@@ -39,6 +43,17 @@ pub(crate) struct Delivery {
     pub(crate) body: String,
     /// Number of attempts so far.
     pub(crate) attempts: u32,
+}
+
+/// Deliveries that must wait: they are under way, or too many of their submitter or to their target are.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub(crate) struct BusyReceivers {
+    /// Row numbers of deliveries under way.
+    pub(crate) deliveries: Vec<i64>,
+    /// Submitters with the maximum of attempts under way.
+    pub(crate) submitters: Vec<String>,
+    /// Targets with the maximum of attempts under way.
+    pub(crate) targets: Vec<String>,
 }
 
 /// Outcome of an attempt.
@@ -61,13 +76,20 @@ pub(crate) enum Attempt {
 }
 
 impl Queue {
-    /// Due deliveries, the longest overdue first.
-    pub(crate) async fn due_deliveries(&self, limit: u32) -> Result<Vec<Delivery>> {
+    /// Due deliveries, the longest overdue first, without those that must wait for others.
+    pub(crate) async fn due_deliveries(&self, busy: &BusyReceivers, limit: u32) -> Result<Vec<Delivery>> {
         let rows = sqlx::query(
-            "SELECT number, id, event, url, job, name, body, attempts FROM delivery
-             WHERE state = 'pending' AND next_at_ms <= ? ORDER BY next_at_ms LIMIT ?",
+            "SELECT number, id, event, url, target, submitter, job, name, body, attempts FROM delivery
+             WHERE state = 'pending' AND next_at_ms <= ?
+               AND submitter NOT IN (SELECT value FROM json_each(?))
+               AND target NOT IN (SELECT value FROM json_each(?))
+               AND number NOT IN (SELECT value FROM json_each(?))
+             ORDER BY next_at_ms LIMIT ?",
         )
         .bind(self.clock.wall_ms())
+        .bind(json_list(&busy.submitters))
+        .bind(json_list(&busy.targets))
+        .bind(json_numbers(busy.deliveries.iter().copied()))
         .bind(limit)
         .fetch_all(self.readers())
         .await?;
@@ -78,6 +100,8 @@ impl Queue {
                     id: row.try_get("id")?,
                     event: row.try_get("event")?,
                     url: row.try_get("url")?,
+                    target: row.try_get("target")?,
+                    submitter: row.try_get("submitter")?,
                     job: row.try_get("job")?,
                     name: row.try_get("name")?,
                     body: row.try_get("body")?,

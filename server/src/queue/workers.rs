@@ -1,11 +1,11 @@
 //! Workers: registration, draining and exit.
 
-use proto::WorkerId;
 use proto::worker_protocol::RegisterRequest;
+use proto::{JobId, WorkerId};
 use sqlx::Row;
 
 use super::lease::{self, LeaseEnd};
-use super::{Connection, Result, TransitionContext, Wake, expect_rows, parse_column};
+use super::{Connection, Queue, Result, TransitionContext, Wake, expect_rows, parse_column};
 
 /// Worker that registers.
 #[derive(Clone, Debug)]
@@ -16,6 +16,8 @@ pub(crate) struct NewWorker {
     pub(crate) pool: bool,
     /// Its label.
     pub(crate) name: String,
+    /// Caller that registers it: only that caller may speak for it.
+    pub(crate) owner: String,
 }
 
 /// Registered worker.
@@ -33,8 +35,8 @@ pub(super) async fn register(
 ) -> Result<Registration> {
     let worker = WorkerId::new();
     let made = sqlx::query(
-        "INSERT INTO worker (id, name, device, state, pool, process, max_nodes, generation, seen_ms)
-         VALUES (?, ?, ?, 'ready', ?, ?, ?, ?, ?)",
+        "INSERT INTO worker (id, name, device, state, pool, process, max_nodes, generation, seen_ms, owner)
+         VALUES (?, ?, ?, 'ready', ?, ?, ?, ?, ?, ?)",
     )
     .bind(worker.to_string())
     .bind(new.name)
@@ -44,10 +46,57 @@ pub(super) async fn register(
     .bind(new.request.max_nodes)
     .bind(moment.generation)
     .bind(moment.now_ms)
+    .bind(new.owner)
     .execute(connection)
     .await?;
     expect_rows("worker: registered", 1, &made)?;
     Ok(Registration { worker })
+}
+
+impl Queue {
+    /// Owner of a worker that has not exited.
+    pub(crate) async fn worker_owner(&self, worker: WorkerId) -> Result<Option<String>> {
+        let owner = sqlx::query_scalar("SELECT owner FROM worker WHERE id = ? AND state <> 'gone'")
+            .bind(worker.to_string())
+            .fetch_optional(self.readers())
+            .await?;
+        Ok(owner.flatten())
+    }
+
+    /// Whether a worker of this owner holds a lease that needs the given content.
+    pub(crate) async fn has_lease(&self, owner: &str, needs: LeaseNeed<'_>) -> Result<bool> {
+        let (job, blob) = match needs {
+            LeaseNeed::Upload => (None, None),
+            LeaseNeed::JobFile(job) => (Some(job.to_string()), None),
+            LeaseNeed::Blob(hash) => (None, Some(hash)),
+        };
+        let found: Option<i64> = sqlx::query_scalar(
+            "SELECT 1 FROM worker
+             CROSS JOIN lease ON lease.worker = worker.id AND lease.ended IS NULL
+             CROSS JOIN tile ON tile.id = lease.tile
+             WHERE worker.owner = ?1 AND worker.state <> 'gone'
+               AND (?2 IS NULL OR tile.job = (SELECT number FROM job WHERE id = ?2))
+               AND (?3 IS NULL OR EXISTS (SELECT 1 FROM tile AS input WHERE input.blob = ?3 AND input.job = tile.job))
+             LIMIT 1",
+        )
+        .bind(owner)
+        .bind(job)
+        .bind(blob)
+        .fetch_optional(self.readers())
+        .await?;
+        Ok(found.is_some())
+    }
+}
+
+/// Content that a lease gives access to.
+#[derive(Clone, Copy, Debug)]
+pub(crate) enum LeaseNeed<'a> {
+    /// Sending a blob or a picture.
+    Upload,
+    /// The file of the lease's job.
+    JobFile(JobId),
+    /// A blob of the lease's job, by its hash.
+    Blob(&'a str),
 }
 
 /// Asks the pool worker with this process id to drain; false if there is none yet.

@@ -21,7 +21,7 @@ const SECRET_BYTES: usize = 32;
 /// Sizes of secrets that the specification permits, in bytes.
 const ALLOWED_BYTES: std::ops::RangeInclusive<usize> = 24..=64;
 /// Name of the secret's file in the data folder.
-const FILE: &str = "webhook-secret";
+pub(crate) const FILE: &str = "webhook-secret";
 /// File mode: only the owner can read it.
 const MODE: u32 = 0o600;
 

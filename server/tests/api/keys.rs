@@ -2,6 +2,7 @@
 
 use std::time::Duration;
 
+use futures_util::future::join_all;
 use proto::api_key::{ApiKeyList, ApiKeyState, IssuedApiKey, NewApiKey, Scope};
 use proto::audit::AuditPage;
 use proto::worker_protocol;
@@ -21,6 +22,7 @@ pub(crate) fn new_key(name: &str, scopes: &[Scope]) -> NewApiKey {
         max_jobs: None,
         max_rays: None,
         requests_per_second: None,
+        max_priority: None,
     }
 }
 
@@ -270,6 +272,39 @@ async fn quotas_and_rates_are_enforced_with_retry_after() {
     farm.stop().await;
 }
 
+#[tokio::test(flavor = "multi_thread")]
+async fn concurrent_submissions_do_not_exceed_a_limit_together() {
+    let (farm, admin) = locked_farm().await;
+    let jobs = NewApiKey { max_jobs: Some(1), ..new_key("anna", &[Scope::Submit]) };
+    let rays = NewApiKey { max_rays: Some(64 * 64), ..new_key("bert", &[Scope::Submit]) };
+    for limited in [jobs, rays] {
+        let key = make(&farm, &admin, &limited).await.secret;
+        let submissions = (0..50).map(|seed| send(&farm, &key, Method::POST, "/v1/jobs", small_job(seed).to_string()));
+        let mut accepted = 0;
+        for response in join_all(submissions).await {
+            match response.status() {
+                StatusCode::CREATED => accepted += 1,
+                _ => drop(refused(response, 429, "quota").await),
+            }
+        }
+        assert_eq!(accepted, 1, "{}", limited.name);
+    }
+    farm.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn concurrent_submissions_do_not_overfill_the_queue() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let farm = Farm::start_in(folder, |config| config.max_queued_jobs = 3).await;
+    let submissions = (0..50).map(|seed| farm.post("/v1/jobs", small_job(seed).to_string()));
+    let responses = join_all(submissions).await;
+    assert_eq!(responses.iter().filter(|response| response.status() == StatusCode::CREATED).count(), 3);
+    for response in responses.into_iter().filter(|response| response.status() != StatusCode::CREATED) {
+        refused(response, 429, "queue_full").await;
+    }
+    farm.stop().await;
+}
+
 #[tokio::test]
 async fn a_full_queue_rejects_before_the_body_is_read() {
     let folder = tempfile::tempdir().expect("a temporary folder");
@@ -296,7 +331,7 @@ async fn the_audit_log_has_changes_and_rejections() {
     let page: AuditPage = in_time(async {
         loop {
             let page: AuditPage = read(send(&farm, &admin, Method::GET, "/v1/audit", "").await, StatusCode::OK).await;
-            if page.entries.len() >= 5 {
+            if page.entries.len() >= 6 {
                 return page;
             }
             tokio::task::yield_now().await;
@@ -312,6 +347,8 @@ async fn the_audit_log_has_changes_and_rejections() {
     assert_eq!(
         told,
         [
+            // The first key was created on the server's machine.
+            ("local", "POST", "/v1/keys", 201, None),
             ("root", "POST", "/v1/keys", 201, None),
             ("anna", "POST", "/v1/jobs", 201, None),
             ("anna", "PUT", "/v1/pool", 403, Some("missing_scope")),
@@ -381,5 +418,134 @@ async fn a_replay_succeeds_even_if_the_quota_is_used_up() {
     let again: Value = read(wish("one").await, StatusCode::OK).await;
     assert_eq!(first["id"], again["id"]);
     refused(wish("two").await, 429, "quota").await;
+    farm.stop().await;
+}
+
+/// Registers a worker with a key; returns its id.
+async fn register(farm: &Farm, key: &str) -> String {
+    let hello = json!({
+        "name": "host", "device": "cpu", "picture_version": scene::PICTURE_VERSION, "max_nodes": null, "process": 1
+    });
+    let answer = send(farm, key, Method::POST, worker_protocol::REGISTER_PATH, hello.to_string()).await;
+    read::<Value>(answer, StatusCode::OK).await["worker"].as_str().expect("an id").to_owned()
+}
+
+/// Sends a worker's sync with a key.
+async fn sync(farm: &Farm, key: &str, worker: &str, reports: Value) -> Response {
+    let wants_work = reports == json!([]);
+    let said = json!({
+        "worker": worker, "rays_per_second": null, "held_leases": [], "reports": reports, "wants_work": wants_work,
+        "wait_ms": 0
+    });
+    send(farm, key, Method::POST, worker_protocol::SYNC_PATH, said.to_string()).await
+}
+
+#[tokio::test]
+async fn a_worker_belongs_to_the_key_that_registered_it() {
+    let (farm, admin) = locked_farm().await;
+    let owner = make(&farm, &admin, &new_key("host-1", &[Scope::Worker])).await.secret;
+    let other = make(&farm, &admin, &new_key("host-2", &[Scope::Worker])).await.secret;
+    let job: Value =
+        read(send(&farm, &admin, Method::POST, "/v1/jobs", small_job(1).to_string()).await, StatusCode::CREATED).await;
+    let job = job["id"].as_str().expect("an id");
+    let worker = register(&farm, &owner).await;
+    let stranger = register(&farm, &other).await;
+    let picture = b"a picture".to_vec();
+    let hash = blake3::hash(&picture).to_hex().to_string();
+    let (upload, file) = (worker_protocol::picture_path(&hash), format!("/v1/worker/jobs/{job}"));
+
+    // Without a lease, a key transfers nothing.
+    refused(send(&farm, &owner, Method::PUT, &upload, picture.clone()).await, 403, "no_lease").await;
+    refused(send(&farm, &owner, Method::GET, &file, "").await, 403, "no_lease").await;
+    let batch: Value = read(sync(&farm, &owner, &worker, json!([])).await, StatusCode::OK).await;
+    let lease = &batch["batch"]["work"]["render"]["tiles"][0]["lease"];
+    assert!(lease.is_string(), "{batch}");
+
+    // Another key speaks neither for the worker nor with its lease.
+    let report = json!([{ "lease": lease, "outcome": "released" }]);
+    refused(sync(&farm, &other, &worker, report.clone()).await, 403, "foreign_worker").await;
+    refused(sync(&farm, &admin, &worker, json!([])).await, 403, "foreign_worker").await;
+    refused(send(&farm, &other, Method::PUT, &upload, picture.clone()).await, 403, "no_lease").await;
+    refused(
+        send(&farm, &other, Method::PUT, &upload.replace("pictures", "blobs"), picture.clone()).await,
+        403,
+        "no_lease",
+    )
+    .await;
+    refused(send(&farm, &other, Method::GET, &file, "").await, 403, "no_lease").await;
+    let blob = worker_protocol::blob_path(&hash);
+    refused(send(&farm, &other, Method::GET, &blob, "").await, 403, "no_lease").await;
+    let lost: Value = read(sync(&farm, &other, &stranger, report).await, StatusCode::OK).await;
+    assert_eq!(lost["revoked_leases"], json!([lease]), "a foreign lease is not its own");
+
+    assert_eq!(send(&farm, &owner, Method::GET, &file, "").await.status(), StatusCode::OK);
+    assert_eq!(send(&farm, &owner, Method::PUT, &upload, picture.clone()).await.status(), StatusCode::NO_CONTENT);
+    let outcome = json!({ "picture": { "hash": hash, "size_bytes": picture.len() } });
+    let done = sync(&farm, &owner, &worker, json!([{ "lease": lease, "outcome": outcome }])).await;
+    assert_eq!(read::<Value>(done, StatusCode::OK).await["revoked_leases"], json!([]));
+
+    // Only its key's owner may keep the picture; a signed link may always be shared, and is revalidated.
+    for path in ["image", "frames/0/image"] {
+        let image = send(&farm, &admin, Method::GET, &format!("/v1/jobs/{job}/{path}"), "").await;
+        assert_eq!(image.headers()["cache-control"], "private, max-age=31536000, immutable", "{path}");
+    }
+    for path in ["frames.zip", "frames", "file", ""] {
+        let answer = send(&farm, &admin, Method::GET, format!("/v1/jobs/{job}/{path}").trim_end_matches('/'), "").await;
+        assert_eq!(answer.headers()["cache-control"], "private", "{path}");
+    }
+    farm.stop().await;
+}
+
+#[tokio::test]
+async fn a_submitter_leaves_room_and_asks_for_no_priority_above_its_own() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let mut keys = OfflineApiKeys::open_or_create(folder.path()).await.expect("a folder of keys");
+    let admin = keys.create(new_key("root", &[Scope::Admin])).await.expect("a key").secret;
+    keys.close().await.expect("closes");
+    let farm = Farm::start_in(folder, |config| (config.max_queued_jobs, config.max_paused_per_name) = (4, 1)).await;
+    let anna = make(&farm, &admin, &new_key("anna", &[Scope::Submit])).await.secret;
+    let key = NewApiKey { max_priority: Some(10), max_jobs: Some(2), ..new_key("bert", &[Scope::Submit]) };
+    let bert = make(&farm, &admin, &key).await.secret;
+    let submit = async |key: &str, job: Value| send(&farm, key, Method::POST, "/v1/jobs", job.to_string()).await;
+    let with_priority = |seed: u32, priority: i32| {
+        let mut job = small_job(seed);
+        job["priority"] = json!(priority);
+        job
+    };
+
+    let high = refused(submit(&anna, with_priority(1, 1)).await, 403, "priority_too_high").await;
+    assert!(high.detail.contains("--max-priority 1"), "{high:?}");
+    let dry = send(&farm, &anna, Method::POST, "/v1/jobs?dry_run=true", with_priority(1, 1).to_string()).await;
+    refused(dry, 403, "priority_too_high").await;
+    let mut paths = Vec::new();
+    for seed in 1..3 {
+        let job: Value = read(submit(&anna, with_priority(seed, 0)).await, StatusCode::CREATED).await;
+        paths.push(format!("/v1/jobs/{}", job["id"].as_str().expect("an id")));
+    }
+    let half = refused(submit(&anna, small_job(3)).await, 429, "quota").await;
+    assert!(half.detail.contains("at most 2 unfinished jobs"), "{half:?}");
+    let raise = async |key: &str, priority: i32| {
+        let body = json!({ "priority": priority }).to_string();
+        send(&farm, key, Method::PATCH, &paths[0], body).await
+    };
+    refused(raise(&anna, 1).await, 403, "priority_too_high").await;
+    for (key, priority) in [(&anna, -5), (&admin, 100)] {
+        assert_eq!(raise(key, priority).await.status(), StatusCode::OK, "{priority}");
+    }
+
+    // Paused jobs are bounded; an administrator may pause any number.
+    let pause = async |key: &str, path: &str| send(&farm, key, Method::POST, &format!("{path}/pause"), "").await;
+    for _ in 0..2 {
+        assert_eq!(pause(&anna, &paths[0]).await.status(), StatusCode::OK);
+    }
+    refused(pause(&anna, &paths[1]).await, 429, "quota").await;
+    assert_eq!(pause(&admin, &paths[1]).await.status(), StatusCode::OK);
+
+    // A key with a quota of its own may take the rest.
+    refused(submit(&bert, with_priority(4, 11)).await, 403, "priority_too_high").await;
+    for seed in 4..6 {
+        assert_eq!(submit(&bert, with_priority(seed, 10)).await.status(), StatusCode::CREATED);
+    }
+    refused(submit(&bert, small_job(6)).await, 429, "queue_full").await;
     farm.stop().await;
 }

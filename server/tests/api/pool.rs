@@ -4,9 +4,10 @@ use std::os::unix::fs::PermissionsExt;
 use std::path::Path;
 use std::time::Duration;
 
+use proto::WorkerId;
 use proto::job::JobState;
 use proto::pool::{PoolView, WorkerList};
-use proto::worker_protocol::{self, RegisterRequest, RegisterResponse};
+use proto::worker_protocol::{self, Batch, RegisterRequest, RegisterResponse, SyncResponse};
 use reqwest::StatusCode;
 use serde_json::json;
 
@@ -69,6 +70,17 @@ async fn register(farm: &Farm, process: u32, said: &str) -> RegisterResponse {
     read(in_time(request.send()).await.expect("a response"), StatusCode::OK).await
 }
 
+/// Claims a batch like a started process.
+async fn claim(farm: &Farm, worker: WorkerId, said: &str) -> Option<Batch> {
+    let token = said.split(' ').next().expect("a token");
+    let request = json!({
+        "worker": worker, "rays_per_second": null, "held_leases": [], "reports": [], "wants_work": true, "wait_ms": 0
+    });
+    let request = farm.client.post(farm.url(worker_protocol::SYNC_PATH)).bearer_auth(token).json(&request);
+    let response: SyncResponse = read(in_time(request.send()).await.expect("a response"), StatusCode::OK).await;
+    response.batch
+}
+
 fn kill(process: u32) {
     let killed = std::process::Command::new("kill").args(["-9", &process.to_string()]).status().expect("kill runs");
     assert!(killed.success());
@@ -109,8 +121,10 @@ async fn the_pool_resizes_replaces_exited_workers_and_leaves_no_orphan() {
     let mut child = farm.worker("helper").await;
     let helper = child.id;
     child.id = welcome.worker;
-    let held = leases(&child.claim().await.expect("work"));
+    // Without the pool's token, nobody speaks for its worker.
+    refused(child.try_sync(Said::default()).await, 403, "foreign_worker").await;
     child.id = helper;
+    let held = leases(&claim(&farm, welcome.worker, &said).await.expect("work"));
     kill(process);
     let again = child.next().await;
     assert_eq!(again.job, posted.id);

@@ -29,7 +29,8 @@ async fn a_failing_helper_affects_only_the_preview() {
         let job = farm.submit(&small_job(1)).await.id;
         let answer = farm.get(&format!("/v1/jobs/{job}/frames/0/preview")).await;
         assert_eq!(answer.headers()["retry-after"], "5");
-        refused(answer, 503, "no_preview").await;
+        let detail = refused(answer, 503, "no_preview").await.detail;
+        assert!(!detail.contains("os error") && !detail.contains("exit status"), "the server's own errors: {detail}");
         let dry = farm.post("/v1/jobs?dry_run=true", small_job(1).to_string()).await;
         let dry: proto::job::DryRun = read(dry, StatusCode::OK).await;
         assert!(dry.estimate.is_none(), "{dry:?}");

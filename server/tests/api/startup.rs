@@ -50,6 +50,44 @@ async fn a_data_folder_has_one_server() {
 }
 
 #[tokio::test]
+async fn a_removed_lock_file_lets_no_second_server_in() {
+    let farm = Farm::start().await;
+    std::fs::remove_file(farm.folder.path().join("lock")).expect("removes");
+    for _ in 0..2 {
+        let error = start_error(farm.folder.path(), |_| {}).await;
+        assert!(matches!(error, StartError::InUse { .. }), "{error:?}");
+    }
+    let folder = farm.stop().await;
+    Farm::start_in(folder, |_| {}).await.stop().await;
+}
+
+#[tokio::test]
+async fn only_the_servers_user_may_read_its_data() {
+    use std::os::unix::fs::PermissionsExt;
+
+    let mode = |path: &Path| std::fs::metadata(path).expect("it is there").permissions().mode() & 0o777;
+    let loosen = |path: &Path| {
+        std::fs::set_permissions(path, std::fs::Permissions::from_mode(mode(path) | 0o055))
+            .expect("its mode is changed");
+    };
+    let farm = Farm::start().await;
+    farm.submit(&small_job(1)).await;
+    let files = ["farm.sqlite", "farm.sqlite-wal", "farm.sqlite-shm", "links.secret", "webhook-secret", "lock"];
+    let data = farm.folder.path().to_owned();
+    let exposed = || -> Vec<_> { files.into_iter().filter(|file| mode(&data.join(file)) != 0o600).collect() };
+    assert_eq!((exposed(), mode(&data)), (Vec::new(), 0o700));
+    let folder = farm.stop().await;
+    // A folder of an earlier release is mended.
+    for path in [data.clone(), data.join("farm.sqlite"), data.join("links.secret"), data.join("pictures")] {
+        loosen(&path);
+    }
+    let farm = Farm::start_in(folder, |_| {}).await;
+    farm.submit(&small_job(2)).await;
+    assert_eq!((exposed(), mode(&data), mode(&data.join("pictures"))), (Vec::new(), 0o700, 0o700));
+    farm.stop().await;
+}
+
+#[tokio::test]
 async fn startup_errors_have_a_fix() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let busy = TcpListener::bind("127.0.0.1:0").expect("a free port");

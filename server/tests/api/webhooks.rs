@@ -243,3 +243,42 @@ async fn invalid_webhooks_are_rejected() {
     refused(farm.get(&format!("/v1/jobs/{}/webhooks", JobId::new())).await, 404, "unknown_job").await;
     farm.stop().await;
 }
+
+/// A receiver that accepts connections and never responds; returns its address and the number of connections.
+async fn tar_pit() -> (String, Arc<Mutex<usize>>, JoinHandle<()>) {
+    let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.expect("a free port");
+    let address = format!("http://{}/hook", listener.local_addr().expect("an address"));
+    let accepted: Arc<Mutex<usize>> = Arc::default();
+    let counter = Arc::clone(&accepted);
+    let task = tokio::spawn(async move {
+        let mut open = Vec::new();
+        loop {
+            open.push(listener.accept().await.expect("accepts"));
+            *counter.lock().expect("no panic") = open.len();
+        }
+    });
+    (address, accepted, task)
+}
+
+#[tokio::test]
+async fn a_receiver_that_never_responds_delays_no_other() {
+    let farm = farm().await;
+    let (pit, accepted, pit_task) = tar_pit().await;
+    let (hook, receiver, task) = receive(&[]).await;
+    for seed in 0..20 {
+        submit(&farm, &format!("webhook={pit}&webhook={pit}%3Fagain"), seed).await;
+    }
+    submit(&farm, &format!("webhook={hook}"), 20).await;
+    farm.worker("one").await.work_off().await;
+    in_time(async {
+        while receiver.messages.lock().expect("no panic").is_empty() {
+            tokio::time::sleep(Duration::from_millis(10)).await;
+        }
+    })
+    .await;
+    let open = *accepted.lock().expect("no panic");
+    assert!(open <= 4, "{open} attempts to one target");
+    task.abort();
+    pit_task.abort();
+    farm.stop().await;
+}

@@ -114,13 +114,13 @@ async fn a_paused_job_gains_no_credit() {
     let worker = bench.worker(None).await;
     let other = submit(&bench, job_of("steady", 1000, 0)).await;
     let paused = submit(&bench, job_of("paused", 1000, 0)).await;
-    bench.queue.pause(paused, true).await.expect("pauses");
+    bench.queue.pause(paused, true, None).await.expect("pauses");
     for _ in 0..200 {
         let run = claim(&bench, worker).await.expect("work");
         assert_eq!(run.job, other, "nothing of a paused job is leased");
         finish(&bench, worker, &run).await;
     }
-    bench.queue.pause(paused, false).await.expect("resumes");
+    bench.queue.pause(paused, false, None).await.expect("resumes");
     let mut served = 0;
     for _ in 0..20 {
         let run = claim(&bench, worker).await.expect("work");

@@ -280,7 +280,7 @@ impl Pair {
     }
 
     async fn pause(&mut self, id: JobId, paused: bool) {
-        self.bench.queue.pause(id, paused).await.expect("a response");
+        self.bench.queue.pause(id, paused, None).await.expect("a response");
         let job = self.model.jobs.get_mut(&id).expect("known");
         if !job.state.is_final() {
             job.paused = paused;
