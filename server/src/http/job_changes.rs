@@ -11,9 +11,10 @@ use proto::job::JobPatch;
 use proto::job::{JobState, JobView};
 use serde::Deserialize;
 
-use super::body;
+use super::auth::Caller;
 use super::error::ApiError;
 use super::jobs::{job_id, view};
+use super::{body, quota};
 use crate::content_store::ContentKind;
 use crate::farm::Farm;
 use crate::queue::{ChangeOutcome, DeleteOutcome};
@@ -38,10 +39,17 @@ struct DeleteQuery {
         (status = 200, description = "The job is running again", body = ref("#/components/schemas/JobView")),
         (status = 404, description = "No such job", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
         (status = 409, description = "The job has no dead tiles", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+        (status = 429, description = "The queue is full, or the caller's quota is used up: see Retry-After", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
     )
 )]
-pub(super) async fn retry(State(farm): State<Arc<Farm>>, Path(id): Path<String>) -> Result<Json<JobView>, ApiError> {
+pub(super) async fn retry(
+    State(farm): State<Arc<Farm>>,
+    caller: Caller,
+    Path(id): Path<String>,
+) -> Result<Json<JobView>, ApiError> {
     let job = job_id(&id)?;
+    // A failed job that runs again is unfinished work like a new one.
+    quota::check_jobs(&farm, &caller).await?;
     match farm.queue.retry(job).await? {
         ChangeOutcome::Done => view(&farm, job).await,
         ChangeOutcome::WrongState(state) => Err(ApiError::NoDeadTiles { job, state }),

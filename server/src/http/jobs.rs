@@ -113,7 +113,6 @@ pub(super) struct Submission {
     headers: HeaderMap,
     query: SubmitQuery,
     keep: Option<Retention>,
-    is_known: bool,
 }
 
 impl Submission {
@@ -132,13 +131,14 @@ impl Submission {
             Ok(keep) => keep,
             Err(error) => return Err(ApiError::WrongQuery(format!("keep: {error}"))),
         };
-        Ok(Self { caller, uri, headers, query, keep, is_known })
+        Ok(Self { caller, uri, headers, query, keep })
     }
 
     /// Accepts or validates a job with this text.
     pub(super) async fn finish(self, farm: &Arc<Farm>, text: bytes::Bytes) -> Result<Response, ApiError> {
-        let Self { caller, uri, headers, query, keep, is_known } = self;
-        let wish = submit_options::read(&uri, &headers, &text, &farm.webhooks.guard)?;
+        let Self { caller, uri, headers, query, keep } = self;
+        let limits = quota::limits(farm, &caller);
+        let wish = submit_options::read(&uri, &headers, &text, &farm.webhooks.guard, limits)?;
         let parsed = farm.jobs.parse(text.clone(), |parsed| parsed.map(|job| (job.warnings(), job))).await?;
         let (warnings, job) = parsed?;
         let plan = TilePlan::new(&job, farm.config.tile_edge_px);
@@ -147,9 +147,6 @@ impl Submission {
             let estimate = estimate::estimate(farm, into_utf8(text)?, plan).await;
             let frames = plan.frames.into();
             return Ok(Json(DryRun { valid: true, tiles, frames, rays, estimate, warnings }).into_response());
-        }
-        if !is_known {
-            quota::check_rays(farm, &caller, plan.rays_total()).await?;
         }
         let id = JobId::new();
         let new = NewJob {
@@ -171,6 +168,7 @@ impl Submission {
             SubmitOutcome::Created(_) => (StatusCode::CREATED, id),
             SubmitOutcome::Replayed(id) => (StatusCode::OK, id),
             SubmitOutcome::KeyReused => return Err(ApiError::IdempotencyKeyReused),
+            SubmitOutcome::Rejected(limit) => return Err(quota::exceeded(&caller, limit)),
         };
         fail_point::trigger_infallible(FailPoint::SubmitCommitted);
         let mut response = prefer::answer(farm, id, &headers, status).await?;

@@ -6,7 +6,7 @@ use reqwest::Url;
 use super::auth::Caller;
 use super::error::ApiError;
 use crate::farm::Farm;
-use crate::queue::{IdempotencyKey, NewWebhook, SubmitOptions};
+use crate::queue::{BacklogLimits, IdempotencyKey, NewWebhook, SubmitOptions};
 use crate::webhooks::{AddressPolicy, EVENTS, FINAL_EVENTS};
 
 /// Header with the idempotency key.
@@ -26,6 +26,7 @@ pub(super) fn read(
     headers: &HeaderMap,
     text: &[u8],
     guard: &AddressPolicy,
+    limits: BacklogLimits,
 ) -> Result<SubmitOptions, ApiError> {
     let (mut urls, mut events) = (Vec::new(), Vec::new());
     let query = Url::parse(&format!("http://query/?{}", uri.query().unwrap_or_default()))
@@ -54,7 +55,7 @@ pub(super) fn read(
     }
     let webhooks = urls.into_iter().map(|url| NewWebhook { url, events: events.clone() }).collect();
     let once = key(headers)?.map(|key| IdempotencyKey { key, fingerprint: fingerprint(uri, headers, text) });
-    Ok(SubmitOptions { idempotency: once, webhooks })
+    Ok(SubmitOptions { idempotency: once, webhooks, limits })
 }
 
 /// Whether the request is a replay, which adds no job to the queue.

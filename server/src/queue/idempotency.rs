@@ -5,7 +5,7 @@
 use proto::JobId;
 use sqlx::Row;
 
-use super::{Connection, NewJob, Queue, Result, TransitionContext, Wake, expect_rows, parse_column, submit};
+use super::{BacklogLimits, Connection, ExceededLimit, NewJob, Queue, Result, TransitionContext, Wake, expect_rows, parse_column, submit};
 use crate::database::Durability;
 
 /// Retention of idempotency keys.
@@ -38,6 +38,8 @@ pub(crate) struct SubmitOptions {
     pub(crate) idempotency: Option<IdempotencyKey>,
     /// Webhooks of the job.
     pub(crate) webhooks: Vec<NewWebhook>,
+    /// Maximum unfinished work, this job included.
+    pub(crate) limits: BacklogLimits,
 }
 
 /// Outcome of a submission.
@@ -49,6 +51,8 @@ pub(crate) enum SubmitOutcome {
     Replayed(JobId),
     /// The idempotency key belongs to another request.
     KeyReused,
+    /// The job would exceed a limit of unfinished work.
+    Rejected(ExceededLimit),
 }
 
 impl Queue {
@@ -104,6 +108,11 @@ async fn accept(
         && let Some(granted) = earlier_submission(connection, &job.submitter, once).await?
     {
         return Ok(granted);
+    }
+    // Decided here, because transactions are serial: concurrent submissions cannot exceed a limit together.
+    let rays = job.plan.rays_total();
+    if let Some(limit) = wish.limits.find_exceeded(connection, &job.submitter, rays).await? {
+        return Ok(SubmitOutcome::Rejected(limit));
     }
     let number = submit::submit(connection, job, moment).await?;
     if let Some(once) = &wish.idempotency {

@@ -2,6 +2,7 @@
 
 use std::time::Duration;
 
+use futures_util::future::join_all;
 use proto::api_key::{ApiKeyList, ApiKeyState, IssuedApiKey, NewApiKey, Scope};
 use proto::audit::AuditPage;
 use proto::worker_protocol;
@@ -267,6 +268,39 @@ async fn quotas_and_rates_are_enforced_with_retry_after() {
     let limited = limited.expect("the second request within 1 s exceeds the rate");
     assert_eq!(limited.headers()["retry-after"], "1");
     refused(limited, 429, "too_many_requests").await;
+    farm.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn concurrent_submissions_do_not_exceed_a_limit_together() {
+    let (farm, admin) = locked_farm().await;
+    let jobs = NewApiKey { max_jobs: Some(1), ..new_key("anna", &[Scope::Submit]) };
+    let rays = NewApiKey { max_rays: Some(64 * 64), ..new_key("bert", &[Scope::Submit]) };
+    for limited in [jobs, rays] {
+        let key = make(&farm, &admin, &limited).await.secret;
+        let submissions = (0..50).map(|seed| send(&farm, &key, Method::POST, "/v1/jobs", small_job(seed).to_string()));
+        let mut accepted = 0;
+        for response in join_all(submissions).await {
+            match response.status() {
+                StatusCode::CREATED => accepted += 1,
+                _ => drop(refused(response, 429, "quota").await),
+            }
+        }
+        assert_eq!(accepted, 1, "{}", limited.name);
+    }
+    farm.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn concurrent_submissions_do_not_overfill_the_queue() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let farm = Farm::start_in(folder, |config| config.max_queued_jobs = 3).await;
+    let submissions = (0..50).map(|seed| farm.post("/v1/jobs", small_job(seed).to_string()));
+    let responses = join_all(submissions).await;
+    assert_eq!(responses.iter().filter(|response| response.status() == StatusCode::CREATED).count(), 3);
+    for response in responses.into_iter().filter(|response| response.status() != StatusCode::CREATED) {
+        refused(response, 429, "queue_full").await;
+    }
     farm.stop().await;
 }
 
