@@ -45,10 +45,10 @@ use tokio::sync::Notify;
 use crate::clock::Clock;
 use crate::database::{Database, DatabaseError, Durability};
 
+pub(crate) use backlog::{BacklogLimits, ExceededLimit};
 pub(crate) use events::Event;
 pub(crate) use finish::{CancelOutcome, DeleteOutcome};
 pub(crate) use frames::{FrameSet, StoredFrame};
-pub(crate) use backlog::{BacklogLimits, ExceededLimit};
 pub(crate) use idempotency::{IdempotencyKey, NewWebhook, SubmitOptions, SubmitOutcome};
 pub(crate) use job_changes::ChangeOutcome;
 pub(crate) use lease::{LeaseEnd, jitter};

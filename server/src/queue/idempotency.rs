@@ -5,7 +5,10 @@
 use proto::JobId;
 use sqlx::Row;
 
-use super::{BacklogLimits, Connection, ExceededLimit, NewJob, Queue, Result, TransitionContext, Wake, expect_rows, parse_column, submit};
+use super::{
+    BacklogLimits, Connection, ExceededLimit, NewJob, Queue, Result, TransitionContext, Wake, expect_rows,
+    parse_column, submit,
+};
 use crate::database::Durability;
 
 /// Retention of idempotency keys.
