@@ -2,6 +2,8 @@
 //!
 //! Depends on no routes or responses; the HTTP layer calls it.
 
+mod shares;
+
 use std::net::IpAddr;
 use std::num::NonZeroU32;
 use std::sync::Arc;
@@ -18,6 +20,8 @@ use crate::api_keys::{ApiKey, ApiKeys};
 use crate::audit_log::AuditLog;
 use crate::clock::Clock;
 use crate::database::{Database, DatabaseError};
+
+pub(crate) use shares::{CallerClass, Holder, ResponseShares, Shares, UNCOUNTED_BYTES, address_name};
 
 /// Requests per second of one address on a farm without keys.
 const REQUESTS_PER_ADDRESS: NonZeroU32 = NonZeroU32::new(1000).expect("it is not 0");
@@ -65,14 +69,17 @@ pub(crate) struct Admission {
     pub(crate) keys: ApiKeys,
     /// Audit log.
     pub(crate) audit: AuditLog,
+    /// Requests in progress, and their bytes in memory.
+    pub(crate) shares: Shares,
     address_limiter: AddressLimiter,
     rejection_limiter: AddressLimiter,
 }
 
 impl Admission {
     /// Opens the keys and the audit log of a farm.
-    pub(crate) async fn open(store: Arc<Database>, clock: Clock) -> Result<Self, DatabaseError> {
+    pub(crate) async fn open(store: Arc<Database>, clock: Clock, shares: Shares) -> Result<Self, DatabaseError> {
         Ok(Self {
+            shares,
             keys: ApiKeys::open(Arc::clone(&store), clock.clone()).await?,
             audit: AuditLog::new(store, clock),
             address_limiter: RateLimiter::keyed(Quota::per_second(REQUESTS_PER_ADDRESS)).with_middleware(),
@@ -161,7 +168,7 @@ mod tests {
     async fn doors() -> (Admission, tempfile::TempDir) {
         let folder = tempfile::tempdir().expect("a temporary folder");
         let store = Arc::new(Database::open(folder.path()).await.expect("opens"));
-        (Admission::open(store, Clock::manual().0).await.expect("opens"), folder)
+        (Admission::open(store, Clock::manual().0, Shares::new(100, 100)).await.expect("opens"), folder)
     }
 
     #[tokio::test]

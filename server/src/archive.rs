@@ -20,9 +20,9 @@ use crate::farm::Farm;
 use crate::queue::{FrameSet, StoredFrame};
 
 /// Approximate size of the chunks of a response.
-const CHUNK_BYTES: usize = 128 << 10;
+const CHUNK_BYTES: usize = 32 << 10;
 /// Frames per database query.
-const FRAMES_PER_PAGE: u32 = 500;
+const FRAMES_PER_PAGE: u32 = 100;
 /// Permissions of extracted files.
 const FILE_MODE: u32 = 0o644;
 

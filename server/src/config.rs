@@ -27,6 +27,9 @@ pub const MAX_PAUSED_PER_NAME: u32 = 1_000;
 /// Default maximum of open connections.
 pub const MAX_CONNECTIONS: u32 = 16_384;
 
+/// Default maximum of a caller's requests in progress, event streams and unread responses included.
+pub const MAX_REQUESTS_PER_CALLER: u32 = 1024;
+
 /// Files of a certificate and its private key.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct TlsFiles {
@@ -63,6 +66,10 @@ pub struct Config {
     pub tls: Option<TlsFiles>,
     /// Maximum number of open connections; the system's limit of open files may lower it.
     pub max_connections: u32,
+    /// Maximum number of open connections of one address that is not loopback; `None` is a quarter of all.
+    pub max_connections_per_address: Option<u32>,
+    /// Maximum number of requests of one key's name in progress, or of one address without a key.
+    pub max_requests_per_caller: u32,
     /// Maximum number of unfinished jobs.
     pub max_queued_jobs: u32,
     /// Maximum number of unfinished jobs of a key's name; a key can have its own.
@@ -119,6 +126,8 @@ impl Default for Config {
             insecure: false,
             tls: None,
             max_connections: MAX_CONNECTIONS,
+            max_connections_per_address: None,
+            max_requests_per_caller: MAX_REQUESTS_PER_CALLER,
             max_queued_jobs: MAX_QUEUED_JOBS,
             max_jobs_per_name: MAX_JOBS_PER_NAME,
             max_rays_per_name: MAX_RAYS_PER_NAME,

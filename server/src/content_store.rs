@@ -3,12 +3,12 @@
 //! A picture is fsynced before its row is written; a tile blob is not, because losing one costs only a
 //! re-render. This module does not interpret the bytes.
 
-use std::io::{self, SeekFrom};
+use std::io;
+use std::os::unix::fs::FileExt;
 use std::path::{Path as FolderPath, PathBuf};
 use std::time::Duration;
 
 use bytes::{Bytes, BytesMut};
-use futures_util::future::TryFutureExt;
 use futures_util::stream::{BoxStream, Stream, StreamExt, TryStreamExt};
 use object_store::local::LocalFileSystem;
 use object_store::path::Path;
@@ -17,12 +17,12 @@ use object_store::{
 };
 use proto::fail_point::{self, FailPoint};
 use proto::worker_protocol::PARTIAL_MARKER;
-use tokio::io::{AsyncReadExt, AsyncSeekExt};
 use tokio::sync::RwLock;
-use tokio_util::io::ReaderStream;
 
 /// Number of bytes written at a time.
-const WRITE_CHUNK_BYTES: usize = 1 << 20;
+pub(crate) const WRITE_CHUNK_BYTES: usize = 256 << 10;
+/// Number of bytes read at a time: small enough for thousands of readers that take nothing.
+const READ_CHUNK_BYTES: u64 = 32 << 10;
 /// Content younger than this is never swept, because workers hold reports back for up to 200 ms.
 pub(crate) const MIN_SWEEP_AGE: Duration = Duration::from_secs(1);
 /// Maximum size of a blob; the pixels of a tile are at most half of it.
@@ -341,21 +341,26 @@ fn path(kind: ContentKind, name: &ContentHash) -> Path {
     Path::from(format!("{}/{}", kind.folder(), name.as_str()))
 }
 
-/// Content in chunks large enough for a file's reader. The object store's own chunks have 8 KiB, each read on
-/// another thread, which takes a second for a frame's tiles.
+/// Content in chunks of [`READ_CHUNK_BYTES`], each read when the one before was taken: one chunk is in memory.
 fn stream(found: GetResult) -> BoxStream<'static, object_store::Result<Bytes>> {
-    const PIECE_BYTES: usize = 256 << 10;
-    let range = found.range.clone();
     let unreadable = |error: io::Error| object_store::Error::Generic { store: "file", source: error.into() };
     match found.payload {
         GetResultPayload::File(file, _) => {
-            let mut file = tokio::fs::File::from_std(file);
-            let opened = async move {
-                file.seek(SeekFrom::Start(range.start)).await.map_err(unreadable)?;
-                let bytes = ReaderStream::with_capacity(file.take(range.end - range.start), PIECE_BYTES);
-                Ok(bytes.map_err(unreadable))
-            };
-            opened.try_flatten_stream().boxed()
+            futures_util::stream::try_unfold((file, found.range), async |(file, rest)| {
+                let size_bytes = (rest.end - rest.start).min(READ_CHUNK_BYTES);
+                if size_bytes == 0 {
+                    return Ok(None);
+                }
+                let next = rest.start + size_bytes;
+                let read = tokio::task::spawn_blocking(move || {
+                    let mut chunk = vec![0; size_bytes as usize];
+                    file.read_exact_at(&mut chunk, rest.start).map(|()| (Bytes::from(chunk), file))
+                });
+                let (chunk, file) = read.await.map_err(io::Error::other).flatten()?;
+                Ok(Some((chunk, (file, next..rest.end))))
+            })
+            .map_err(unreadable)
+            .boxed()
         }
         GetResultPayload::Stream(bytes) => bytes,
     }

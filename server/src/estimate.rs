@@ -1,20 +1,40 @@
 //! Estimates the time of a job: a helper process renders a sample of its pixels, and the result is scaled to
 //! the current workers.
 
+use std::sync::Arc;
+use std::time::Duration;
+
 use proto::preview_helper::{CostSample, Estimate, HelperRequest};
 use proto::rounding;
 
+use crate::fair_queue::FairQueue;
 use crate::farm::Farm;
 use crate::queue::ReadyWorker;
 use crate::tile_plan::TilePlan;
 
 /// Maximum time for rendering a sample, in milliseconds.
 const SAMPLE_BUDGET_MS: u64 = 700;
+/// Maximum wait for a turn; without one, the response to a dry run has no estimate.
+const MAX_WAIT: Duration = Duration::from_secs(10);
+/// Maximum number of estimates that one submitter waits for.
+const MAX_WAITING: usize = 64;
+/// Estimates at a time: the other helper process stays free for previews.
+const MAX_CONCURRENT: usize = 1;
 /// Overhead of a job in seconds: claim, delivery, commits.
 const JOB_OVERHEAD_SECONDS: f64 = 0.01;
 
+/// Turns of submitters for estimates.
+pub(crate) fn turns() -> Arc<FairQueue> {
+    FairQueue::new(MAX_CONCURRENT, MAX_WAITING)
+}
+
 /// Estimates a job file; `None` if no sample could be rendered, which is logged.
-pub(crate) async fn estimate(farm: &Farm, text: String, plan: TilePlan) -> Option<Estimate> {
+pub(crate) async fn estimate(farm: &Farm, submitter: &str, text: String, plan: TilePlan) -> Option<Estimate> {
+    let turn = tokio::time::timeout(MAX_WAIT, farm.estimates.enter(submitter)).await;
+    let Ok(Ok(_turn)) = turn else {
+        tracing::debug!(submitter, "too many estimates are requested");
+        return None;
+    };
     let present = match farm.queue.ready_workers().await {
         Ok(present) => present,
         Err(error) => {

@@ -21,8 +21,10 @@ use crate::queue::{Event, Queue};
 
 pub(crate) use subscriber::{EventSubscriber, SubscribeOutcome};
 
-/// Recent events cached for a job with subscribers.
-const MAX_RECENT: usize = 1024;
+/// Recent events cached for a job with subscribers: about 64 KiB.
+const MAX_RECENT: usize = 256;
+/// Size above which events are sent in several pieces, so that a subscriber that does not read keeps few in memory.
+const MAX_PIECE_BYTES: usize = 16 << 10;
 /// Number of events read at a time.
 const EVENTS_PER_PAGE: u32 = 512;
 /// Minimum interval between two reads of new events; events in between are sent together.

@@ -14,7 +14,8 @@ use crate::config::Config;
 use crate::content_store::{ContentError, ContentHash, ContentKind, ContentStore};
 use crate::database::DatabaseError;
 use crate::events::EventHub;
-use crate::job_cache::{JobCache, JobLoadError};
+use crate::fair_queue::FairQueue;
+use crate::job_cache::{JobCache, JobLoadError, Reader};
 use crate::pool::Pool;
 use crate::preview_helper::PreviewHelper;
 use crate::queue::{
@@ -70,6 +71,8 @@ pub(crate) struct Farm {
     pub(crate) admission: Admission,
     /// Local workers.
     pub(crate) pool: Pool,
+    /// Turns of submitters for estimates.
+    pub(crate) estimates: Arc<FairQueue>,
     /// Helper processes that draw previews.
     pub(crate) preview_helper: PreviewHelper,
     /// Signer of links.
@@ -104,6 +107,7 @@ impl Farm {
         new: NewJob,
         job: Arc<scene::Job>,
         wish: SubmitOptions,
+        reader: Reader<'_>,
     ) -> Result<SubmitOutcome, DatabaseError> {
         let (plan, fresh, text_bytes) = (new.plan, new.no_cache, new.file_text.len());
         let submitted = self.queue.submit_with(new, wish).await?;
@@ -114,7 +118,7 @@ impl Farm {
         }
         for frame in 0..plan.frames.min(MAX_EAGER_CACHE_LOOKUPS) {
             // Without a thread to parse the job, the frame is opened like any other.
-            let Ok(opening) = self.opening_of(number, frame, plan, &job).await else { break };
+            let Ok(opening) = self.opening_of(number, frame, plan, &job, reader).await else { break };
             if !self.queue.has_picture(&opening.picture_key).await?
                 || self.queue.reuse(opening).await? != OpenOutcome::Stored
             {
@@ -164,7 +168,7 @@ impl Farm {
         plan: TilePlan,
     ) -> Result<Option<FrameOpening>, DatabaseError> {
         let opening = match self.jobs.get(&self.queue, number).await {
-            Ok(job) => self.opening_of(number, frame, plan, &job).await,
+            Ok(job) => self.opening_of(number, frame, plan, &job, Reader::Claim(number)).await,
             Err(error) => Err(error),
         };
         match opening {
@@ -175,7 +179,7 @@ impl Farm {
                 self.queue.fail_unreadable(number, error.to_string()).await?;
                 Ok(None)
             }
-            Err(error @ (JobLoadError::Gone | JobLoadError::Thread)) => {
+            Err(error @ (JobLoadError::Gone | JobLoadError::Thread | JobLoadError::TooManyWaiting { .. })) => {
                 tracing::error!(job = number, %error, "could not open a frame");
                 Ok(None)
             }
@@ -188,8 +192,9 @@ impl Farm {
         frame: u32,
         plan: TilePlan,
         job: &Arc<scene::Job>,
+        reader: Reader<'_>,
     ) -> Result<FrameOpening, JobLoadError> {
-        let picture_key = self.jobs.picture_key(job, frame).await?;
+        let picture_key = self.jobs.picture_key(reader, job, frame).await?;
         Ok(FrameOpening { job: number, frame, picture_key, tiles: plan.tiles(), samples: plan.samples })
     }
 

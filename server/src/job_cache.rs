@@ -1,13 +1,15 @@
 //! Parses job files, on threads with enough stack for deeply nested ones, and caches a few.
 //!
-//! The cache is bounded: waiting jobs are stored in the database only.
+//! Submitters take turns, and claims have threads of their own, so that large submissions delay those of others by
+//! one file, and no claim. The cache is bounded: waiting jobs are stored in the database only.
 
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex};
 
-use tokio::sync::{Semaphore, oneshot};
+use tokio::sync::oneshot;
 
 use crate::database::DatabaseError;
+use crate::fair_queue::{FairQueue, Place, TooManyWaiting};
 use crate::queue::Queue;
 
 /// Stack size of a parsing thread.
@@ -16,6 +18,18 @@ const STACK_BYTES: usize = 16 << 20;
 const MAX_CACHED_JOBS: usize = 8;
 /// Maximum size of their files in total, unless there is only one.
 const MAX_CACHED_BYTES: usize = 8 << 20;
+
+/// Maximum number of files that one submitter waits to have parsed.
+const MAX_WAITING: usize = 256;
+
+/// Reason for which a job is parsed.
+#[derive(Clone, Copy, Debug)]
+pub(crate) enum Reader<'a> {
+    /// A submission of this caller.
+    Submitter(&'a str),
+    /// A claim of work of the job with this number.
+    Claim(i64),
+}
 
 /// Error when loading a job of the queue.
 #[derive(Debug, thiserror::Error)]
@@ -29,6 +43,14 @@ pub(crate) enum JobLoadError {
     /// The file was accepted once, but this version rejects it.
     #[error("this version rejects the job's file: {0}")]
     Refused(#[from] scene::ParseError),
+    /// The submitter has too many files waiting.
+    #[error("{name} has {limit} jobs waiting to be parsed")]
+    TooManyWaiting {
+        /// The submitter.
+        name: String,
+        /// Maximum number of waiting files.
+        limit: usize,
+    },
     /// No thread to parse it on.
     #[error("no thread could be started to parse the job")]
     Thread,
@@ -38,7 +60,8 @@ pub(crate) enum JobLoadError {
 #[derive(Debug)]
 pub(crate) struct JobCache {
     kept: Mutex<VecDeque<CachedJob>>,
-    permits: Semaphore,
+    submitters: Arc<FairQueue>,
+    claims: Arc<FairQueue>,
 }
 
 #[derive(Debug)]
@@ -49,40 +72,54 @@ struct CachedJob {
 }
 
 impl JobCache {
-    /// Permits for parsing threads: as many files at a time as there are cores.
+    /// Parsing threads: one for each core for submissions, and as many for claims.
     pub(crate) fn new() -> Self {
         let cores = std::thread::available_parallelism().map_or(1, usize::from);
-        Self { kept: Mutex::default(), permits: Semaphore::new(cores) }
+        Self {
+            kept: Mutex::default(),
+            submitters: FairQueue::new(cores, MAX_WAITING),
+            claims: FairQueue::new(cores, usize::MAX),
+        }
     }
 
     /// Parses a job file on its own thread, and calls `work` with the result there.
     pub(crate) async fn parse<T: Send + 'static>(
         &self,
+        reader: Reader<'_>,
         text: bytes::Bytes,
         work: impl FnOnce(Result<scene::Job, scene::ParseError>) -> T + Send + 'static,
     ) -> Result<T, JobLoadError> {
-        self.run_on_parser_thread(move || work(scene::parse(&text))).await
+        self.run(reader, move || work(scene::parse(&text))).await
     }
 
     /// Cache key of a frame's picture; for an animated job this copies the scene.
-    pub(crate) async fn picture_key(&self, job: &Arc<scene::Job>, frame: u32) -> Result<String, JobLoadError> {
+    pub(crate) async fn picture_key(
+        &self,
+        reader: Reader<'_>,
+        job: &Arc<scene::Job>,
+        frame: u32,
+    ) -> Result<String, JobLoadError> {
         let (moves, job) = (job.is_animated(), Arc::clone(job));
         let key = move || job.cache_key(frame).to_hex().to_string();
-        if moves { self.run_on_parser_thread(key).await } else { Ok(key()) }
+        if moves { self.run(reader, key).await } else { Ok(key()) }
     }
 
-    async fn run_on_parser_thread<T: Send + 'static>(
+    /// Runs `work` on a thread of its own, when it is the reader's turn.
+    pub(crate) async fn run<T: Send + 'static>(
         &self,
+        reader: Reader<'_>,
         work: impl FnOnce() -> T + Send + 'static,
     ) -> Result<T, JobLoadError> {
-        let _permit = self.permits.acquire().await.map_err(|_| JobLoadError::Thread)?;
-        let (reply, answer) = oneshot::channel();
-        std::thread::Builder::new()
-            .name("parse".to_owned())
-            .stack_size(STACK_BYTES)
-            .spawn(move || drop(reply.send(work())))
-            .map_err(|_| JobLoadError::Thread)?;
-        answer.await.map_err(|_| JobLoadError::Thread)
+        let place = self.turn(reader).await?;
+        run_on_thread(place, work).await
+    }
+
+    async fn turn(&self, reader: Reader<'_>) -> Result<Place, JobLoadError> {
+        let (queue, name) = match reader {
+            Reader::Submitter(name) => (&self.submitters, name.to_owned()),
+            Reader::Claim(job) => (&self.claims, job.to_string()),
+        };
+        queue.enter(&name).await.map_err(|TooManyWaiting(limit)| JobLoadError::TooManyWaiting { name, limit })
     }
 
     /// Caches a job; the ones cached longest are dropped.
@@ -98,14 +135,19 @@ impl JobCache {
         });
     }
 
-    /// A job of the queue, from the cache or from the database.
+    /// A job of the queue, for a claim: from the cache or from the database.
     pub(crate) async fn get(&self, queue: &Queue, number: i64) -> Result<Arc<scene::Job>, JobLoadError> {
+        if let Some(job) = self.find(number) {
+            return Ok(job);
+        }
+        let place = self.turn(Reader::Claim(number)).await?;
+        // Another claim may have parsed the job in the meantime.
         if let Some(job) = self.find(number) {
             return Ok(job);
         }
         let text = queue.file_of(number).await?.ok_or(JobLoadError::Gone)?;
         let text_bytes = text.len();
-        let job = Arc::new(self.parse(text.into(), |parsed| parsed).await??);
+        let job = Arc::new(run_on_thread(place, move || scene::parse(text.as_bytes())).await??);
         self.insert(number, text_bytes, Arc::clone(&job));
         Ok(job)
     }
@@ -114,6 +156,24 @@ impl JobCache {
         let kept = self.kept.lock().expect("no holder panics");
         kept.iter().find(|kept| kept.number == number).map(|kept| Arc::clone(&kept.job))
     }
+}
+
+/// Runs `work` on a thread of its own, which has the place until it has finished, even if its caller is gone.
+async fn run_on_thread<T: Send + 'static>(
+    place: Place,
+    work: impl FnOnce() -> T + Send + 'static,
+) -> Result<T, JobLoadError> {
+    let (reply, answer) = oneshot::channel();
+    std::thread::Builder::new()
+        .name("parse".to_owned())
+        .stack_size(STACK_BYTES)
+        .spawn(move || {
+            let done = work();
+            drop(place);
+            drop(reply.send(done));
+        })
+        .map_err(|_| JobLoadError::Thread)?;
+    answer.await.map_err(|_| JobLoadError::Thread)
 }
 
 #[cfg(test)]
@@ -137,6 +197,28 @@ mod tests {
             found.is_some().then_some(*number)
         };
         jobs.iter().filter_map(is_cached).collect()
+    }
+
+    #[tokio::test]
+    async fn claims_do_not_wait_behind_submissions() {
+        let cache = Arc::new(JobCache::new());
+        let cores = std::thread::available_parallelism().map_or(1, usize::from);
+        let mut ends = Vec::new();
+        for _ in 0..=cores {
+            let (end, ended) = std::sync::mpsc::channel::<()>();
+            ends.push(end);
+            let work = move || assert!(ended.recv().is_err(), "it ends with the test");
+            let mut running = Box::pin(cache.run(Reader::Submitter("anna"), work));
+            assert!(futures_util::poll!(&mut running).is_pending());
+            // A client that is gone leaves its file on the thread, which stays occupied.
+            drop(running);
+        }
+        let mut submission = Box::pin(cache.run(Reader::Submitter("anna"), || 1));
+        assert!(futures_util::poll!(&mut submission).is_pending());
+        assert_eq!(cache.run(Reader::Claim(7), || 2).await.expect("a thread"), 2);
+        assert!(futures_util::poll!(&mut submission).is_pending(), "every thread for submissions is occupied");
+        drop(ends);
+        assert_eq!(submission.await.expect("a thread"), 1);
     }
 
     #[test]

@@ -6,6 +6,7 @@ mod admission;
 mod api_keys;
 mod archive;
 mod audit_log;
+mod budget;
 mod clock;
 mod config;
 mod content_store;
@@ -13,6 +14,7 @@ mod data_folder;
 mod database;
 mod estimate;
 mod events;
+mod fair_queue;
 mod farm;
 mod http;
 mod integrity;
@@ -42,7 +44,7 @@ pub use api_keys::{OfflineApiKeys, OfflineApiKeysError};
 pub use clock::{Clock, ManualClock};
 pub use config::{
     Config, MAX_CONNECTIONS, MAX_JOBS_PER_NAME, MAX_PAUSED_PER_NAME, MAX_QUEUED_JOBS, MAX_RAYS_PER_NAME,
-    MAX_TILE_SECONDS, TlsFiles,
+    MAX_REQUESTS_PER_CALLER, MAX_TILE_SECONDS, TlsFiles,
 };
 pub use data_folder::{
     Backup, DataFolderError, Depth, Finding, Repair, Restored, Severity, back_up, restore, run_checks,

@@ -22,15 +22,17 @@ use hyper::server::conn::http1;
 use hyper::service::service_fn;
 use hyper_util::rt::{TokioIo, TokioTimer};
 use rustix::io::Errno;
+use socket2::SockRef;
 use tokio::io::{AsyncRead, AsyncWrite};
 use tokio::net::TcpListener;
 use tokio_util::sync::CancellationToken;
 use tokio_util::task::TaskTracker;
 use tower::ServiceExt;
 
+use crate::admission::ResponseShares;
 use crate::http::Peer;
 use connection_limit::ConnectionLimit;
-use connection_limit::{ConnectionSlot, TrackedBody};
+use connection_limit::{ConnectionSlot, TrackedBody, Unsent};
 use file_limit::connection_limit;
 pub(crate) use listeners::Listeners;
 pub(crate) use min_rate::SlowBody;
@@ -41,8 +43,11 @@ use tls::Tls;
 const HEAD_TIMEOUT: Duration = Duration::from_secs(30);
 /// A request's line and headers.
 const MAX_HEAD_BYTES: usize = 32 << 10;
-/// Read-ahead buffer of a connection.
-const MAX_BUFFER_BYTES: usize = 64 << 10;
+/// Read-ahead buffer of a connection, and the size above which no more of a response is buffered. With the chunk
+/// in progress, a client that does not read its response costs less than 128 KiB.
+const MAX_BUFFER_BYTES: usize = MAX_HEAD_BYTES;
+/// Bytes of a connection that the kernel buffers in addition to those that the client's side has room for.
+const MAX_UNSENT_BYTES: u32 = 32 << 10;
 /// Maximum number of headers of a request.
 const MAX_HEADERS: usize = 100;
 /// Time limit for a TLS handshake.
@@ -77,11 +82,17 @@ pub(crate) async fn serve(
             }
         };
         let place = tokio::select! {
-            place = crowd.acquire() => place,
+            place = crowd.acquire(canonical(address.ip())) => place,
             () = ending.cancelled() => break None,
+        };
+        let Some(place) = place else {
+            tracing::debug!(%address, "closed a connection: its address has too many");
+            continue;
         };
         // Small responses must not wait for one another.
         drop(stream.set_nodelay(true));
+        // Bytes that a client does not receive stay outside the kernel's buffers, where they are counted.
+        drop(SockRef::from(&stream).set_tcp_notsent_lowat(MAX_UNSENT_BYTES));
         let (router, tls, ending) = (router.clone(), tls.clone(), ending.clone());
         connections.spawn(async move {
             match tls {
@@ -123,14 +134,17 @@ async fn serve_connection<S>(
     S: AsyncRead + AsyncWrite + Unpin + Send + 'static,
 {
     let peer = canonical(address.ip());
+    let unsent = Unsent::default();
     let service = service_fn(|request: hyper::Request<Incoming>| {
         let busy = place.begin_request();
         let mut request = request.map(|body| Body::new(TimedBody::new(body)));
         request.extensions_mut().insert(Peer(peer));
         let answer = router.clone().oneshot(request);
+        let unsent = unsent.clone();
         async move {
-            let answer: Response = answer.await?;
-            Ok::<_, Infallible>(answer.map(|body| TrackedBody::new(body, busy)))
+            let mut answer: Response = answer.await?;
+            let shares = answer.extensions_mut().remove::<ResponseShares>();
+            Ok::<_, Infallible>(answer.map(|body| TrackedBody::new(body, busy, shares, unsent)))
         }
     });
     let connection = http1::Builder::new()
@@ -139,7 +153,7 @@ async fn serve_connection<S>(
         .max_headers(MAX_HEADERS)
         .max_header_size(MAX_HEAD_BYTES)
         .max_buf_size(MAX_BUFFER_BYTES)
-        .serve_connection(TokioIo::new(TimedStream::new(stream)), service);
+        .serve_connection(TokioIo::new(TimedStream::new(stream, unsent.clone())), service);
     let mut connection = pin!(connection);
     tokio::select! {
         ended = connection.as_mut() => return tell(address, ended),

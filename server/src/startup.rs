@@ -10,11 +10,12 @@ use tokio::sync::mpsc;
 use tokio_util::sync::CancellationToken;
 
 use crate::Server;
-use crate::admission::Admission;
+use crate::admission::{Admission, Shares};
 use crate::clock::Clock;
 use crate::config::Config;
 use crate::content_store::ContentStore;
 use crate::database::{Database, DatabaseError, OpenError};
+use crate::estimate;
 use crate::events::EventHub;
 use crate::farm::{Farm, ServerCounters};
 use crate::job_cache::JobCache;
@@ -108,7 +109,8 @@ pub(crate) async fn start(config: Config, clock: Clock) -> Result<Server, StartE
     let file = Database::file(&config.data);
     let store = Arc::new(Database::open(&config.data).await.map_err(|error| database_error(file.clone(), error))?);
     let lease_ms = i64::try_from(config.lease.as_millis()).unwrap_or(i64::MAX / 4).max(1);
-    let admission = Admission::open(Arc::clone(&store), clock.clone())
+    let shares = Shares::new(entrance.connections(), config.max_requests_per_caller as usize);
+    let admission = Admission::open(Arc::clone(&store), clock.clone(), shares)
         .await
         .map_err(|error| explain_store(file.clone(), &error))?;
     if !entrance.address().ip().is_loopback() && !config.insecure && admission.keys.live() == 0 {
@@ -131,6 +133,7 @@ pub(crate) async fn start(config: Config, clock: Clock) -> Result<Server, StartE
         jobs: JobCache::new(),
         admission,
         pool: Pool::new(config.pool_workers()),
+        estimates: estimate::turns(),
         preview_helper: sketches,
         links,
         totals: ServerCounters::default(),

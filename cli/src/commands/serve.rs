@@ -10,7 +10,7 @@ use proto::pool::MAX_POOL_WORKERS;
 use proto::{Retention, Secret};
 use server::{
     AddressRange, Config, MAX_CONNECTIONS, MAX_JOBS_PER_NAME, MAX_PAUSED_PER_NAME, MAX_QUEUED_JOBS, MAX_RAYS_PER_NAME,
-    MAX_TILE_SECONDS, Server, TlsFiles,
+    MAX_REQUESTS_PER_CALLER, MAX_TILE_SECONDS, Server, TlsFiles,
 };
 use tokio_util::sync::CancellationToken;
 use worker::{CpuRenderer, RenderError, Simd};
@@ -66,6 +66,12 @@ pub(crate) struct Arguments {
     /// Maximum open connections; above it, the connections idle longest are closed.
     #[arg(long, value_name = "N", env = "SDFARM_MAX_CONNECTIONS", default_value_t = MAX_CONNECTIONS, value_parser = clap::value_parser!(u32).range(1..))]
     max_connections: u32,
+    /// Maximum open connections of one address that is not loopback; above it, new ones are closed [default: a quarter of --max-connections].
+    #[arg(long, value_name = "N", env = "SDFARM_MAX_CONNECTIONS_PER_ADDRESS", value_parser = clap::value_parser!(u32).range(1..))]
+    max_connections_per_address: Option<u32>,
+    /// Maximum requests of one key's name in progress (of one address, without a key), with event streams and unread responses.
+    #[arg(long, value_name = "N", env = "SDFARM_MAX_REQUESTS_PER_CALLER", default_value_t = MAX_REQUESTS_PER_CALLER, value_parser = clap::value_parser!(u32).range(1..))]
+    max_requests_per_caller: u32,
     /// Maximum number of unfinished jobs; above it, submissions are rejected because the queue is full.
     #[arg(long, value_name = "N", env = "SDFARM_MAX_QUEUED_JOBS", default_value_t = MAX_QUEUED_JOBS, value_parser = clap::value_parser!(u32).range(1..=i64::from(QUEUED_JOBS_LIMIT)))]
     max_queued_jobs: u32,
@@ -114,6 +120,8 @@ impl Arguments {
             insecure: self.insecure,
             tls: self.tls_cert.zip(self.tls_key).map(|(certificate, key)| TlsFiles { certificate, key }),
             max_connections: self.max_connections,
+            max_connections_per_address: self.max_connections_per_address,
+            max_requests_per_caller: self.max_requests_per_caller,
             max_queued_jobs: self.max_queued_jobs,
             max_jobs_per_name: self.max_jobs_per_name,
             max_rays_per_name: self.max_rays_per_name,

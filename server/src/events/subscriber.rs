@@ -8,12 +8,12 @@ use proto::JobId;
 use tokio::sync::watch;
 use tokio_util::sync::CancellationToken;
 
-use super::{EncodedEvent, EventHub, Topic, encode_event};
+use super::{EncodedEvent, EventHub, MAX_PIECE_BYTES, Topic, encode_event};
 use crate::database::DatabaseError;
 use crate::queue::Queue;
 
 /// Number of events read from the database at a time.
-const EVENTS_PER_PAGE: u32 = 256;
+const EVENTS_PER_PAGE: u32 = 64;
 /// After this time without events a comment is sent, so that proxies do not close the connection.
 const KEEP_ALIVE_INTERVAL: Duration = Duration::from_secs(15);
 /// The comment.
@@ -82,9 +82,10 @@ impl EventSubscriber {
         loop {
             self.bell.borrow_and_update();
             let news = self.next_events().await?;
-            if let Some(last) = news.last() {
+            let piece = &news[..piece_length(&news)];
+            if let Some(last) = piece.last() {
                 (self.last, self.ended) = (last.number, last.is_final);
-                return Ok(Some(joined(&news)));
+                return Ok(Some(joined(piece)));
             }
             if self.ended {
                 return Ok(None);
@@ -115,6 +116,15 @@ impl EventSubscriber {
             self.last = reaches_back_to;
         }
     }
+}
+
+/// Number of events that are sent together: as many as fit, but at least one.
+fn piece_length(news: &[EncodedEvent]) -> usize {
+    let sizes = news.iter().scan(0, |size_bytes, event| {
+        *size_bytes += event.text.len();
+        Some(*size_bytes)
+    });
+    sizes.take_while(|size_bytes| *size_bytes <= MAX_PIECE_BYTES).count().max(1).min(news.len())
 }
 
 fn joined(news: &[EncodedEvent]) -> Bytes {

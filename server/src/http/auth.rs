@@ -6,7 +6,7 @@ use std::net::IpAddr;
 use std::sync::Arc;
 use std::time::Duration;
 
-use axum::body::Body;
+use axum::body::{Body, HttpBody};
 use axum::extract::{FromRequestParts, MatchedPath, RawPathParams, Request, State};
 use axum::http::{HeaderMap, HeaderValue, Method, header};
 use axum::middleware::Next;
@@ -17,9 +17,10 @@ use proto::api_key::Scope;
 
 use super::error::ApiError;
 use super::permissions::{Permission, required_permission};
-use crate::admission::{RateLimitStatus, RateLimited};
+use crate::admission::{CallerClass, Holder, RateLimitStatus, RateLimited, ResponseShares, UNCOUNTED_BYTES};
 use crate::api_keys::{ApiKey, KeyLookup, constant_time_eq};
 use crate::audit_log;
+use crate::budget::Share;
 use crate::farm::Farm;
 
 /// Time limit for the start of a response, unless its route waits or receives a large body.
@@ -89,6 +90,14 @@ pub(super) async fn authenticate_and_authorize(
         Ok(caller) => caller,
         Err(error) => return reject(&farm, peer, Caller::Anonymous, error),
     };
+    let holder = holder(&caller, need, route, request.method(), peer);
+    let place = match farm.admission.shares.request(&holder) {
+        Ok(place) => place,
+        Err(exhausted) => {
+            let error = ApiError::exhausted(&holder, "requests in progress, with unread responses", exhausted);
+            return with_caller(error.into_response(), caller);
+        }
+    };
     let job = parameters.ok().and_then(|parameters| {
         parameters.iter().find(|(name, _)| *name == "id").and_then(|(_, id)| id.parse::<JobId>().ok())
     });
@@ -104,15 +113,63 @@ pub(super) async fn authenticate_and_authorize(
         caller.name().clone_into(&mut record.actor);
         record.key = caller.key().map(|key| key.id().to_owned());
     });
+    request.extensions_mut().insert(holder.clone());
     let route = request.extensions().get::<MatchedPath>().map_or("", MatchedPath::as_str);
     let limit = response_timeout(route, &request);
-    let Some(key) = caller.key() else { return with_caller(with_timeout(next.run(request), limit).await, caller) };
-    let response = tokio::select! {
-        response = with_timeout(next.run(request), limit) => response,
-        () = key.revoked().cancelled() => ApiError::RevokedKey.into_response(),
+    let answer = with_timeout(next.run(request), limit);
+    let response = match caller.key() {
+        None => answer.await,
+        Some(key) => {
+            let response = tokio::select! {
+                response = answer => response,
+                () = key.revoked().cancelled() => ApiError::RevokedKey.into_response(),
+            };
+            keep_private(end_with_key(with_rate_limit_headers(response, pace), key))
+        }
     };
-    let response = keep_private(end_with_key(with_rate_limit_headers(response, pace), key));
-    with_caller(response, caller)
+    with_caller(hold_shares(&farm, &holder, place, response), caller)
+}
+
+/// Keeps the request's place, and room for a large response in memory, until the response is sent.
+fn hold_shares(farm: &Farm, holder: &Holder, place: Share, response: Response) -> Response {
+    // A stream has no exact size: only a chunk of it is in memory.
+    let size_bytes = response.body().size_hint().exact().unwrap_or(0) as usize;
+    let room = if size_bytes > UNCOUNTED_BYTES {
+        farm.admission.shares.response(holder, size_bytes).map(Some)
+    } else {
+        Ok(None)
+    };
+    let (mut response, room) = match room {
+        Ok(room) => (response, room),
+        Err(exhausted) => (
+            ApiError::exhausted(holder, "bytes of responses that are not received yet", exhausted).into_response(),
+            None,
+        ),
+    };
+    response.extensions_mut().insert(ResponseShares::new(place, room));
+    response
+}
+
+/// Caller of a request to a route, as far as limits are concerned.
+fn holder(caller: &Caller, need: Permission, route: &str, method: &Method, peer: Option<IpAddr>) -> Holder {
+    let is_admin = caller.key().is_some_and(|key| key.scopes().is_allowed(Scope::Admin));
+    let submits = *method == Method::POST && (route == "/v1/jobs" || route == "/v1/jobs/{id}/resubmit");
+    let class = if need == Permission::Scope(Scope::Worker) {
+        CallerClass::Worker
+    } else if is_health(route) || (is_admin && !submits) {
+        CallerClass::Reserved
+    } else {
+        CallerClass::User
+    };
+    match caller {
+        Caller::Key(key) => Holder { class, name: format!("key {}", key.name()) },
+        Caller::Pool => Holder { class, name: "the pool".to_owned() },
+        Caller::Anonymous | Caller::Keyless => Holder::of_address(class, peer),
+    }
+}
+
+fn is_health(route: &str) -> bool {
+    matches!(route, "/livez" | "/readyz" | "/metrics")
 }
 
 /// Time limit for the start of the response; request bodies have a minimum rate instead.
@@ -222,7 +279,6 @@ fn keep_private(mut response: Response) -> Response {
 
 /// Ends a response of unknown length, such as an event stream, when the key is revoked.
 fn end_with_key(response: Response, key: &ApiKey) -> Response {
-    use axum::body::HttpBody;
     if response.body().size_hint().exact().is_some() {
         return response;
     }

@@ -1,7 +1,11 @@
-//! Reading request bodies: bounded, with an error message for each way to fail.
+//! Reading request bodies: bounded, one by one and together, with an error message for each way to fail.
 
-use axum::body::Body;
-use axum::extract::Query;
+use std::convert::Infallible;
+use std::ops::Deref;
+use std::sync::Arc;
+
+use axum::body::{Body, BodyDataStream};
+use axum::extract::{FromRequest, Query, Request};
 use axum::http::{HeaderMap, Uri, header};
 use bytes::{Bytes, BytesMut};
 use futures_util::StreamExt;
@@ -9,6 +13,9 @@ use proto::problem::ValidationErrorView;
 use serde::de::DeserializeOwned;
 
 use super::error::ApiError;
+use crate::admission::{CallerClass, Holder, UNCOUNTED_BYTES};
+use crate::budget::Share;
+use crate::farm::Farm;
 
 /// Of a body that is too large, this many bytes are read and discarded, so that the client reads the response.
 const MAX_DISCARDED_BYTES: usize = 64 << 20;
@@ -23,33 +30,129 @@ pub(super) fn expect_json(headers: &HeaderMap) -> Result<(), ApiError> {
     if is_json { Ok(()) } else { Err(ApiError::WrongType { found: found.to_owned() }) }
 }
 
-/// Reads a body of at most `limit_bytes`.
-pub(super) async fn read(body: Body, limit_bytes: usize) -> Result<Bytes, ApiError> {
-    let mut stream = body.into_data_stream();
+/// Body of a request that is not read yet, and its sender's part of the memory for bodies.
+#[derive(Debug)]
+pub(super) struct RequestBody {
+    body: Body,
+    holder: Holder,
+    share: Share,
+}
+
+/// Body in memory.
+#[derive(Debug)]
+pub(super) struct BodyBytes {
+    bytes: Bytes,
+    room: Room,
+}
+
+/// Memory of a body, returned when this is dropped.
+#[derive(Debug)]
+pub(super) struct Room {
+    holder: Holder,
+    share: Share,
+    size_bytes: usize,
+}
+
+impl Room {
+    /// Takes room for this many more bytes; the first few of each body are not counted.
+    pub(super) fn grow(&mut self, more_bytes: usize) -> Result<(), ApiError> {
+        let counted = |size_bytes: usize| size_bytes.saturating_sub(UNCOUNTED_BYTES);
+        let grown_bytes = self.size_bytes + more_bytes;
+        self.share
+            .grow(counted(grown_bytes) - counted(self.size_bytes))
+            .map_err(|exhausted| ApiError::exhausted(&self.holder, "bytes of request bodies", exhausted))?;
+        self.size_bytes = grown_bytes;
+        Ok(())
+    }
+
+    /// Returns everything.
+    fn clear(&mut self) {
+        self.share.clear();
+        self.size_bytes = 0;
+    }
+}
+
+impl RequestBody {
+    /// Its sender.
+    pub(super) fn holder(&self) -> &Holder {
+        &self.holder
+    }
+
+    /// The body as a stream, with room for `buffer_bytes` of it.
+    pub(super) fn into_stream(self, buffer_bytes: usize) -> Result<(BodyDataStream, Room), ApiError> {
+        let mut room = Room { holder: self.holder, share: self.share, size_bytes: 0 };
+        room.grow(buffer_bytes)?;
+        Ok((self.body.into_data_stream(), room))
+    }
+}
+
+impl BodyBytes {
+    /// The bytes, and their room for as long as they are needed.
+    pub(super) fn into_parts(self) -> (Bytes, Room) {
+        (self.bytes, self.room)
+    }
+}
+
+impl Deref for BodyBytes {
+    type Target = [u8];
+
+    fn deref(&self) -> &[u8] {
+        &self.bytes
+    }
+}
+
+impl FromRequest<Arc<Farm>> for RequestBody {
+    type Rejection = Infallible;
+
+    async fn from_request(request: Request, farm: &Arc<Farm>) -> Result<Self, Infallible> {
+        let holder = request
+            .extensions()
+            .get::<Holder>()
+            .cloned()
+            .unwrap_or_else(|| Holder::of_address(CallerClass::User, None));
+        let share = farm.admission.shares.body(&holder);
+        Ok(Self { body: request.into_body(), holder, share })
+    }
+}
+
+/// Reads a body of at most `limit_bytes`. Of a rejected body, the rest is discarded as it arrives.
+pub(super) async fn read(request: RequestBody, limit_bytes: usize) -> Result<BodyBytes, ApiError> {
+    let (mut stream, mut room) = request.into_stream(0)?;
     let mut bytes = BytesMut::new();
     let mut size_bytes = 0;
+    let mut rejection = None;
     while let Some(chunk) = stream.next().await {
         let chunk = chunk.map_err(|error| ApiError::broken_body(&error))?;
         size_bytes += chunk.len();
-        if size_bytes <= limit_bytes {
-            bytes.extend_from_slice(&chunk);
-        } else {
-            bytes = BytesMut::new();
-            if size_bytes > limit_bytes + MAX_DISCARDED_BYTES {
-                break;
+        if rejection.is_none() {
+            let grown = if size_bytes > limit_bytes {
+                Err(ApiError::TooLarge { limit_bytes: limit_bytes as u64 })
+            } else {
+                room.grow(chunk.len())
+            };
+            match grown {
+                Ok(()) => bytes.extend_from_slice(&chunk),
+                Err(error) => {
+                    bytes = BytesMut::new();
+                    room.clear();
+                    rejection = Some(error);
+                }
             }
         }
+        if size_bytes > limit_bytes + MAX_DISCARDED_BYTES {
+            break;
+        }
     }
-    if size_bytes > limit_bytes {
-        return Err(ApiError::TooLarge { limit_bytes: limit_bytes as u64 });
+    match rejection {
+        Some(error) => Err(error),
+        None => Ok(BodyBytes { bytes: bytes.freeze(), room }),
     }
-    Ok(bytes.freeze())
 }
 
 /// Reads a JSON body of at most `limit_bytes`.
 pub(super) async fn read_json<T: DeserializeOwned>(
     headers: &HeaderMap,
-    body: Body,
+    body: RequestBody,
     limit_bytes: usize,
 ) -> Result<T, ApiError> {
     expect_json(headers)?;

@@ -7,7 +7,9 @@ use proto::job::JobState;
 use proto::problem::ValidationErrorView;
 use proto::{JobId, Problem};
 
+use crate::admission::{CallerClass, Holder};
 use crate::api_keys::ApiKeyError;
+use crate::budget::Exhausted;
 use crate::content_store::ContentError;
 use crate::database::DatabaseError;
 use crate::farm::SyncError;
@@ -99,6 +101,10 @@ pub(crate) enum ApiError {
          for a key with a higher one (`sdfarm key new NAME --max-priority {found}`)"
     )]
     PriorityTooHigh { name: String, found: i32, max: i32 },
+    #[error("{name} has at most {limit} {what} at a time: wait until some have finished, or close some")]
+    TooManyAtOnce { name: String, what: &'static str, limit: usize },
+    #[error("the server has its maximum of {limit} {what}: retry in a few seconds")]
+    Busy { what: &'static str, limit: usize },
     #[error("the body arrived too slowly, or not at all: send it without pauses")]
     SlowBody,
     #[error("the server could not respond within {limit_seconds} s: retry")]
@@ -216,6 +222,10 @@ impl ApiError {
             Self::QueueFull { .. } => (StatusCode::TOO_MANY_REQUESTS, "queue_full", "The queue is full"),
             Self::Quota { .. } => (StatusCode::TOO_MANY_REQUESTS, "quota", "The submitter's quota is used up"),
             Self::PriorityTooHigh { .. } => (StatusCode::FORBIDDEN, "priority_too_high", "The priority is too high"),
+            Self::TooManyAtOnce { .. } => {
+                (StatusCode::TOO_MANY_REQUESTS, "too_many_at_once", "The caller has too much in progress")
+            }
+            Self::Busy { .. } => (StatusCode::SERVICE_UNAVAILABLE, "busy", "The server is busy"),
             Self::SlowBody => (StatusCode::REQUEST_TIMEOUT, "slow_body", "The body arrived too slowly"),
             Self::ResponseTimeout { .. } => (StatusCode::SERVICE_UNAVAILABLE, "too_long", "The response timed out"),
             Self::InvalidNewKey(_) => (StatusCode::UNPROCESSABLE_ENTITY, "wrong_key", "The new key is invalid"),
@@ -257,6 +267,17 @@ impl ApiError {
             cause = wrapped.map(|error| error as &(dyn std::error::Error + 'static)).or_else(|| error.source());
         }
         Self::BrokenBody(error.to_string())
+    }
+
+    /// Error for a caller that has its part of a budget, or for a server whose budget is used up. A worker
+    /// shares its key with others, so it retries in either case.
+    pub(super) fn exhausted(holder: &Holder, what: &'static str, exhausted: Exhausted) -> Self {
+        match exhausted {
+            Exhausted::Holder(limit) if holder.class != CallerClass::Worker => {
+                Self::TooManyAtOnce { name: holder.name.clone(), what, limit }
+            }
+            Exhausted::Holder(limit) | Exhausted::Total(limit) => Self::Busy { what, limit },
+        }
     }
 
     fn problem(&self) -> Problem {
@@ -305,7 +326,12 @@ impl IntoResponse for ApiError {
             Self::QueueFull { .. } | Self::Quota { .. } => {
                 response.headers_mut().insert(header::RETRY_AFTER, HeaderValue::from_static("10"));
             }
-            Self::ShuttingDown | Self::ResponseTimeout { .. } | Self::PreviewDelayed(_) | Self::PreviewFailed => {
+            Self::ShuttingDown
+            | Self::ResponseTimeout { .. }
+            | Self::PreviewDelayed(_)
+            | Self::PreviewFailed
+            | Self::TooManyAtOnce { .. }
+            | Self::Busy { .. } => {
                 response.headers_mut().insert(header::RETRY_AFTER, HeaderValue::from_static("5"));
             }
             Self::WrongRange { size_bytes } => {
@@ -414,6 +440,9 @@ impl From<JobLoadError> for ApiError {
     fn from(error: JobLoadError) -> Self {
         match error {
             JobLoadError::Store(error) => error.into(),
+            JobLoadError::TooManyWaiting { name, limit } => {
+                Self::TooManyAtOnce { name, what: "jobs waiting to be read", limit }
+            }
             error @ (JobLoadError::Gone | JobLoadError::Refused(_) | JobLoadError::Thread) => {
                 Self::Internal(Box::new(error))
             }

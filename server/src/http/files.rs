@@ -2,17 +2,18 @@
 
 use std::sync::Arc;
 
-use axum::body::Body;
 use axum::extract::{Path, State};
 use axum::http::{HeaderMap, Uri, header};
 use axum::response::{IntoResponse, Response};
 use proto::JobId;
 
 use super::auth::Caller;
+use super::body::RequestBody;
 use super::error::ApiError;
 use super::jobs::{Submission, job_id};
 use super::{body, merge_patch};
 use crate::farm::Farm;
+use crate::job_cache::Reader;
 
 /// Maximum size of changes; a larger change should be a new job file.
 const MAX_CHANGES_BYTES: usize = 1 << 20;
@@ -70,17 +71,24 @@ pub(super) async fn resubmit(
     Path(id): Path<String>,
     uri: Uri,
     headers: HeaderMap,
-    request: Body,
+    request: RequestBody,
 ) -> Result<Response, ApiError> {
     let text = text_of(&farm, job_id(&id)?).await?;
     body::expect_json(&headers)?;
-    let submission = Submission::begin(&farm, caller, uri, headers).await?;
-    let changes = body::read(request, MAX_CHANGES_BYTES).await?;
-    let text = if changes.trim_ascii().is_empty() { text } else { merge_patch::apply(&text, &changes)? };
+    let holder = request.holder().clone();
+    let submission = Submission::begin(&farm, caller, uri, headers, &holder).await?;
+    let (changes, mut room) = body::read(request, MAX_CHANGES_BYTES).await?.into_parts();
+    room.grow(text.len())?;
+    let text = if changes.trim_ascii().is_empty() {
+        text
+    } else {
+        let reader = Reader::Submitter(&holder.name);
+        farm.jobs.run(reader, move || merge_patch::apply(&text, &changes)).await??
+    };
     if text.len() > scene::limits::MAX_BODY_BYTES {
         return Err(ApiError::TooLarge { limit_bytes: scene::limits::MAX_BODY_BYTES as u64 });
     }
-    submission.finish(&farm, text.into()).await
+    submission.finish(&farm, text.into(), room).await
 }
 
 async fn text_of(farm: &Farm, job: JobId) -> Result<String, ApiError> {

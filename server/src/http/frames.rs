@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use axum::Extension;
 use axum::Json;
 use axum::body::Body;
 use axum::extract::{Path, State};
@@ -14,11 +15,14 @@ use serde::Deserialize;
 use super::body;
 use super::error::ApiError;
 use super::jobs::job_id;
+use crate::admission::Holder;
 use crate::archive::Archive;
 use crate::farm::Farm;
 
 /// Default number of frames on a page.
 const DEFAULT_PAGE_SIZE: u32 = 100;
+/// Approximate memory of a picture's entry in an archive's directory, which is sent last.
+const DIRECTORY_ENTRY_BYTES: u64 = 256;
 /// Maximum number of frames on a page.
 const MAX_PAGE: u32 = 1000;
 
@@ -92,6 +96,7 @@ pub(super) async fn list(
 )]
 pub(super) async fn archive(
     State(farm): State<Arc<Farm>>,
+    Extension(holder): Extension<Holder>,
     Path(id): Path<String>,
     uri: Uri,
 ) -> Result<Response, ApiError> {
@@ -102,10 +107,14 @@ pub(super) async fn archive(
         return Err(ApiError::FramesMissing { job, stored: frames.stored, total: frames.total });
     }
     let disposition = format!("attachment; filename=\"{}.zip\"", frames.file_stem());
-    let pieces = stream::unfold(Some(Archive::new(farm, frames)), async |archive| {
-        let mut archive = archive?;
+    let directory_bytes = u64::from(frames.stored).saturating_mul(DIRECTORY_ENTRY_BYTES) as usize;
+    let room = farm.admission.shares.response(&holder, directory_bytes);
+    let room = room
+        .map_err(|exhausted| ApiError::exhausted(&holder, "bytes of responses that are not received yet", exhausted))?;
+    let pieces = stream::unfold(Some((Archive::new(farm, frames), room)), async |archive| {
+        let (mut archive, room) = archive?;
         match archive.next().await {
-            Ok(Some(piece)) => Some((Ok(piece), Some(archive))),
+            Ok(Some(piece)) => Some((Ok(piece), Some((archive, room)))),
             Ok(None) => None,
             Err(error) => {
                 tracing::error!(%error, "an archive was interrupted");

@@ -3,7 +3,6 @@
 use std::sync::Arc;
 
 use axum::Json;
-use axum::body::Body;
 use axum::extract::{Path, State};
 use axum::http::{HeaderMap, StatusCode, Uri};
 use axum::response::{IntoResponse, Response};
@@ -12,6 +11,7 @@ use proto::job::{JobState, JobView};
 use serde::Deserialize;
 
 use super::auth::Caller;
+use super::body::RequestBody;
 use super::error::ApiError;
 use super::jobs::{job_id, view};
 use super::{body, quota};
@@ -77,7 +77,7 @@ pub(super) async fn patch(
     caller: Caller,
     Path(id): Path<String>,
     headers: HeaderMap,
-    request: Body,
+    request: RequestBody,
 ) -> Result<Json<JobView>, ApiError> {
     let job = job_id(&id)?;
     let patch: JobPatch = body::read_json(&headers, request, MAX_BYTES).await?;

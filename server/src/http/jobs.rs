@@ -3,7 +3,6 @@
 use std::sync::Arc;
 
 use axum::Json;
-use axum::body::Body;
 use axum::extract::{Path, State};
 use axum::http::{HeaderMap, HeaderValue, StatusCode, Uri, header};
 use axum::response::{IntoResponse, Response};
@@ -14,13 +13,15 @@ use serde::Deserialize;
 use tracing::Instrument;
 
 use super::auth::Caller;
-use super::body;
+use super::body::{self, RequestBody, Room};
 use super::error::ApiError;
 use super::{prefer, quota, submit_options, trace_context};
+use crate::admission::Holder;
 use crate::audit_log;
 use crate::content_store::ContentKind;
 use crate::estimate;
 use crate::farm::Farm;
+use crate::job_cache::Reader;
 use crate::queue::{CancelOutcome, NewJob, SubmitOutcome};
 use crate::tile_plan::TilePlan;
 
@@ -102,12 +103,12 @@ pub(super) async fn submit(
     caller: Caller,
     uri: Uri,
     headers: HeaderMap,
-    request: Body,
+    request: RequestBody,
 ) -> Result<Response, ApiError> {
-    let submission = Submission::begin(&farm, caller, uri, headers).await?;
+    let submission = Submission::begin(&farm, caller, uri, headers, request.holder()).await?;
     body::expect_json(&submission.headers)?;
-    let text = body::read(request, scene::limits::MAX_BODY_BYTES).await?;
-    submission.finish(&farm, text).await
+    let (text, room) = body::read(request, scene::limits::MAX_BODY_BYTES).await?.into_parts();
+    submission.finish(&farm, text, room).await
 }
 
 /// Submission request, validated as far as possible before its body is read.
@@ -115,6 +116,7 @@ pub(super) struct Submission {
     caller: Caller,
     uri: Uri,
     headers: HeaderMap,
+    submitter: String,
     query: SubmitQuery,
     keep: Option<Retention>,
     /// Time limit for rendering a tile.
@@ -124,7 +126,13 @@ pub(super) struct Submission {
 impl Submission {
     /// Rejects requests that no body could make valid: the server is shutting down, a quota is used up, the
     /// query is invalid.
-    pub(super) async fn begin(farm: &Farm, caller: Caller, uri: Uri, headers: HeaderMap) -> Result<Self, ApiError> {
+    pub(super) async fn begin(
+        farm: &Farm,
+        caller: Caller,
+        uri: Uri,
+        headers: HeaderMap,
+        holder: &Holder,
+    ) -> Result<Self, ApiError> {
         let query: SubmitQuery = body::read_query(&uri)?;
         if farm.is_shutting_down.is_cancelled() && !query.dry_run {
             return Err(ApiError::ShuttingDown);
@@ -145,21 +153,22 @@ impl Submission {
             Ok(keep) => keep,
             Err(error) => return Err(ApiError::WrongQuery(format!("keep: {error}"))),
         };
-        Ok(Self { caller, uri, headers, query, keep, tile_seconds })
+        Ok(Self { caller, uri, headers, submitter: holder.name.clone(), query, keep, tile_seconds })
     }
 
-    /// Accepts or validates a job with this text.
-    pub(super) async fn finish(self, farm: &Arc<Farm>, text: bytes::Bytes) -> Result<Response, ApiError> {
-        let Self { caller, uri, headers, query, keep, tile_seconds } = self;
+    /// Accepts or validates a job with this text; `room` is the text's, until the job is accepted.
+    pub(super) async fn finish(self, farm: &Arc<Farm>, text: bytes::Bytes, room: Room) -> Result<Response, ApiError> {
+        let Self { caller, uri, headers, submitter, query, keep, tile_seconds } = self;
+        let reader = Reader::Submitter(&submitter);
         let limits = quota::limits(farm, &caller);
         let wish = submit_options::read(&uri, &headers, &text, &farm.webhooks.guard, limits)?;
-        let parsed = farm.jobs.parse(text.clone(), |parsed| parsed.map(|job| (job.warnings(), job))).await?;
+        let parsed = farm.jobs.parse(reader, text.clone(), |parsed| parsed.map(|job| (job.warnings(), job))).await?;
         let (warnings, job) = parsed?;
         quota::check_priority(&caller, job.priority)?;
         let plan = TilePlan::new(&job, farm.config.tile_edge_px);
         if query.dry_run {
             let (tiles, rays) = (plan.tiles_total(), plan.rays_total());
-            let estimate = estimate::estimate(farm, into_utf8(text)?, plan).await;
+            let estimate = estimate::estimate(farm, &submitter, into_utf8(text)?, plan).await;
             let frames = plan.frames.into();
             return Ok(Json(DryRun { valid: true, tiles, frames, rays, estimate, warnings }).into_response());
         }
@@ -180,7 +189,7 @@ impl Submission {
             file_text: into_utf8(text)?,
         };
         trace_context::store_trace(farm, id, &headers).await?;
-        let submitting = farm.submit(new, Arc::new(job), wish);
+        let submitting = farm.submit(new, Arc::new(job), wish, reader);
         let (status, id) = match submitting.instrument(tracing::info_span!("submit", job = %id)).await? {
             SubmitOutcome::Created(_) => (StatusCode::CREATED, id),
             SubmitOutcome::Replayed(id) => (StatusCode::OK, id),
@@ -188,6 +197,8 @@ impl Submission {
             SubmitOutcome::Rejected(limit) => return Err(quota::exceeded(&caller, limit)),
         };
         fail_point::trigger_infallible(FailPoint::SubmitCommitted);
+        // The response may wait for the job's end.
+        drop(room);
         let mut response = prefer::answer(farm, id, &headers, status).await?;
         if let Ok(location) = HeaderValue::from_str(&format!("/v1/jobs/{id}")) {
             response.headers_mut().insert(header::LOCATION, location);

@@ -3,13 +3,12 @@
 use std::sync::Arc;
 
 use axum::Json;
-use axum::body::Body;
 use axum::extract::{Path, State};
 use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use proto::api_key::{ApiKeyList, NewApiKey};
 
-use super::body;
+use super::body::{self, RequestBody};
 use super::error::ApiError;
 use crate::farm::Farm;
 
@@ -45,7 +44,7 @@ pub(super) async fn list(State(farm): State<Arc<Farm>>) -> Json<ApiKeyList> {
 pub(super) async fn make(
     State(farm): State<Arc<Farm>>,
     headers: HeaderMap,
-    request: Body,
+    request: RequestBody,
 ) -> Result<Response, ApiError> {
     let new: NewApiKey = body::read_json(&headers, request, MAX_BYTES).await?;
     let issued = farm.admission.keys.create(new).await?;

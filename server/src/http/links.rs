@@ -3,13 +3,13 @@
 use std::sync::Arc;
 
 use axum::Json;
-use axum::body::Body;
 use axum::extract::{Path, State};
 use axum::http::{HeaderMap, HeaderValue, Uri, header};
 use axum::response::Response;
 use proto::link::{LinkContent, LinkRequest, LinkView};
 use serde::Deserialize;
 
+use super::body::RequestBody;
 use super::error::ApiError;
 use super::jobs::job_id;
 use super::{body, images, previews};
@@ -52,7 +52,7 @@ pub(super) async fn sign(
     State(farm): State<Arc<Farm>>,
     Path((id, frame)): Path<(String, String)>,
     headers: HeaderMap,
-    request: Body,
+    request: RequestBody,
 ) -> Result<Json<LinkView>, ApiError> {
     let wish: LinkRequest = body::read_json(&headers, request, MAX_BYTES).await?;
     let (job, frame) = images::frame_of(&farm, &id, &frame).await?;

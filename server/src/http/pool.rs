@@ -3,12 +3,11 @@
 use std::sync::Arc;
 
 use axum::Json;
-use axum::body::Body;
 use axum::extract::State;
 use axum::http::HeaderMap;
 use proto::pool::{PoolSize, PoolView, WorkerList};
 
-use super::body;
+use super::body::{self, RequestBody};
 use super::error::ApiError;
 use crate::farm::Farm;
 
@@ -48,7 +47,7 @@ pub(super) async fn get(State(farm): State<Arc<Farm>>) -> Result<Json<PoolView>,
 pub(super) async fn put(
     state: State<Arc<Farm>>,
     headers: HeaderMap,
-    request: Body,
+    request: RequestBody,
 ) -> Result<Json<PoolView>, ApiError> {
     let size: PoolSize = body::read_json(&headers, request, MAX_BYTES).await?;
     state.0.pool.resize(size.workers);

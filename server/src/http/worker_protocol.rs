@@ -16,12 +16,12 @@ use proto::worker_protocol::{ContentFolders, RegisterRequest, RegisterResponse, 
 use tracing::Instrument;
 
 use super::auth::{Caller, KEYLESS_SUBMITTER};
-use super::body;
+use super::body::{self, RequestBody};
 use super::error::ApiError;
 use super::jobs::job_id;
 use super::trace_context;
 use crate::clock::monotonic_now;
-use crate::content_store::{ContentHash, ContentKind};
+use crate::content_store::{ContentHash, ContentKind, WRITE_CHUNK_BYTES};
 use crate::farm::Farm;
 use crate::queue::{LeaseNeed, NewWorker, NextWork, SyncInput, SyncOutcome};
 
@@ -39,7 +39,7 @@ pub(super) async fn register(
     State(farm): State<Arc<Farm>>,
     caller: Caller,
     headers: HeaderMap,
-    request: Body,
+    request: RequestBody,
 ) -> Result<Json<RegisterResponse>, ApiError> {
     let hello: RegisterRequest = body::read_json(&headers, request, MAX_REGISTER_BYTES).await?;
     if hello.picture_version != scene::PICTURE_VERSION {
@@ -71,7 +71,7 @@ pub(super) async fn sync(
     State(farm): State<Arc<Farm>>,
     caller: Caller,
     headers: HeaderMap,
-    request: Body,
+    request: RequestBody,
 ) -> Result<Json<SyncResponse>, ApiError> {
     let request: SyncRequest = body::read_json(&headers, request, MAX_SYNC_BYTES).await?;
     let mut deadline = monotonic_now() + max_wait(&farm, &request);
@@ -180,7 +180,7 @@ pub(super) async fn put_blob(
     State(farm): State<Arc<Farm>>,
     caller: Caller,
     Path(hash): Path<String>,
-    request: Body,
+    request: RequestBody,
 ) -> Result<StatusCode, ApiError> {
     put(&farm, &caller, ContentKind::Blob, hash, request).await
 }
@@ -190,7 +190,7 @@ pub(super) async fn put_picture(
     State(farm): State<Arc<Farm>>,
     caller: Caller,
     Path(hash): Path<String>,
-    request: Body,
+    request: RequestBody,
 ) -> Result<StatusCode, ApiError> {
     put(&farm, &caller, ContentKind::Picture, hash, request).await
 }
@@ -200,11 +200,12 @@ async fn put(
     caller: &Caller,
     kind: ContentKind,
     hash: String,
-    request: Body,
+    request: RequestBody,
 ) -> Result<StatusCode, ApiError> {
     let name = ContentHash::parse(&hash).ok_or_else(|| ApiError::WrongHash(hash.clone()))?;
     check_lease(farm, caller, LeaseNeed::Upload).await?;
-    let bytes = request.into_data_stream().map_err(std::io::Error::other);
+    let (bytes, _room) = request.into_stream(WRITE_CHUNK_BYTES)?;
+    let bytes = bytes.map_err(std::io::Error::other);
     let span = tracing::info_span!("store", ?kind, %hash);
     farm.content.put(kind, &name, bytes).instrument(span).await?;
     fail_point::trigger_infallible(match kind {

@@ -1,9 +1,12 @@
 //! Connection limit: counts connections, tracks the idle ones, and evicts some when there are too many.
 //!
-//! A connection is busy from a request's head until its response has been sent. Only idle connections are
-//! evicted, the longest idle first, so health routes respond however many connections are idle.
+//! A connection is busy from a request's head until its response has been written to the socket. Only idle
+//! connections are evicted, the longest idle first, so health routes respond however many connections are idle;
+//! `admission/shares.rs` bounds the busy ones. One address may have a part of all connections, so that those of
+//! others are not evicted for it; loopback is exempt, because a proxy on this machine connects for many clients.
 
 use std::collections::BTreeMap;
+use std::net::IpAddr;
 use std::pin::Pin;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex};
@@ -15,12 +18,16 @@ use hyper::body::{Body as HttpBody, Frame, SizeHint};
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 use tokio_util::sync::CancellationToken;
 
+use crate::admission::{ResponseShares, address_name};
+use crate::budget::{Budget, Share};
+
 /// Open connections of a listener.
 #[derive(Debug)]
 pub(crate) struct ConnectionLimit {
     slots: Arc<Semaphore>,
     waiting: AtomicUsize,
     idle: Mutex<Idle>,
+    by_address: Arc<Budget>,
 }
 
 /// Idle connections, ordered by the time since when they are idle.
@@ -41,6 +48,7 @@ struct SlotState {
     requests: AtomicUsize,
     idle_since: Mutex<Option<u64>>,
     _permit: OwnedSemaphorePermit,
+    _of_address: Option<Share>,
 }
 
 /// Request in progress.
@@ -48,14 +56,22 @@ struct SlotState {
 pub(super) struct ActiveRequest(Arc<SlotState>);
 
 impl ConnectionLimit {
-    /// Slots for this many connections.
-    pub(crate) fn new(connections: usize) -> Arc<Self> {
+    /// Slots for this many connections, of which one address may have `of_address`.
+    pub(crate) fn new(connections: usize, of_address: usize) -> Arc<Self> {
         let places = connections.clamp(1, Semaphore::MAX_PERMITS);
-        Arc::new(Self { slots: Arc::new(Semaphore::new(places)), waiting: AtomicUsize::new(0), idle: Mutex::default() })
+        Arc::new(Self {
+            slots: Arc::new(Semaphore::new(places)),
+            waiting: AtomicUsize::new(0),
+            idle: Mutex::default(),
+            by_address: Budget::new(usize::MAX, of_address),
+        })
     }
 
-    /// Takes a slot; if none is free, evicts the connection that has been idle longest.
-    pub(super) async fn acquire(self: &Arc<Self>) -> ConnectionSlot {
+    /// Takes a slot; if none is free, evicts the connection that has been idle longest. `None` if the address
+    /// has its part.
+    pub(super) async fn acquire(self: &Arc<Self>, address: IpAddr) -> Option<ConnectionSlot> {
+        let of_address =
+            if address.is_loopback() { None } else { Some(self.by_address.take(&address_name(address), 1).ok()?) };
         let permit = if let Ok(permit) = Arc::clone(&self.slots).try_acquire_owned() {
             permit
         } else {
@@ -70,9 +86,10 @@ impl ConnectionLimit {
             requests: AtomicUsize::new(0),
             idle_since: Mutex::new(None),
             _permit: permit,
+            _of_address: of_address,
         }));
         place.0.mark_idle();
-        place
+        Some(place)
     }
 
     /// Evicts the connection that has been idle longest, if any is idle.
@@ -157,17 +174,40 @@ impl Drop for ActiveRequest {
     }
 }
 
-/// Body of a response; the connection is busy until it is dropped.
+/// Responses of a connection whose bytes may not be in the socket yet, with what they keep until then.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Unsent(Arc<Mutex<Vec<ResponseGuard>>>);
+
+/// State that a response keeps until it is written to the socket.
+type ResponseGuard = (ActiveRequest, Option<ResponseShares>);
+
+impl Unsent {
+    /// Call when everything is written to the socket.
+    pub(super) fn clear(&self) {
+        let sent = std::mem::take(&mut *self.0.lock().expect("no holder panics"));
+        drop(sent);
+    }
+}
+
+/// Body of a response; the connection is busy until it is written to the socket.
 #[derive(Debug)]
 pub(super) struct TrackedBody {
     body: Body,
-    _busy: ActiveRequest,
+    guard: Option<ResponseGuard>,
+    unsent: Unsent,
 }
 
 impl TrackedBody {
     /// Body of a response.
-    pub(super) fn new(body: Body, busy: ActiveRequest) -> Self {
-        Self { body, _busy: busy }
+    pub(super) fn new(body: Body, busy: ActiveRequest, shares: Option<ResponseShares>, unsent: Unsent) -> Self {
+        Self { body, guard: Some((busy, shares)), unsent }
+    }
+}
+
+impl Drop for TrackedBody {
+    /// The body was read to its end, but its last bytes may wait in the connection's buffer.
+    fn drop(&mut self) {
+        self.unsent.0.lock().expect("no holder panics").extend(self.guard.take());
     }
 }
 
@@ -190,16 +230,33 @@ impl HttpBody for TrackedBody {
 
 #[cfg(test)]
 mod tests {
+    use std::net::Ipv4Addr;
+
     use super::*;
+
+    async fn acquire(crowd: &Arc<ConnectionLimit>) -> ConnectionSlot {
+        crowd.acquire(Ipv4Addr::LOCALHOST.into()).await.expect("loopback has no limit")
+    }
+
+    #[tokio::test]
+    async fn one_address_has_a_part_of_the_connections() {
+        let crowd = ConnectionLimit::new(9, 2);
+        let [one, other] = [[10, 0, 0, 1], [10, 0, 0, 2]].map(IpAddr::from);
+        let two = [crowd.acquire(one).await, crowd.acquire(one).await];
+        assert!(two.iter().all(Option::is_some) && crowd.acquire(one).await.is_none());
+        assert!(crowd.acquire(other).await.is_some());
+        drop(two);
+        assert!(crowd.acquire(one).await.is_some());
+    }
 
     #[tokio::test]
     async fn the_longest_idle_connection_is_evicted_and_busy_ones_stay() {
-        let crowd = ConnectionLimit::new(3);
-        let (one, two, three) = (crowd.acquire().await, crowd.acquire().await, crowd.acquire().await);
+        let crowd = ConnectionLimit::new(3, 3);
+        let (one, two, three) = (acquire(&crowd).await, acquire(&crowd).await, acquire(&crowd).await);
         let busy = one.begin_request();
         let next = tokio::spawn({
             let crowd = Arc::clone(&crowd);
-            async move { crowd.acquire().await }
+            async move { acquire(&crowd).await }
         });
         two.evicted().await;
         assert!(!three.0.evicted.is_cancelled() && !one.0.evicted.is_cancelled());
@@ -211,12 +268,12 @@ mod tests {
 
     #[tokio::test]
     async fn a_connection_that_becomes_idle_while_others_wait_is_evicted() {
-        let crowd = ConnectionLimit::new(1);
-        let only = crowd.acquire().await;
+        let crowd = ConnectionLimit::new(1, 1);
+        let only = acquire(&crowd).await;
         let busy = only.begin_request();
         let waiting = tokio::spawn({
             let crowd = Arc::clone(&crowd);
-            async move { crowd.acquire().await }
+            async move { acquire(&crowd).await }
         });
         while crowd.waiting.load(Ordering::SeqCst) == 0 {
             tokio::task::yield_now().await;
@@ -230,8 +287,8 @@ mod tests {
 
     #[tokio::test]
     async fn idle_time_starts_after_the_last_response() {
-        let crowd = ConnectionLimit::new(3);
-        let (one, two, three) = (crowd.acquire().await, crowd.acquire().await, crowd.acquire().await);
+        let crowd = ConnectionLimit::new(3, 3);
+        let (one, two, three) = (acquire(&crowd).await, acquire(&crowd).await, acquire(&crowd).await);
         let (first, second) = (one.begin_request(), one.begin_request());
         drop(first);
         assert!(one.is_busy(), "another request is in progress");
@@ -249,14 +306,17 @@ mod tests {
 
     #[tokio::test]
     async fn a_response_keeps_its_connection_busy_and_its_length() {
-        let crowd = ConnectionLimit::new(0);
-        let only = crowd.acquire().await;
-        let body = TrackedBody::new(Body::from("12345"), only.begin_request());
+        let crowd = ConnectionLimit::new(0, 0);
+        let only = acquire(&crowd).await;
+        let unsent = Unsent::default();
+        let body = TrackedBody::new(Body::from("12345"), only.begin_request(), None, unsent.clone());
         assert_eq!((body.size_hint().exact(), body.is_end_stream()), (Some(5), false));
         assert!(only.is_busy());
         let sent = axum::body::to_bytes(Body::new(body), 100).await.expect("a body");
         assert_eq!(&sent[..], b"12345");
+        assert!(only.is_busy(), "it is not written to the socket yet");
+        unsent.clear();
         assert!(!only.is_busy());
-        assert!(TrackedBody::new(Body::empty(), only.begin_request()).is_end_stream());
+        assert!(TrackedBody::new(Body::empty(), only.begin_request(), None, unsent).is_end_stream());
     }
 }

@@ -22,6 +22,7 @@ pub(crate) struct Listeners {
     address: SocketAddr,
     tls: Option<Arc<Tls>>,
     pool: Option<(TcpListener, SocketAddr)>,
+    connections: usize,
     crowd: Arc<ConnectionLimit>,
 }
 
@@ -40,8 +41,15 @@ impl Listeners {
             Some(_) => Some(bind((Ipv4Addr::LOCALHOST, 0).into()).await?),
             None => None,
         };
-        let crowd = ConnectionLimit::new(connection_limit(config.max_connections));
-        Ok(Self { public, address, tls, pool, crowd })
+        let connections = connection_limit(config.max_connections);
+        let of_address = config.max_connections_per_address.map_or(connections / 4, |limit| limit as usize);
+        let crowd = ConnectionLimit::new(connections, of_address.max(1));
+        Ok(Self { public, address, tls, pool, connections, crowd })
+    }
+
+    /// Maximum number of open connections.
+    pub(crate) fn connections(&self) -> usize {
+        self.connections
     }
 
     /// Public address.
@@ -67,7 +75,8 @@ impl Listeners {
         let inside = async {
             match pool {
                 Some((listener, _)) => {
-                    serve(listener, None, router.clone(), ConnectionLimit::new(POOL_CONNECTIONS), ending.clone()).await
+                    let crowd = ConnectionLimit::new(POOL_CONNECTIONS, POOL_CONNECTIONS);
+                    serve(listener, None, router.clone(), crowd, ending.clone()).await
                 }
                 None => Ok(()),
             }

@@ -1,7 +1,7 @@
 //! Minimum transfer rates: for request bodies, and for clients that read responses.
 //!
-//! A transfer may stall for at most 20 s and must average at least 1 KiB/s. Each KiB transferred adds one
-//! second to the budget, up to 20 s.
+//! A transfer may stall for at most 20 s in total, plus one second for each second's bytes at the minimum rate:
+//! a body of 8 MiB holds its memory for at most 5 minutes. At most 20 s are saved up.
 
 use std::io;
 use std::pin::Pin;
@@ -13,25 +13,29 @@ use hyper::body::{Body as HttpBody, Frame, Incoming, SizeHint};
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::time::{Instant, Sleep};
 
+use super::connection_limit::Unsent;
 use crate::clock::monotonic_now;
 
 /// Maximum stall.
 const MAX_STALL: Duration = Duration::from_secs(20);
-/// Number of bytes that add one second to the budget.
-const MIN_BYTES_PER_SECOND: f64 = 1024.0;
+/// Minimum rate of a request's body.
+const MIN_BODY_BYTES_PER_SECOND: f64 = 32.0 * 1024.0;
+/// Minimum rate at which a client reads a response.
+const MIN_READER_BYTES_PER_SECOND: f64 = 1024.0;
 
 /// Remaining time budget of a transfer.
 #[derive(Debug)]
 struct MinRateTimer {
     left: Duration,
     max_pause: Duration,
+    min_bytes_per_second: f64,
     since: Option<Instant>,
     alarm: Option<Pin<Box<Sleep>>>,
 }
 
 impl MinRateTimer {
-    fn new(max_pause: Duration) -> Self {
-        Self { left: max_pause, max_pause, since: None, alarm: None }
+    fn new(max_pause: Duration, min_bytes_per_second: f64) -> Self {
+        Self { left: max_pause, max_pause, min_bytes_per_second, since: None, alarm: None }
     }
 
     /// Call when nothing was transferred; ready when the budget is used up.
@@ -55,7 +59,7 @@ impl MinRateTimer {
         if let Some(since) = self.since.take() {
             self.left = self.left.saturating_sub(since.elapsed());
         }
-        let earned = Duration::from_secs_f64(size_bytes as f64 / MIN_BYTES_PER_SECOND);
+        let earned = Duration::from_secs_f64(size_bytes as f64 / self.min_bytes_per_second);
         self.left = (self.left + earned).min(self.max_pause);
     }
 }
@@ -74,7 +78,7 @@ pub(super) struct TimedBody {
 
 impl TimedBody {
     pub(super) fn new(body: Incoming) -> Self {
-        Self { body, patience: MinRateTimer::new(MAX_STALL) }
+        Self { body, patience: MinRateTimer::new(MAX_STALL, MIN_BODY_BYTES_PER_SECOND) }
     }
 }
 
@@ -116,11 +120,13 @@ impl HttpBody for TimedBody {
 pub(super) struct TimedStream<S> {
     stream: S,
     patience: MinRateTimer,
+    unsent: Unsent,
 }
 
 impl<S> TimedStream<S> {
-    pub(super) fn new(stream: S) -> Self {
-        Self { stream, patience: MinRateTimer::new(MAX_STALL) }
+    /// Connection that clears `unsent` when everything is written to the socket.
+    pub(super) fn new(stream: S, unsent: Unsent) -> Self {
+        Self { stream, patience: MinRateTimer::new(MAX_STALL, MIN_READER_BYTES_PER_SECOND), unsent }
     }
 
     fn poll_with_timer<T>(
@@ -168,7 +174,11 @@ impl<S: AsyncWrite + Unpin> AsyncWrite for TimedStream<S> {
     }
 
     fn poll_flush(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
+        // hyper flushes the stream only when its own buffer is empty.
         let polled = Pin::new(&mut self.stream).poll_flush(cx);
+        if let Poll::Ready(Ok(())) = polled {
+            self.unsent.clear();
+        }
         self.poll_with_timer(cx, polled, |()| 0)
     }
 
@@ -185,7 +195,7 @@ mod tests {
     #[test]
     fn min_rate_timer_counts_stalls_and_bytes() {
         let seconds = Duration::from_secs;
-        let mut patience = MinRateTimer::new(seconds(10));
+        let mut patience = MinRateTimer::new(seconds(10), 1024.0);
         let mut waited = |size_bytes: usize| {
             patience.since = Some(monotonic_now() - seconds(6));
             patience.add_bytes(size_bytes);

@@ -21,6 +21,9 @@ use tokio_util::sync::CancellationToken;
 /// Interval at which the files are checked.
 const FILE_CHECK_INTERVAL: Duration = Duration::from_secs(1);
 
+/// Bytes of responses that TLS buffers for a client that does not read.
+const MAX_BUFFERED_BYTES: usize = 16 << 10;
+
 /// Error of a certificate.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum TlsError {
@@ -95,7 +98,9 @@ impl Tls {
 
     /// Performs the handshake.
     pub(super) async fn accept(&self, stream: TcpStream) -> std::io::Result<TlsStream<TcpStream>> {
-        self.acceptor.accept(stream).await
+        let mut stream = self.acceptor.accept(stream).await?;
+        stream.get_mut().1.set_buffer_limit(Some(MAX_BUFFERED_BYTES));
+        Ok(stream)
     }
 
     /// Reloads the files when they change, and at SIGHUP, until shutdown.

@@ -1,12 +1,16 @@
 //! Life of a job as its user observes it.
 
+use futures_util::StreamExt;
+use futures_util::stream::FuturesUnordered;
+use proto::api_key::Scope;
 use proto::job::{DryRun, JobPage, JobState, JobView};
 use proto::worker_protocol::BatchWork;
-use reqwest::StatusCode;
 use reqwest::header::{CACHE_CONTROL, LOCATION};
+use reqwest::{Method, StatusCode};
 use serde_json::json;
 
 use super::harness::{Farm, Said, assert_state, in_time, job, leases, read, refused, small_job};
+use super::keys::{locked_farm, make, new_key, send};
 
 #[tokio::test]
 async fn a_small_job_is_rendered_in_one_batch_and_served() {
@@ -237,5 +241,37 @@ async fn deleting_a_job_deletes_pictures_only_it_used() {
     .await;
     worker.report(worker.results(&run).await).await;
     assert_state(&farm, running.id, JobState::Succeeded).await;
+    farm.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn large_dry_runs_of_one_submitter_do_not_delay_another() {
+    const DRY_RUNS: u32 = 30;
+    let (farm, admin) = locked_farm().await;
+    let anna = make(&farm, &admin, &new_key("anna", &[Scope::Submit])).await.secret;
+    let bert = make(&farm, &admin, &new_key("bert", &[Scope::Submit])).await.secret;
+    let mut large = small_job(1);
+    large["scene"]["objects"][0]["shape"] =
+        json!({ "union": { "of": vec![json!({ "sphere": { "radius": 1 } }); 1000] } });
+    let large = large.to_string();
+    let mut dry_runs: FuturesUnordered<_> =
+        (0..DRY_RUNS).map(|_| send(&farm, &anna, Method::POST, "/v1/jobs?dry_run=true", large.clone())).collect();
+    // One is read, so the others wait for their turns.
+    assert_eq!(dry_runs.next().await.expect("a response").status(), StatusCode::OK);
+    let mut tiny = Box::pin(send(&farm, &bert, Method::POST, "/v1/jobs", small_job(2).to_string()));
+    let mut before = 1;
+    let accepted = loop {
+        tokio::select! {
+            accepted = &mut tiny => break accepted,
+            Some(dry_run) = dry_runs.next() => {
+                assert_eq!(dry_run.status(), StatusCode::OK);
+                before += 1;
+            }
+        }
+    };
+    assert_eq!(accepted.status(), StatusCode::CREATED);
+    let cores = std::thread::available_parallelism().map_or(1, usize::from);
+    assert!(before <= 2 * cores + 2, "{before} of {DRY_RUNS} large dry runs finished before a tiny job was accepted");
+    drop((tiny, dry_runs));
     farm.stop().await;
 }

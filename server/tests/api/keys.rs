@@ -9,7 +9,7 @@ use proto::worker_protocol;
 use reqwest::header::AUTHORIZATION;
 use reqwest::{Method, Response, StatusCode};
 use serde_json::{Value, json};
-use server::OfflineApiKeys;
+use server::{Config, OfflineApiKeys};
 
 use super::harness::{Farm, config, in_time, read, refused, small_job};
 
@@ -28,11 +28,16 @@ pub(crate) fn new_key(name: &str, scopes: &[Scope]) -> NewApiKey {
 
 /// A farm that has one key, with scope admin.
 pub(crate) async fn locked_farm() -> (Farm, String) {
+    locked_farm_with(|_| {}).await
+}
+
+/// A farm that has one key, with scope admin, and this configuration.
+pub(crate) async fn locked_farm_with(change: impl FnOnce(&mut Config)) -> (Farm, String) {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let mut keys = OfflineApiKeys::open_or_create(folder.path()).await.expect("a folder of keys");
     let admin = keys.create(new_key("root", &[Scope::Admin])).await.expect("a key").secret;
     keys.close().await.expect("closes");
-    (Farm::start_in(folder, |_| {}).await, admin)
+    (Farm::start_in(folder, change).await, admin)
 }
 
 /// Sends a request with a key.

@@ -25,7 +25,12 @@ pub(super) fn describe(document: &mut Value) {
             let (Ok(method), true) = (method.to_uppercase().parse::<Method>(), operation.is_object()) else { continue };
             let what = match required_permission(&method, path) {
                 Permission::Public => {
-                    add(operation, "503", "The response timed out, or the server is shutting down; see Retry-After");
+                    add(operation, "429", "Too many requests, or too many in progress: see Retry-After");
+                    add(
+                        operation,
+                        "503",
+                        "The response timed out, or the server is busy or shutting down; see Retry-After",
+                    );
                     continue;
                 }
                 Permission::Scope(scope) => format!("The key lacks scope {}", scope.name()),
@@ -37,8 +42,8 @@ pub(super) fn describe(document: &mut Value) {
             add(operation, "401", "The key is missing, unknown, expired or revoked");
             add(operation, "403", &what);
             add(operation, "408", "The body arrived too slowly");
-            add(operation, "429", "Too many requests: see Retry-After");
-            add(operation, "503", "The response timed out, or the server is shutting down; see Retry-After");
+            add(operation, "429", "Too many requests, or too many in progress: see Retry-After");
+            add(operation, "503", "The response timed out, or the server is busy or shutting down; see Retry-After");
         }
     }
 }
