@@ -77,7 +77,7 @@ pub(super) async fn sync(
     let mut deadline = monotonic_now() + max_wait(&farm, &request);
     let mut turn = SyncInput {
         worker: request.worker,
-        rays_per_second: request.rays_per_second.filter(|rate| rate.is_finite() && *rate > 0.0),
+        rays_per_second: request.rays_per_second,
         held_leases: request.held_leases,
         reports: request.reports,
         wants_work: request.wants_work,

@@ -4,10 +4,11 @@
 use std::collections::HashMap;
 
 use proto::LeaseId;
+use proto::bounded::RaysPerSecond;
 use proto::worker_protocol::{Batch, BatchWork};
 use sqlx::Row;
 
-use super::claim::{self, ClaimFilter, ClaimRequest};
+use super::claim::{self, ClaimFilter, ClaimRequest, NewLease};
 use super::{Connection, Result, TransitionContext, batch_size, durations, expect_rows, row_count};
 
 /// A lease older than this many times the job's median tile duration is a straggler's.
@@ -98,7 +99,7 @@ async fn duplicate_leases(
     if old.stitch {
         let tile = claim::stitch_tile(connection, job.number, old.frame).await?;
         let lease = LeaseId::new();
-        grant(connection, &[(tile, lease)], view, moment).await?;
+        grant(connection, &[NewLease::free(tile, lease)], view, moment).await?;
         let work = claim::stitch_work(connection, job.number, old.frame, lease).await?;
         return Ok(Batch { job: job.id, frame: old.frame, work });
     }
@@ -116,7 +117,7 @@ async fn duplicate_leases(
         held.len()
     } else {
         let ready = held.iter().map(claim::read_ready).collect::<Result<Vec<_>>>()?;
-        batch_size::batch_len(&ready, whole, claimant.rays_per_second, 1, None)
+        batch_size::batch_len(&ready, whole, claimant.rays_per_second.map(RaysPerSecond::get), 1, None)
     };
     let (tiles, grants) = claim::new_leases(&held[..length])?;
     grant(connection, &grants, view, moment).await?;
@@ -127,14 +128,14 @@ async fn duplicate_leases(
 /// Leases tiles that are leased already, each with its next epoch.
 async fn grant(
     connection: &mut Connection,
-    grants: &[(i64, LeaseId)],
+    grants: &[NewLease],
     view: &ClaimFilter,
     moment: TransitionContext,
 ) -> Result<()> {
     let again = sqlx::query(
         "UPDATE tile SET epoch = epoch + 1 WHERE state = 'leased' AND id IN (SELECT value FROM json_each(?))",
     )
-    .bind(super::json_numbers(grants.iter().map(|(tile, _)| *tile)))
+    .bind(super::json_numbers(grants.iter().map(|grant| grant.tile)))
     .execute(&mut *connection)
     .await?;
     expect_rows("tile: leased to leased twice", row_count(grants.len()).unsigned_abs(), &again)?;

@@ -7,6 +7,7 @@ mod plans;
 mod sequences;
 mod workers;
 
+use proto::bounded::RaysPerSecond;
 use proto::worker_protocol::{BatchWork, RegisterRequest};
 use proto::{JobId, WorkerId};
 
@@ -152,6 +153,10 @@ fn new_job(frames: u32) -> NewJob {
     }
 }
 
+fn speed(rays_per_second: f64) -> Option<RaysPerSecond> {
+    RaysPerSecond::new(rays_per_second)
+}
+
 fn turn(worker: WorkerId) -> SyncInput {
     SyncInput {
         worker,
@@ -222,4 +227,43 @@ async fn a_job_of_unknown_size_goes_to_any_worker() {
     let said = SyncInput { wants_work: true, ..turn(worker) };
     let NextWork::Run(run) = bench.turn(said).await.expect("known").next else { panic!("there is work") };
     assert_eq!(run.job, job);
+}
+
+/// Runs a statement in the writer.
+async fn execute(bench: &Fixture, statement: &'static str) {
+    let write = bench.queue.database.write(crate::database::Durability::Relaxed, move |connection| {
+        Box::pin(async move {
+            sqlx::query(statement).execute(connection).await?;
+            Ok(())
+        })
+    });
+    write.await.expect("executes");
+}
+
+#[tokio::test]
+async fn a_claim_that_fails_takes_no_results_with_it() {
+    let bench = Fixture::new().await;
+    let worker = bench.worker(None).await;
+    let (first, second) = (bench.submit(1, 1).await, bench.submit(1, 1).await);
+    let asks = SyncInput { wants_work: true, rays_per_second: speed(1e9), ..turn(worker) };
+    let NextWork::Run(run) = bench.turn(asks.clone()).await.expect("known").next else { panic!("there is work") };
+    assert_eq!(run.job, first);
+    execute(
+        &bench,
+        "CREATE TRIGGER broken BEFORE INSERT ON lease BEGIN SELECT raise(ABORT, 'no leases today'); END",
+    )
+    .await;
+    let hash = blake3::hash(b"pixels").to_hex().to_string();
+    let outcome = proto::worker_protocol::LeaseOutcome::Picture { hash, size_bytes: 1 };
+    let reports = leases(&run).map(|lease| proto::worker_protocol::LeaseReport { lease, outcome: outcome.clone() });
+    let turned = bench.turn(SyncInput { reports: reports.collect(), ..asks.clone() }).await.expect("known");
+    assert!(matches!(turned.next, NextWork::Nothing(Some(_))), "{:?}", turned.next);
+    assert_eq!(turned.revoked_leases, []);
+    let state = bench.queue.job(first).await.expect("reads").expect("a job").state;
+    assert_eq!(state, proto::job::JobState::Succeeded, "the result counts");
+    bench.check().await;
+    execute(&bench, "DROP TRIGGER broken").await;
+    let NextWork::Run(run) = bench.turn(asks).await.expect("known").next else { panic!("there is work") };
+    assert_eq!(run.job, second);
+    bench.check().await;
 }

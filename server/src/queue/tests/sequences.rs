@@ -6,6 +6,7 @@ use std::time::Duration;
 use proptest::prelude::{Just, Strategy, any, prop_oneof};
 use proptest::test_runner::{Config, RngAlgorithm, TestCaseError, TestRng, TestRunner};
 use proto::job::JobPatch;
+use proto::bounded::RaysPerSecond;
 use proto::worker_protocol::{Batch, BatchWork, LeaseOutcome, LeaseReport};
 use proto::{JobId, LeaseId, WorkerId};
 
@@ -131,7 +132,7 @@ impl Pair {
             reports: results.clone(),
             held_leases: holding.clone(),
             wants_work: claim.is_some(),
-            rays_per_second: claim,
+            rays_per_second: claim.and_then(RaysPerSecond::new),
             ..turn(id)
         };
         let mut lost = Vec::new();
