@@ -35,8 +35,9 @@ impl Serialize for RaysPerSecond {
 impl<'de> Deserialize<'de> for RaysPerSecond {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         let value = f64::deserialize(deserializer)?;
-        Self::new(value)
-            .ok_or_else(|| D::Error::custom(format!("{value:?} is not a speed: use 0 to {:e} rays per second", Self::MAX)))
+        Self::new(value).ok_or_else(|| {
+            D::Error::custom(format!("{value:?} is not a speed: use 0 to {:e} rays per second", Self::MAX))
+        })
     }
 }
 

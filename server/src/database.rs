@@ -19,8 +19,8 @@ use sqlx::sqlite::{
 };
 
 use wal::Wal;
-use writer::Writer;
 pub(crate) use writer::{CommitTimes, Durability};
+use writer::{Urgency, Writer};
 
 /// Number of reading connections.
 const READER_CONNECTIONS: u32 = 4;
@@ -172,7 +172,16 @@ impl Database {
         T: Send + 'static,
         F: for<'c> FnOnce(&'c mut SqliteConnection) -> BoxFuture<'c, Result<T, DatabaseError>> + Send + 'static,
     {
-        self.writer.write(durability, operation).await
+        self.writer.write(Urgency::Ordinary, durability, operation).await
+    }
+
+    /// Like [`Database::write`], for an operation that a worker waits for: it does not wait for other operations.
+    pub(crate) async fn write_for_worker<T, F>(&self, durability: Durability, operation: F) -> Result<T, DatabaseError>
+    where
+        T: Send + 'static,
+        F: for<'c> FnOnce(&'c mut SqliteConnection) -> BoxFuture<'c, Result<T, DatabaseError>> + Send + 'static,
+    {
+        self.writer.write(Urgency::Worker, durability, operation).await
     }
 
     /// Durations of commits.

@@ -195,11 +195,7 @@ async fn check_clock(
 
 /// Checks the shares by which the next submitter is chosen, and mends them if asked. Numbers out of their range are
 /// found with the database's integrity.
-async fn check_books(
-    data: &Path,
-    connection: &mut SqliteConnection,
-    mends: bool,
-) -> Result<Finding, DataFolderError> {
+async fn check_books(data: &Path, connection: &mut SqliteConnection, mends: bool) -> Result<Finding, DataFolderError> {
     let absurd = absurd_shares(connection).await.map_err(DataFolderError::database(&Database::file(data)))?;
     if absurd == 0 {
         return Ok(Finding::ok("books", "the submitters' shares are plausible"));
@@ -209,9 +205,8 @@ async fn check_books(
         return Ok(Finding::error("books", text, format!("{REPAIR_FIX}: all shares start again from zero")));
     }
     let store = Database::open(data).await?;
-    let mended = store
-        .write(Durability::Full, |connection| Box::pin(async move { reset_shares(connection).await }))
-        .await;
+    let mended =
+        store.write(Durability::Full, |connection| Box::pin(async move { reset_shares(connection).await })).await;
     store.close().await;
     mended?;
     Ok(Finding::ok("books", format!("{text}: repaired, all shares start again from zero")))

@@ -256,11 +256,7 @@ async fn peers(
     .fetch_one(connection)
     .await?;
     let idle: i64 = row.try_get("idle")?;
-    Ok(Peers {
-        idle: idle.unsigned_abs(),
-        fastest_other: row.try_get("fastest_other")?,
-        own: row.try_get("own")?,
-    })
+    Ok(Peers { idle: idle.unsigned_abs(), fastest_other: row.try_get("fastest_other")?, own: row.try_get("own")? })
 }
 
 async fn claim_tiles(

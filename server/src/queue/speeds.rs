@@ -11,6 +11,8 @@ use super::{Connection, Result, TransitionContext};
 const DECAY_SECONDS: f64 = 16.0;
 /// A measurement older than this is not used.
 pub(super) const MAX_AGE_MS: i64 = 600_000;
+/// A shorter time is not measured: the server's clock has milliseconds.
+const MIN_SECONDS: f64 = 0.001;
 /// Maximum number of rays in a measurement.
 const MAX_RAYS: f64 = 1e18;
 /// Maximum time in a measurement, in seconds.
@@ -52,7 +54,7 @@ pub(super) async fn record(
     seconds: f64,
     moment: TransitionContext,
 ) -> Result<()> {
-    if rays <= 0.0 {
+    if rays <= 0.0 || seconds < MIN_SECONDS {
         return Ok(());
     }
     sqlx::query(

@@ -2,6 +2,7 @@
 //! operations, and shares are fair.
 
 mod fair_share;
+mod large_jobs;
 mod model;
 mod plans;
 mod sequences;
@@ -104,15 +105,16 @@ impl Fixture {
     /// Asserts that every job's and frame's counters are those of their tiles.
     async fn check(&self) {
         const CHECKS: [&str; 10] = [
-            "SELECT count(*) FROM job WHERE tiles_done + 0 <> (
+            "SELECT count(*) FROM job WHERE cleanup IS NOT 'delete' AND tiles_done + 0 <> (
                  SELECT count(*) FROM tile WHERE tile.job = job.number AND kind = 'render' AND state = 'done')",
-            "SELECT count(*) FROM job WHERE rays_done <> (
+            "SELECT count(*) FROM job WHERE cleanup IS NOT 'delete' AND rays_done <> (
                  SELECT coalesce(sum(rays), 0) FROM tile WHERE tile.job = job.number AND kind = 'render' AND state = 'done')",
-            "SELECT count(*) FROM job WHERE tiles_dead <> (
+            "SELECT count(*) FROM job WHERE cleanup IS NOT 'delete' AND tiles_dead <> (
                  SELECT count(*) FROM tile WHERE tile.job = job.number AND state = 'dead')",
-            "SELECT count(*) FROM job WHERE frames_stored <> (
+            "SELECT count(*) FROM job WHERE cleanup IS NOT 'delete' AND frames_stored <> (
                  SELECT count(*) FROM frame WHERE frame.job = job.number AND state = 'stored')",
-            "SELECT count(*) FROM frame WHERE tiles_done <> (
+            "SELECT count(*) FROM frame WHERE (SELECT cleanup FROM job WHERE job.number = frame.job) IS NOT 'delete'
+                 AND tiles_done <> (
                  SELECT count(*) FROM tile WHERE tile.job = frame.job AND tile.frame = frame.number
                  AND kind = 'render' AND state = 'done')",
             "SELECT count(*) FROM tile WHERE (state = 'leased') <> EXISTS (
@@ -125,7 +127,7 @@ impl Fixture {
             "SELECT count(*) FROM share WHERE jobs <> (
                  SELECT count(*) FROM job WHERE job.submitter = share.submitter AND job.priority = share.priority
                  AND finished_at_ms IS NULL AND paused = 0)",
-            "SELECT count(*) FROM job WHERE finished_at_ms IS NOT NULL AND EXISTS (
+            "SELECT count(*) FROM job WHERE finished_at_ms IS NOT NULL AND cleanup IS NULL AND EXISTS (
                  SELECT 1 FROM tile WHERE tile.job = job.number AND state IN ('ready', 'leased'))",
         ];
         let all = CHECKS.map(|check| format!("SELECT ({check}) AS wrong")).join(" UNION ALL ");
@@ -248,11 +250,8 @@ async fn a_claim_that_fails_takes_no_results_with_it() {
     let asks = SyncInput { wants_work: true, rays_per_second: speed(1e9), ..turn(worker) };
     let NextWork::Run(run) = bench.turn(asks.clone()).await.expect("known").next else { panic!("there is work") };
     assert_eq!(run.job, first);
-    execute(
-        &bench,
-        "CREATE TRIGGER broken BEFORE INSERT ON lease BEGIN SELECT raise(ABORT, 'no leases today'); END",
-    )
-    .await;
+    execute(&bench, "CREATE TRIGGER broken BEFORE INSERT ON lease BEGIN SELECT raise(ABORT, 'no leases today'); END")
+        .await;
     let hash = blake3::hash(b"pixels").to_hex().to_string();
     let outcome = proto::worker_protocol::LeaseOutcome::Picture { hash, size_bytes: 1 };
     let reports = leases(&run).map(|lease| proto::worker_protocol::LeaseReport { lease, outcome: outcome.clone() });

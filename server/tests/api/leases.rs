@@ -314,7 +314,8 @@ async fn a_worker_that_delivered_receives_the_next_job_at_once() {
 /// Every number of a sync, with a value that is allowed and values that are not, and where it is.
 fn hostile_numbers() -> Vec<(serde_json::Value, String, bool)> {
     let lease = proto::LeaseId::new();
-    let blob = serde_json::json!([{ "lease": lease, "outcome": { "blob": { "hash": "0".repeat(64), "size_bytes": 1 } } }]);
+    let blob =
+        serde_json::json!([{ "lease": lease, "outcome": { "blob": { "hash": "0".repeat(64), "size_bytes": 1 } } }]);
     let picture =
         serde_json::json!([{ "lease": lease, "outcome": { "picture": { "hash": "0".repeat(64), "size_bytes": 1 } } }]);
     let bad = serde_json::json!([{ "lease": lease, "outcome": { "bad_blobs": { "tiles": [1] } } }]);
@@ -331,8 +332,18 @@ fn hostile_numbers() -> Vec<(serde_json::Value, String, bool)> {
         for place in places {
             // Clamped, as the protocol says.
             let is_clamped = ["/rays_per_second", "/wait_ms", "/took_ms"].iter().any(|name| place.ends_with(name));
-            for number in ["1e-300", "0.5", "-1", "-9223372036854775809", "9007199254740993", "9223372036854775807",
-                           "18446744073709551615", "18446744073709551616", "1e300", "1e400"] {
+            for number in [
+                "1e-300",
+                "0.5",
+                "-1",
+                "-9223372036854775809",
+                "9007199254740993",
+                "9223372036854775807",
+                "18446744073709551615",
+                "18446744073709551616",
+                "1e300",
+                "1e400",
+            ] {
                 let mut hostile = body.clone();
                 let value: serde_json::Value = serde_json::from_str(number).unwrap_or_else(|_| "1e400".into());
                 *hostile.pointer_mut(&place).expect("a number") = value;
