@@ -27,8 +27,8 @@ const READER_CONNECTIONS: u32 = 4;
 /// Number of rows that the engine's thread reads ahead of the caller.
 const ROW_BUFFER: usize = 1024;
 /// Pages of the WAL (of 4 KiB) after which the engine checkpoints it: the commit that reaches this number has
-/// to wait for the checkpoint.
-const AUTOCHECKPOINT_PAGES: &str = "4000";
+/// to wait for the checkpoint, which must not be long.
+const AUTOCHECKPOINT_PAGES: &str = "1000";
 /// Databases up to this size are checked page by page at start.
 const MAX_START_CHECK_BYTES: u64 = 16 << 20;
 

@@ -162,7 +162,7 @@ impl Queue {
         }
         if ring.news {
             self.wake_signals.updates.notify_waiters();
-            // What ended leases from outside may have more to void.
+            // A change that ended leases may have more to void.
             self.wake_signals.cleanup.notify_one();
         }
     }

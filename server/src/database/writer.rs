@@ -342,9 +342,10 @@ impl WriterTask {
                 return Err(error.clone());
             }
             if let Some(was_kept) = was_kept {
-                let next = match was_kept {
-                    true => "RELEASE operation; SAVEPOINT operation",
-                    false => "ROLLBACK TO operation; RELEASE operation; SAVEPOINT operation",
+                let next = if was_kept {
+                    "RELEASE operation; SAVEPOINT operation"
+                } else {
+                    "ROLLBACK TO operation; RELEASE operation; SAVEPOINT operation"
                 };
                 sqlx::query(next).execute(&mut self.connection).await?;
             }

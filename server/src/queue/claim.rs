@@ -53,7 +53,7 @@ pub(super) struct ClaimRequest {
 pub(super) struct NewLease {
     pub(super) tile: i64,
     pub(super) lease: LeaseId,
-    /// What its submitter is charged for it.
+    /// Charge to its submitter, in microseconds of a worker.
     pub(super) charged_us: i64,
 }
 

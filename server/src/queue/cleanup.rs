@@ -11,7 +11,7 @@ use super::{
 use crate::database::{DatabaseError, Durability};
 
 /// Maximum number of tiles, frames or events that one piece changes; a frame's tiles are requeued together.
-pub(super) const PIECE_ROWS: i64 = 500;
+pub(super) const PIECE_ROWS: i64 = 200;
 
 /// Hashes that may be orphans after a change.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -22,7 +22,7 @@ pub(crate) struct RemovedContent {
     pub(crate) blobs: Vec<String>,
 }
 
-/// The next job with a change that is not finished; deletions come last, because nobody waits for them.
+/// The next job with a change that is not finished; deletions come last, because no client waits for them.
 const NEXT_SQL: &str = "SELECT number FROM job INDEXED BY job_to_clean_up WHERE cleanup IS NOT NULL
      ORDER BY cleanup = 'delete', number LIMIT 1";
 

@@ -11,7 +11,7 @@ use proto::WorkerId;
 use sqlx::Row;
 
 use super::speeds::{self, JobSpeed};
-use super::{Connection, Result, TransitionContext, expect_rows};
+use super::{Connection, Result, TransitionContext, expect_rows, row_count};
 
 /// Maximum credit of a submitter whose jobs wait for something other than a worker.
 const MAX_CREDIT_US: i64 = 60_000_000;
@@ -35,10 +35,11 @@ pub(super) struct FairShare {
 
 /// Charges for leases on tiles of these numbers of rays, in microseconds.
 pub(super) fn estimates_us(rays: &[u64], speed: Option<JobSpeed>) -> Vec<i64> {
+    let guess_us = MAX_GUESS_US / row_count(rays.len()).max(1);
     let (rays_per_second, limit_us) = match speed {
         Some(JobSpeed::Measured(speed)) => (speed, MAX_CHARGE_US),
-        Some(JobSpeed::Overall(speed)) => (speed, MAX_GUESS_US / rays.len().max(1) as i64),
-        None => (DEFAULT_RAYS_PER_SECOND, MAX_GUESS_US / rays.len().max(1) as i64),
+        Some(JobSpeed::Overall(speed)) => (speed, guess_us),
+        None => (DEFAULT_RAYS_PER_SECOND, guess_us),
     };
     rays.iter().map(|&rays| ((rays as f64 / rays_per_second * 1e6).ceil() as i64).clamp(0, limit_us)).collect()
 }

@@ -297,7 +297,7 @@ async fn slow_deliveries_do_not_make_a_lease_exclusive_for_long() {
     silent.rays_per_second = Some(1e-9);
     // An hour for the first frame, so that neither the median nor the speed ends its patience.
     let run = silent.claim().await.expect("work");
-    renew_for(&farm, &silent, &run, Duration::from_secs(3600)).await;
+    renew_for(&farm, &silent, &run, Duration::from_hours(1)).await;
     let whole = silent.results(&run).await;
     silent.report(whole).await;
     let held = loop {

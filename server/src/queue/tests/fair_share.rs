@@ -154,7 +154,7 @@ async fn shares_without_work_or_credit_are_removed() {
     assert_eq!(left, ["second", "waiting"], "the first would start where the second was served last");
 }
 
-/// What a submitter was charged, in seconds.
+/// Total charge of a submitter, in seconds.
 async fn served(bench: &Fixture, submitter: &str) -> f64 {
     let served = sqlx::query_scalar("SELECT served_us FROM share WHERE submitter = ?").bind(submitter);
     let served_us: i64 = served.fetch_one(bench.queue.readers()).await.expect("reads");
