@@ -5,6 +5,7 @@
 
 pub mod api_key;
 pub mod audit;
+pub mod bounded;
 pub mod client;
 pub mod client_auth;
 pub mod event;

@@ -7,6 +7,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::bounded::{self, RaysPerSecond};
 use crate::{JobId, LeaseId, Rect, WorkerId};
 
 /// Route of registration: `POST`, [`RegisterRequest`] → [`RegisterResponse`].
@@ -83,14 +84,15 @@ pub struct SyncRequest {
     /// Calling worker.
     pub worker: WorkerId,
     /// Measured camera rays a second; `None` before the first tile.
-    pub rays_per_second: Option<f64>,
+    pub rays_per_second: Option<RaysPerSecond>,
     /// Leases that the worker still works on; all are renewed.
     pub held_leases: Vec<LeaseId>,
     /// Results of leases that have finished.
     pub reports: Vec<LeaseReport>,
     /// Whether the worker requests a batch.
     pub wants_work: bool,
-    /// How long the server may wait before it responds, in milliseconds.
+    /// How long the server may wait before it responds, in milliseconds; longer than 30 s, or than a third of a
+    /// lease, is taken as that.
     pub wait_ms: u64,
     /// The worker is shutting down: the leases it holds, and any granted in a lost response, are
     /// released.
@@ -103,6 +105,14 @@ pub struct SyncRequest {
 
 /// Maximum number of [`Timing`]s in one call; the excess is dropped.
 pub const MAX_TIMINGS: usize = 1000;
+/// Maximum number of camera rays of one [`Timing`]: those of the largest job.
+pub const MAX_TIMING_RAYS: u64 = 1 << 44;
+/// Maximum size of a device's memory, in bytes.
+pub const MAX_MEMORY_BYTES: u64 = 1 << 50;
+/// Maximum size of a blob, in bytes; the pixels of a tile are at most half of it.
+pub const MAX_BLOB_BYTES: u64 = 128 << 20;
+/// Maximum size of a picture, in bytes.
+pub const MAX_PICTURE_BYTES: u64 = 16 << 30;
 
 /// Measurements of a worker since its last call.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -122,10 +132,10 @@ pub struct WorkerMetrics {
 pub struct Timing {
     /// Phase.
     pub phase: Phase,
-    /// Duration, in milliseconds.
+    /// Duration, in milliseconds; negative ones, and those of more than 10⁹, are dropped.
     pub took_ms: f64,
     /// Camera rays rendered; 0 for all phases but rendering.
-    #[serde(default)]
+    #[serde(default, deserialize_with = "bounded::at_most::<MAX_TIMING_RAYS, _>")]
     pub rays: u64,
 }
 
@@ -146,8 +156,10 @@ pub enum Phase {
 #[serde(deny_unknown_fields)]
 pub struct DeviceMemory {
     /// Bytes used by all processes.
+    #[serde(deserialize_with = "bounded::at_most::<MAX_MEMORY_BYTES, _>")]
     pub used_bytes: u64,
     /// Total bytes.
+    #[serde(deserialize_with = "bounded::at_most::<MAX_MEMORY_BYTES, _>")]
     pub total_bytes: u64,
 }
 
@@ -170,6 +182,7 @@ pub enum LeaseOutcome {
         /// BLAKE3 of the blob, in hex.
         hash: String,
         /// Its size.
+        #[serde(deserialize_with = "bounded::at_most::<MAX_BLOB_BYTES, _>")]
         size_bytes: u64,
     },
     /// The whole frame's picture was stored; reported for each of the frame's tiles, or for its stitch.
@@ -177,6 +190,7 @@ pub enum LeaseOutcome {
         /// BLAKE3 of the picture, in hex.
         hash: String,
         /// Its size.
+        #[serde(deserialize_with = "bounded::at_most::<MAX_PICTURE_BYTES, _>")]
         size_bytes: u64,
     },
     /// Blobs of these tiles, by index in the frame, are missing or damaged, so the frame cannot be stitched.

@@ -16,7 +16,7 @@ use object_store::{
     GetOptions, GetRange, GetResult, GetResultPayload, ObjectMeta, ObjectStore, ObjectStoreExt, PutPayload,
 };
 use proto::fail_point::{self, FailPoint};
-use proto::worker_protocol::PARTIAL_MARKER;
+use proto::worker_protocol::{MAX_BLOB_BYTES, MAX_PICTURE_BYTES, PARTIAL_MARKER};
 use tokio::sync::RwLock;
 
 /// Number of bytes written at a time.
@@ -25,10 +25,6 @@ pub(crate) const WRITE_CHUNK_BYTES: usize = 256 << 10;
 const READ_CHUNK_BYTES: u64 = 32 << 10;
 /// Content younger than this is never swept, because workers hold reports back for up to 200 ms.
 pub(crate) const MIN_SWEEP_AGE: Duration = Duration::from_secs(1);
-/// Maximum size of a blob; the pixels of a tile are at most half of it.
-const MAX_BLOB_BYTES: u64 = 128 << 20;
-/// Maximum size of a picture.
-const MAX_PICTURE_BYTES: u64 = 16 << 30;
 
 /// Kind of content, each in its own folder.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

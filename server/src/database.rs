@@ -20,16 +20,16 @@ use sqlx::sqlite::{
 
 use crate::audit_log;
 use wal::Wal;
-use writer::Writer;
 pub(crate) use writer::{CommitTimes, Durability};
+use writer::{Urgency, Writer};
 
 /// Number of reading connections.
 const READER_CONNECTIONS: u32 = 4;
 /// Number of rows that the engine's thread reads ahead of the caller.
 const ROW_BUFFER: usize = 1024;
 /// Pages of the WAL (of 4 KiB) after which the engine checkpoints it: the commit that reaches this number has
-/// to wait for the checkpoint.
-const AUTOCHECKPOINT_PAGES: &str = "4000";
+/// to wait for the checkpoint, which must not be long.
+const AUTOCHECKPOINT_PAGES: &str = "1000";
 /// Databases up to this size are checked page by page at start.
 const MAX_START_CHECK_BYTES: u64 = 16 << 20;
 
@@ -177,10 +177,10 @@ impl Database {
         F: for<'c> FnOnce(&'c mut SqliteConnection) -> BoxFuture<'c, Result<T, DatabaseError>> + Send + 'static,
     {
         let Some(entry) = audit_log::pending_entry().filter(|entry| !entry.is_written()) else {
-            return self.writer.write(durability, operation).await;
+            return self.writer.write(Urgency::Ordinary, durability, operation).await;
         };
         let written = Arc::clone(&entry);
-        let recorded = self.writer.write(durability, move |connection| {
+        let recorded = self.writer.write(Urgency::Ordinary, durability, move |connection| {
             Box::pin(async move {
                 let result = operation(&mut *connection).await?;
                 Ok((result, written.insert(connection).await?))
@@ -189,6 +189,15 @@ impl Database {
         let (result, number) = recorded.await?;
         entry.set_number(number);
         Ok(result)
+    }
+
+    /// Like [`Database::write`], for an operation that a worker waits for: it does not wait for other operations.
+    pub(crate) async fn write_for_worker<T, F>(&self, durability: Durability, operation: F) -> Result<T, DatabaseError>
+    where
+        T: Send + 'static,
+        F: for<'c> FnOnce(&'c mut SqliteConnection) -> BoxFuture<'c, Result<T, DatabaseError>> + Send + 'static,
+    {
+        self.writer.write(Urgency::Worker, durability, operation).await
     }
 
     /// Durations of commits.

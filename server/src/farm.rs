@@ -19,7 +19,8 @@ use crate::job_cache::{JobCache, JobLoadError, Reader};
 use crate::pool::Pool;
 use crate::preview_helper::PreviewHelper;
 use crate::queue::{
-    FrameOpening, NewJob, NextWork, OpenOutcome, Queue, SubmitOptions, SubmitOutcome, SyncInput, SyncOutcome,
+    FrameOpening, NewJob, NextWork, OpenOutcome, Queue, RemovedContent, SubmitOptions, SubmitOutcome, SyncInput,
+    SyncOutcome,
 };
 use crate::signed_links::LinkSigner;
 use crate::telemetry::Telemetry;
@@ -221,6 +222,12 @@ impl Farm {
             }
         }
         Ok(())
+    }
+
+    /// Requests the maintenance task to delete what no row refers to any more.
+    pub(crate) fn sweep_removed(&self, removed: RemovedContent) {
+        self.sweep_later(ContentKind::Picture, removed.pictures);
+        self.sweep_later(ContentKind::Blob, removed.blobs);
     }
 
     /// Requests the maintenance task to delete those of the given bytes that no row refers to.

@@ -20,14 +20,45 @@ const LEASE_CHECK_INTERVAL: Duration = Duration::from_secs(1);
 const CLEANUP_INTERVAL: Duration = Duration::from_mins(10);
 /// Minimum age at which content without a report is swept.
 const ORPHAN_GRACE: Duration = Duration::from_mins(10);
-/// Hashes per database query.
-const LOOKUP_BATCH: usize = 500;
+/// Number of hashes that are checked, and deleted if they are orphans, while no result is taken.
+const SWEEP_BATCH: usize = 32;
+/// Delay after a piece of a large change that failed.
+const FAILED_PIECE_DELAY: Duration = Duration::from_secs(1);
 
 /// Runs maintenance until the farm is closed.
-pub(crate) async fn run(
-    farm: Arc<Farm>,
+pub(crate) async fn run(farm: Arc<Farm>, leftovers: mpsc::UnboundedReceiver<OrphanCandidates>, end: CancellationToken) {
+    tokio::join!(run_periodically(&farm, leftovers, &end), finish_changes(&farm, &end));
+}
+
+/// Makes the pieces that are left of large changes, also of those that the last server began.
+async fn finish_changes(farm: &Farm, end: &CancellationToken) {
+    loop {
+        let wait = match farm.queue.clean_up_piece().await {
+            Ok(Some(removed)) => {
+                farm.sweep_removed(removed);
+                if end.is_cancelled() {
+                    return;
+                }
+                continue;
+            }
+            Ok(None) => CLEANUP_INTERVAL,
+            Err(error) => {
+                tracing::error!(%error, cause = ?std::error::Error::source(&error), "could not finish a change of a job");
+                FAILED_PIECE_DELAY
+            }
+        };
+        tokio::select! {
+            () = end.cancelled() => return,
+            () = farm.queue.wake_signals().cleanup.notified(), if wait == CLEANUP_INTERVAL => {}
+            () = tokio::time::sleep(wait) => {}
+        }
+    }
+}
+
+async fn run_periodically(
+    farm: &Arc<Farm>,
     mut leftovers: mpsc::UnboundedReceiver<OrphanCandidates>,
-    end: CancellationToken,
+    end: &CancellationToken,
 ) {
     let mut rescue = tokio::time::interval(LEASE_CHECK_INTERVAL);
     rescue.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
@@ -35,9 +66,9 @@ pub(crate) async fn run(
     loop {
         let done = tokio::select! {
             () = end.cancelled() => return,
-            Some(left) = leftovers.recv() => sweep(&farm, left.kind, &left.hashes).await,
-            _ = rescue.tick() => expire_leases(&farm).await,
-            _ = tidy.tick() => clean_up(&farm).await,
+            Some(left) = leftovers.recv() => sweep_in_pieces(farm, left.kind, &left.hashes).await,
+            _ = rescue.tick() => expire_leases(farm).await,
+            _ = tidy.tick() => clean_up(farm).await,
         };
         if let Err(error) = done {
             tracing::error!(%error, cause = ?std::error::Error::source(&error), "maintenance failed");
@@ -48,6 +79,14 @@ pub(crate) async fn run(
 async fn expire_leases(farm: &Farm) -> Result<(), DatabaseError> {
     let count = farm.queue.expire_leases().await?;
     farm.totals.expired.fetch_add(count, std::sync::atomic::Ordering::Relaxed);
+    Ok(())
+}
+
+/// Deletes orphans a few at a time: results wait while a sweep decides.
+async fn sweep_in_pieces(farm: &Arc<Farm>, kind: ContentKind, hashes: &[String]) -> Result<(), DatabaseError> {
+    for piece in hashes.chunks(SWEEP_BATCH) {
+        sweep(farm, kind, piece).await?;
+    }
     Ok(())
 }
 
@@ -97,9 +136,7 @@ async fn clean_up(farm: &Arc<Farm>) -> Result<(), DatabaseError> {
                 continue;
             }
         };
-        for batch in names.chunks(LOOKUP_BATCH) {
-            sweep(farm, kind, batch).await?;
-        }
+        sweep_in_pieces(farm, kind, &names).await?;
     }
     Ok(())
 }

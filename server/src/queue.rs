@@ -7,6 +7,7 @@
 mod backlog;
 mod batch_size;
 mod claim;
+mod cleanup;
 mod deliver;
 mod durations;
 mod events;
@@ -25,6 +26,7 @@ mod read;
 mod recover;
 mod repair;
 mod retention;
+mod speeds;
 mod stats;
 mod stitch;
 mod straggler;
@@ -46,6 +48,7 @@ use crate::clock::Clock;
 use crate::database::{Database, DatabaseError, Durability};
 
 pub(crate) use backlog::{BacklogLimits, ExceededLimit};
+pub(crate) use cleanup::RemovedContent;
 pub(crate) use events::Event;
 pub(crate) use finish::{CancelOutcome, DeleteOutcome};
 pub(crate) use frames::{FrameSet, StoredFrame};
@@ -57,7 +60,7 @@ pub(crate) use pause::PauseOutcome;
 pub(crate) use previews::{FrameContents, ReadyWorker};
 pub(crate) use read::StoredImage;
 pub(crate) use recover::Recovery;
-pub(crate) use repair::{Reopened, forget_pictures};
+pub(crate) use repair::{Reopened, absurd_shares, forget_pictures, reset_shares};
 pub(crate) use retention::FinishedJob;
 pub(crate) use stats::QueueStats;
 pub(crate) use submit::NewJob;
@@ -79,6 +82,8 @@ pub(crate) struct TransitionContext {
     lease_ms: i64,
     /// Boot generation of the server.
     generation: i64,
+    /// Maximum number of rows that one piece of a large change changes.
+    piece_rows: i64,
 }
 
 /// Wake signals, sent after commits that others wait for.
@@ -88,6 +93,8 @@ pub(crate) struct WakeSignals {
     pub(crate) work: Notify,
     /// Wakes workers whose lease was ended from outside or that must drain.
     pub(crate) updates: Notify,
+    /// Wakes the task that makes the pieces of large changes.
+    pub(crate) cleanup: Notify,
 }
 
 /// Wake signals requested by a transition, sent after its commit.
@@ -116,6 +123,7 @@ pub(crate) struct Queue {
     clock: Clock,
     lease_ms: i64,
     generation: i64,
+    piece_rows: i64,
     wake_signals: Arc<WakeSignals>,
 }
 
@@ -128,8 +136,14 @@ impl Queue {
                 Box::pin(async move { recover::recover(connection, now_ms, lease_ms).await })
             })
             .await?;
-        let queue =
-            Self { database: store, clock, lease_ms, generation: recovered.generation, wake_signals: Arc::default() };
+        let queue = Self {
+            database: store,
+            clock,
+            lease_ms,
+            generation: recovered.generation,
+            piece_rows: cleanup::PIECE_ROWS,
+            wake_signals: Arc::default(),
+        };
         Ok((queue, recovered))
     }
 
@@ -139,6 +153,7 @@ impl Queue {
             wall_ms: self.clock.wall_ms(),
             lease_ms: self.lease_ms,
             generation: self.generation,
+            piece_rows: self.piece_rows,
         }
     }
 
@@ -148,6 +163,8 @@ impl Queue {
         }
         if ring.news {
             self.wake_signals.updates.notify_waiters();
+            // A change that ended leases may have more to void.
+            self.wake_signals.cleanup.notify_one();
         }
     }
 
@@ -196,7 +213,9 @@ impl Queue {
         let durability = if turn.has_reports() { Durability::Full } else { Durability::Relaxed };
         let turned = self
             .database
-            .write(durability, move |connection| Box::pin(async move { sync::sync(connection, turn, moment).await }))
+            .write_for_worker(durability, move |connection| {
+                Box::pin(async move { sync::sync(connection, turn, moment).await })
+            })
             .await?;
         if let Some(turned) = &turned {
             self.wake(turned.ring);
@@ -209,7 +228,7 @@ impl Queue {
         let moment = self.context();
         let (count, ring) = self
             .database
-            .write(Durability::Relaxed, move |connection| {
+            .write_for_worker(Durability::Relaxed, move |connection| {
                 Box::pin(async move { lease::rescue(connection, moment).await })
             })
             .await?;
@@ -222,7 +241,7 @@ impl Queue {
         let moment = self.context();
         let cancelled = self
             .database
-            .write(Durability::Full, move |connection| {
+            .write_for_worker(Durability::Full, move |connection| {
                 Box::pin(async move { finish::cancel(connection, job, moment).await })
             })
             .await?;
@@ -242,18 +261,25 @@ impl Queue {
         Ok(())
     }
 
-    /// Deletes a job that is not running.
+    /// Deletes a job that is not running. It is hidden when this returns; the rows of a large job are deleted
+    /// afterwards.
     pub(crate) async fn delete(&self, job: JobId) -> Result<DeleteOutcome> {
-        self.database
-            .write(Durability::Full, move |connection| Box::pin(async move { finish::delete(connection, job).await }))
-            .await
+        let moment = self.context();
+        let deleted = self
+            .database
+            .write(Durability::Full, move |connection| {
+                Box::pin(async move { finish::delete(connection, job, moment).await })
+            })
+            .await?;
+        self.wake_signals.cleanup.notify_one();
+        Ok(deleted)
     }
 
     /// Registers a worker.
     pub(crate) async fn register(&self, worker: NewWorker) -> Result<Registration> {
         let moment = self.context();
         self.database
-            .write(Durability::Relaxed, move |connection| {
+            .write_for_worker(Durability::Relaxed, move |connection| {
                 Box::pin(async move { workers::register(connection, worker, moment).await })
             })
             .await
@@ -263,7 +289,7 @@ impl Queue {
     pub(crate) async fn drain(&self, process: u32) -> Result<bool> {
         let drained = self
             .database
-            .write(Durability::Relaxed, move |connection| {
+            .write_for_worker(Durability::Relaxed, move |connection| {
                 Box::pin(async move { workers::drain(connection, process).await })
             })
             .await?;
@@ -281,7 +307,7 @@ impl Queue {
         let moment = self.context();
         let (worker, ring) = self
             .database
-            .write(Durability::Full, move |connection| {
+            .write_for_worker(Durability::Full, move |connection| {
                 Box::pin(async move { workers::reaped(connection, process, cause, &message, moment).await })
             })
             .await?;
@@ -291,9 +317,18 @@ impl Queue {
 
     /// Deletes rows of exited workers and of leases past their use.
     pub(crate) async fn prune(&self) -> Result<()> {
-        self.database
-            .write(Durability::Relaxed, move |connection| Box::pin(async move { recover::tidy(connection).await }))
-            .await
+        loop {
+            let piece_rows = self.piece_rows;
+            let more = self
+                .database
+                .write(Durability::Relaxed, move |connection| {
+                    Box::pin(async move { recover::tidy(connection, piece_rows).await })
+                })
+                .await?;
+            if !more {
+                return Ok(());
+            }
+        }
     }
 
     /// Seconds since 1970, by the wall clock.

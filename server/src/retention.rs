@@ -50,8 +50,7 @@ async fn remove(farm: &Farm, dry_run: bool, store_bytes: u64) -> Result<GcReport
         if !dry_run {
             let Some(removed) = farm.queue.remove(&job).await? else { continue };
             tracing::info!(job = %job.id, reason = reason.name(), freed_bytes, "deleted a job past its retention");
-            farm.sweep_later(ContentKind::Picture, removed.pictures);
-            farm.sweep_later(ContentKind::Blob, removed.blobs);
+            farm.sweep_removed(removed);
         }
         let finished_at = rfc3339(job.finished_at_ms);
         jobs.push(RemovedJob { id: job.id, name: job.name, finished_at, reason, freed_bytes });

@@ -3,6 +3,7 @@
 
 use std::time::Duration;
 
+use proto::bounded::RaysPerSecond;
 use proto::worker_protocol::{
     BatchWork, DeviceMemory, LeaseOutcome, LeaseReport, Phase, REGISTER_PATH, RegisterRequest, RegisterResponse,
     SYNC_PATH, SyncRequest, SyncResponse, Timing, WorkerMetrics, blob_path, picture_path,
@@ -77,7 +78,7 @@ fn full_sync(worker: WorkerId) -> SyncRequest {
     let hash = "0".repeat(64);
     SyncRequest {
         worker,
-        rays_per_second: Some(1e6),
+        rays_per_second: RaysPerSecond::new(1e6),
         held_leases: vec![LeaseId::new()],
         reports: vec![
             report(LeaseOutcome::Blob { hash: hash.clone(), size_bytes: 1 }),

@@ -13,7 +13,7 @@ use super::{DataFolderError, database};
 use crate::clock::Clock;
 use crate::database::{Database, Durability};
 use crate::lock::{FolderLock, LockError};
-use crate::queue::{Reopened, forget_pictures};
+use crate::queue::{Reopened, absurd_shares, forget_pictures, reset_shares};
 use crate::telemetry::host;
 
 /// Free disk space below which there is a warning.
@@ -84,7 +84,8 @@ pub enum Depth {
 pub enum Repair {
     /// Changes nothing.
     None,
-    /// Deletes orphans; frames whose pictures are missing are rendered again.
+    /// Deletes orphans; frames whose pictures are missing are rendered again; shares that cannot be right start
+    /// again.
     Store,
 }
 
@@ -114,6 +115,7 @@ pub async fn run_checks(data: &Path, depth: Depth, repair: Repair) -> Result<Vec
     let is_sound = check_database(data, &mut connection, &mut findings).await;
     if is_sound {
         check_clock(&mut connection, data, &mut findings).await?;
+        findings.push(check_books(data, &mut connection, repair == Repair::Store && lock.is_some()).await?);
         let found = check_store(data, &mut connection, depth, serving.is_some()).await?;
         let repaired = match repair {
             Repair::Store if lock.is_some() => Some(repair_store(data, &found).await?),
@@ -189,6 +191,25 @@ async fn check_clock(
         Finding::ok("clock", "it is consistent with the newest job")
     });
     Ok(())
+}
+
+/// Checks the shares by which the next submitter is chosen, and mends them if asked. Numbers out of their range are
+/// found with the database's integrity.
+async fn check_books(data: &Path, connection: &mut SqliteConnection, mends: bool) -> Result<Finding, DataFolderError> {
+    let absurd = absurd_shares(connection).await.map_err(DataFolderError::database(&Database::file(data)))?;
+    if absurd == 0 {
+        return Ok(Finding::ok("books", "the submitters' shares are plausible"));
+    }
+    let text = format!("{absurd} submitters' shares cannot be right: their jobs would never be rendered");
+    if !mends {
+        return Ok(Finding::error("books", text, format!("{REPAIR_FIX}: all shares start again from zero")));
+    }
+    let store = Database::open(data).await?;
+    let mended =
+        store.write(Durability::Full, |connection| Box::pin(async move { reset_shares(connection).await })).await;
+    store.close().await;
+    mended?;
+    Ok(Finding::ok("books", format!("{text}: repaired, all shares start again from zero")))
 }
 
 async fn check_store(

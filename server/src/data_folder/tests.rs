@@ -5,11 +5,19 @@ use sqlx::{Connection, Row};
 use super::{Depth, Repair, Severity, run_checks};
 use crate::database::Database;
 
-/// Tables of the first release: migrations 1 and 2, as their files have them.
-const FIRST_RELEASE: [(i64, &str, &str); 2] = [
+/// Tables of earlier releases: migrations 1 to 8, as their files have them; the first release had two.
+const EARLIER: [(i64, &str, &str); 8] = [
     (1, "farm", include_str!("../../../migrations/0001_farm.sql")),
     (2, "nodes", include_str!("../../../migrations/0002_nodes.sql")),
+    (3, "keys", include_str!("../../../migrations/0003_keys.sql")),
+    (4, "queue", include_str!("../../../migrations/0004_queue.sql")),
+    (5, "events", include_str!("../../../migrations/0005_events.sql")),
+    (6, "webhooks", include_str!("../../../migrations/0006_webhooks.sql")),
+    (7, "retention", include_str!("../../../migrations/0007_retention.sql")),
+    (8, "watch", include_str!("../../../migrations/0008_watch.sql")),
 ];
+/// Number of migrations of the first release.
+const FIRST_RELEASE: usize = 2;
 
 const ROWS: &str = "
     INSERT INTO job (number, id, name, submitter, priority, state, fresh, width_px, height_px, samples, pixel_bytes,
@@ -34,15 +42,15 @@ const ROWS: &str = "
     UPDATE meta SET value = 4 WHERE name = 'boot_generation';
 ";
 
-/// Creates the database of an old farm, as an earlier release left it.
-async fn old_farm(data: &std::path::Path) {
+/// Creates the database of an old farm, as a release with this many migrations left it.
+async fn old_farm(data: &std::path::Path, migrations: usize, later_rows: &'static str) {
     let options = sqlx::sqlite::SqliteConnectOptions::new().filename(Database::file(data)).create_if_missing(true);
     let mut connection = sqlx::sqlite::SqliteConnection::connect_with(&options).await.expect("opens");
     let done = "CREATE TABLE _sqlx_migrations (
         version BIGINT PRIMARY KEY, description TEXT NOT NULL, installed_on TIMESTAMP NOT NULL DEFAULT CURRENT_TIMESTAMP,
         success BOOLEAN NOT NULL, checksum BLOB NOT NULL, execution_time BIGINT NOT NULL)";
     sqlx::raw_sql(done).execute(&mut connection).await.expect("makes");
-    for (version, name, text) in FIRST_RELEASE {
+    for (version, name, text) in EARLIER.into_iter().take(migrations) {
         sqlx::raw_sql(text).execute(&mut connection).await.expect("migrates");
         let (_, checksum) = crate::database::migrations().find(|(known, _)| *known == version).expect("never dropped");
         sqlx::query("INSERT INTO _sqlx_migrations VALUES (?, ?, CURRENT_TIMESTAMP, TRUE, ?, 1)")
@@ -54,13 +62,14 @@ async fn old_farm(data: &std::path::Path) {
             .expect("notes");
     }
     sqlx::raw_sql(ROWS).execute(&mut connection).await.expect("fills");
+    sqlx::raw_sql(later_rows).execute(&mut connection).await.expect("fills");
     connection.close().await.expect("closes");
 }
 
 #[tokio::test]
 async fn a_first_release_farm_is_migrated_with_its_data() {
     let folder = tempfile::tempdir().expect("a temporary folder");
-    old_farm(folder.path()).await;
+    old_farm(folder.path(), FIRST_RELEASE, "").await;
     let before = run_checks(folder.path(), Depth::Names, Repair::None).await.expect("looks");
     let schema = before.iter().find(|finding| finding.subject == "schema").expect("a finding");
     assert!(schema.severity != Severity::Error && schema.message.contains("pending"), "{schema:?}");
@@ -101,4 +110,55 @@ async fn data_of_a_newer_release_is_rejected_with_the_reason() {
     let findings = run_checks(folder.path(), Depth::Names, Repair::None).await.expect("looks");
     let wrong = findings.iter().find(|finding| finding.severity == Severity::Error).expect("a finding");
     assert_eq!(wrong.message, "migration 9999 is from a newer release");
+}
+
+/// Shares and a speed as a worker left them that reported a speed of almost zero.
+const ABSURD_BOOKS: &str = "
+    INSERT INTO share_clock (priority, served_us) VALUES (0, 9223372036854775807)
+    ON CONFLICT DO UPDATE SET served_us = excluded.served_us;
+    INSERT INTO share (submitter, priority, jobs, served_us) VALUES ('other', 0, 0, 9223372036854775807)
+    ON CONFLICT DO UPDATE SET served_us = excluded.served_us;
+    UPDATE share SET served_us = 9223372036854775807;
+    UPDATE worker SET rays_per_second = 1e-3;
+";
+
+/// Largest amount served, and whether a speed is stored.
+async fn books(data: &std::path::Path) -> (i64, Option<f64>) {
+    let mut connection = super::database::open(data).await.expect("opens");
+    sqlx::query_as("SELECT (SELECT max(served_us) FROM share), (SELECT max(rays_per_second) FROM worker)")
+        .fetch_one(&mut connection)
+        .await
+        .expect("reads")
+}
+
+#[tokio::test]
+async fn a_farm_with_absurd_shares_is_mended_by_its_migration() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    old_farm(folder.path(), EARLIER.len(), ABSURD_BOOKS).await;
+    assert_eq!(books(folder.path()).await, (i64::MAX, Some(1e-3)));
+    Database::open(folder.path()).await.expect("migrates").close().await;
+    assert_eq!(books(folder.path()).await, (0, None));
+}
+
+#[tokio::test]
+async fn doctor_finds_and_mends_absurd_shares() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    old_farm(folder.path(), EARLIER.len(), "").await;
+    Database::open(folder.path()).await.expect("migrates").close().await;
+    let books_of = async |repair| {
+        let findings = run_checks(folder.path(), Depth::Names, repair).await.expect("looks");
+        findings.into_iter().find(|finding| finding.subject == "books").expect("a finding")
+    };
+    assert_eq!(books_of(Repair::None).await.severity, Severity::Ok);
+    let options = sqlx::sqlite::SqliteConnectOptions::new().filename(Database::file(folder.path()));
+    let mut connection = sqlx::sqlite::SqliteConnection::connect_with(&options).await.expect("opens");
+    sqlx::raw_sql(ABSURD_BOOKS).execute(&mut connection).await.expect_err("the columns have bounds");
+    sqlx::raw_sql("UPDATE share SET served_us = 4611686018427387904").execute(&mut connection).await.expect("writes");
+    connection.close().await.expect("closes");
+    let found = books_of(Repair::None).await;
+    assert_eq!(found.severity, Severity::Error, "{found:?}");
+    assert!(found.cure.expect("a fix").contains("doctor --repair"));
+    assert_eq!(books_of(Repair::Store).await.severity, Severity::Ok);
+    assert_eq!(books_of(Repair::None).await.severity, Severity::Ok);
+    assert_eq!(books(folder.path()).await, (0, None));
 }

@@ -99,7 +99,7 @@ async fn events_of_old_finished_jobs_are_replaced_by_a_snapshot() {
     bench.hand.advance(std::time::Duration::from_hours(23));
     assert_eq!(bench.queue.prune_events().await.expect("prunes"), 0);
     bench.hand.advance(std::time::Duration::from_hours(2));
-    assert_eq!(bench.queue.prune_events().await.expect("prunes"), 1, "one job's");
+    assert_eq!(bench.queue.prune_events().await.expect("prunes"), 2, "one job's");
     let mut follower = bench.follow(old, None).await.expect("a snapshot");
     let story = told(&mut follower, usize::MAX).await;
     let snapshot: Snapshot = serde_json::from_str(&story[0].data).expect("a snapshot");

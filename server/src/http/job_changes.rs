@@ -15,7 +15,6 @@ use super::body::RequestBody;
 use super::error::ApiError;
 use super::jobs::{job_id, view};
 use super::{body, quota};
-use crate::content_store::ContentKind;
 use crate::farm::Farm;
 use crate::queue::{ChangeOutcome, DeleteOutcome};
 
@@ -129,9 +128,8 @@ pub(super) async fn delete(
         };
     }
     match farm.queue.delete(job).await? {
-        DeleteOutcome::Done { pictures, blobs } => {
-            farm.sweep_later(ContentKind::Picture, pictures);
-            farm.sweep_later(ContentKind::Blob, blobs);
+        DeleteOutcome::Done(removed) => {
+            farm.sweep_removed(removed);
             Ok(StatusCode::NO_CONTENT.into_response())
         }
         DeleteOutcome::Running => Err(ApiError::Running(job)),

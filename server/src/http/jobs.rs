@@ -18,7 +18,6 @@ use super::error::ApiError;
 use super::{prefer, quota, submit_options, trace_context};
 use crate::admission::Holder;
 use crate::audit_log;
-use crate::content_store::ContentKind;
 use crate::estimate;
 use crate::farm::Farm;
 use crate::job_cache::Reader;
@@ -288,7 +287,7 @@ pub(super) async fn view(farm: &Farm, id: JobId) -> Result<Json<JobView>, ApiErr
 pub(super) async fn cancel(State(farm): State<Arc<Farm>>, Path(id): Path<String>) -> Result<Json<JobView>, ApiError> {
     let job = job_id(&id)?;
     match farm.queue.cancel(job).await? {
-        CancelOutcome::Done { blobs } => farm.sweep_later(ContentKind::Blob, blobs),
+        CancelOutcome::Done(removed) => farm.sweep_removed(removed),
         CancelOutcome::AlreadyFinished(state) => return Err(ApiError::Finished { job, state }),
         CancelOutcome::Unknown => return Err(ApiError::UnknownJob(id)),
     }

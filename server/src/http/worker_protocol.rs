@@ -78,7 +78,7 @@ pub(super) async fn sync(
     let mut turn = SyncInput {
         worker: request.worker,
         owner: caller.owner().to_owned(),
-        rays_per_second: request.rays_per_second.filter(|rate| rate.is_finite() && *rate > 0.0),
+        rays_per_second: request.rays_per_second,
         held_leases: request.held_leases,
         reports: request.reports,
         wants_work: request.wants_work,

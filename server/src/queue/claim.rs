@@ -4,6 +4,7 @@
 //! scene this worker can render; any worker can stitch. If no tile of a job is ready, its next frame is opened;
 //! that needs the frame's cache key, which the caller computes outside the transaction.
 
+use proto::bounded::RaysPerSecond;
 use proto::worker_protocol::{Batch, BatchWork, LeasedTile, StitchInput};
 use proto::{JobId, LeaseId, Rect, WorkerId};
 use sqlx::query::Query;
@@ -12,6 +13,7 @@ use sqlx::{Row, Sqlite};
 
 use super::batch_size::{self, FrameLoad, ReadyTile};
 use super::lease::LOSSES_BEFORE_ISOLATION;
+use super::speeds::{self, JobSpeed, measured_sql};
 use super::straggler::{self, StragglerOutcome};
 use super::{Connection, Result, TransitionContext, expect_rows, fair_share, finish, parse_column};
 use crate::tile_plan::TilePlan;
@@ -41,13 +43,26 @@ pub(super) struct ClaimRequest {
     /// Id of the worker.
     pub(super) worker: WorkerId,
     /// Its measured camera rays a second.
-    pub(super) rays_per_second: Option<f64>,
+    pub(super) rays_per_second: Option<RaysPerSecond>,
     /// Largest scene it renders, in nodes.
     pub(super) max_nodes: i64,
 }
 
-/// Tiles and their new leases.
-pub(super) type NewLeases = Vec<(i64, LeaseId)>;
+/// A new lease on a tile.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct NewLease {
+    pub(super) tile: i64,
+    pub(super) lease: LeaseId,
+    /// Charge to its submitter, in microseconds of a worker.
+    pub(super) charged_us: i64,
+}
+
+impl NewLease {
+    /// Lease without a charge: of a stitch, or a duplicate.
+    pub(super) fn free(tile: i64, lease: LeaseId) -> Self {
+        Self { tile, lease, charged_us: 0 }
+    }
+}
 
 /// Result of a claim.
 #[derive(Clone, Debug)]
@@ -144,7 +159,7 @@ pub(super) async fn claim(
     let frame: u32 = next.try_get("frame")?;
     let work = if next.try_get::<String, _>("kind")? == "stitch" {
         let (tile, lease) = (stitch_tile(connection, job.number, frame).await?, LeaseId::new());
-        grant(connection, &[(tile, lease)], &view.worker, moment).await?;
+        grant(connection, &[NewLease::free(tile, lease)], &view.worker, moment).await?;
         stitch_work(connection, job.number, frame, lease).await?
     } else {
         claim_tiles(connection, &job, frame, &view, claimant, moment).await?
@@ -213,24 +228,38 @@ async fn largest_other_capacity(connection: &mut Connection, worker: &str) -> Re
 struct Peers {
     /// Number of them without a lease.
     idle: u64,
-    /// Camera rays per second of the fastest other worker.
+    /// Camera rays per second of the fastest other worker, measured in the job, or else reported.
     fastest_other: Option<f64>,
+    /// Camera rays per second of this worker, if they were measured in the job.
+    own: Option<f64>,
 }
 
-async fn peers(connection: &mut Connection, worker: &str, nodes: i64) -> Result<Peers> {
-    let row = sqlx::query(
+async fn peers(
+    connection: &mut Connection,
+    worker: &str,
+    job: &ClaimableJob,
+    moment: TransitionContext,
+) -> Result<Peers> {
+    let row = sqlx::query(concat!(
         "SELECT count(*) FILTER (WHERE NOT EXISTS (SELECT 1 FROM lease INDEXED BY lease_live_by_worker
                                                    WHERE lease.worker = worker.id AND lease.ended IS NULL)) AS idle,
-                max(rays_per_second) FILTER (WHERE id <> ?3) AS fastest_other
-         FROM worker WHERE state <> 'gone' AND state = 'ready' AND coalesce(max_nodes, ?1) >= ?2",
-    )
+                max(coalesce(",
+        measured_sql!(),
+        ", rays_per_second)) FILTER (WHERE id <> ?3) AS fastest_other, max(",
+        measured_sql!(),
+        ") FILTER (WHERE id = ?3) AS own
+         FROM worker LEFT JOIN speed ON speed.job = ?4 AND speed.worker = worker.id AND speed.at_ms > ?5
+         WHERE worker.state <> 'gone' AND worker.state = 'ready' AND coalesce(max_nodes, ?1) >= ?2"
+    ))
     .bind(ANY_NODES)
-    .bind(nodes)
+    .bind(job.nodes)
     .bind(worker)
+    .bind(job.number)
+    .bind(moment.now_ms - speeds::MAX_AGE_MS)
     .fetch_one(connection)
     .await?;
     let idle: i64 = row.try_get("idle")?;
-    Ok(Peers { idle: idle.unsigned_abs(), fastest_other: row.try_get("fastest_other")? })
+    Ok(Peers { idle: idle.unsigned_abs(), fastest_other: row.try_get("fastest_other")?, own: row.try_get("own")? })
 }
 
 async fn claim_tiles(
@@ -241,21 +270,27 @@ async fn claim_tiles(
     claimant: ClaimRequest,
     moment: TransitionContext,
 ) -> Result<BatchWork> {
-    let Peers { idle, fastest_other } = peers(connection, &view.worker, job.nodes).await?;
+    let Peers { idle, fastest_other, own } = peers(connection, &view.worker, job, moment).await?;
+    let overall = claimant.rays_per_second.map(RaysPerSecond::get);
+    let speed = own.map(JobSpeed::Measured).or(overall.map(JobSpeed::Overall));
     let rows =
         view.bind(READY_TILES_SQL).bind(job.number).bind(job.nodes).bind(frame).fetch_all(&mut *connection).await?;
     let whole = frame_load(job);
     let ready = rows.iter().map(read_ready).collect::<Result<Vec<_>>>()?;
-    let length = batch_size::batch_len(&ready, whole, claimant.rays_per_second, idle, fastest_other);
-    let (tiles, grants) = new_leases(&rows[..length])?;
+    let length = batch_size::batch_len(&ready, whole, speed.map(JobSpeed::get), idle, fastest_other);
+    let (tiles, mut grants) = new_leases(&rows[..length])?;
+    let rays: Vec<u64> = ready[..length].iter().map(|tile| tile.rays).collect();
+    let charges_us = fair_share::estimates_us(&rays, speed.or(fastest_other.map(JobSpeed::Overall)));
+    for (grant, charged_us) in grants.iter_mut().zip(&charges_us) {
+        grant.charged_us = *charged_us;
+    }
     grant(connection, &grants, &view.worker, moment).await?;
-    let rays = ready[..length].iter().map(|tile| tile.rays).sum();
-    fair_share::charge(connection, &job.share, rays, claimant.rays_per_second.or(fastest_other)).await?;
+    fair_share::charge(connection, &job.share, charges_us.iter().sum()).await?;
     Ok(BatchWork::Render { whole_frame: batch_size::is_whole_frame(length, whole), tiles })
 }
 
 /// New leases, both as sent to the worker and as stored.
-pub(super) fn new_leases(rows: &[SqliteRow]) -> Result<(Vec<LeasedTile>, NewLeases)> {
+pub(super) fn new_leases(rows: &[SqliteRow]) -> Result<(Vec<LeasedTile>, Vec<NewLease>)> {
     let mut tiles = Vec::with_capacity(rows.len());
     let mut grants = Vec::with_capacity(rows.len());
     for row in rows {
@@ -269,7 +304,7 @@ pub(super) fn new_leases(rows: &[SqliteRow]) -> Result<(Vec<LeasedTile>, NewLeas
                 height: row.try_get("height_px")?,
             },
         };
-        grants.push((row.try_get("id")?, tile.lease));
+        grants.push(NewLease::free(row.try_get("id")?, tile.lease));
         tiles.push(tile);
     }
     Ok((tiles, grants))
@@ -325,11 +360,11 @@ fn read_part(row: &SqliteRow) -> Result<StitchInput> {
 /// Leases tiles to a worker, each under its next epoch.
 async fn grant(
     connection: &mut Connection,
-    grants: &[(i64, LeaseId)],
+    grants: &[NewLease],
     worker: &str,
     moment: TransitionContext,
 ) -> Result<()> {
-    let tiles = super::json_numbers(grants.iter().map(|(tile, _)| *tile));
+    let tiles = super::json_numbers(grants.iter().map(|grant| grant.tile));
     let leased = sqlx::query(
         "UPDATE tile SET state = 'leased', epoch = epoch + 1, not_before_ms = 0
          WHERE state = 'ready' AND id IN (SELECT value FROM json_each(?))",
@@ -344,21 +379,23 @@ async fn grant(
 /// Inserts the leases of newly leased tiles.
 pub(super) async fn make_leases(
     connection: &mut Connection,
-    grants: &[(i64, LeaseId)],
+    grants: &[NewLease],
     worker: &str,
     moment: TransitionContext,
 ) -> Result<()> {
-    let pairs: Vec<(i64, String)> = grants.iter().map(|(tile, lease)| (*tile, lease.to_string())).collect();
+    let rows: Vec<(i64, String, i64)> =
+        grants.iter().map(|grant| (grant.tile, grant.lease.to_string(), grant.charged_us)).collect();
     let made = sqlx::query(
-        "INSERT INTO lease (id, tile, epoch, worker, generation, granted_ms, expires_ms)
-         SELECT pair.value ->> 1, tile.id, tile.epoch, ?1, ?2, ?3, ?4
-         FROM json_each(?5) AS pair JOIN tile ON tile.id = pair.value ->> 0",
+        "INSERT INTO lease (id, tile, epoch, worker, generation, granted_ms, expires_ms, charged_us, charged_priority)
+         SELECT new.value ->> 1, tile.id, tile.epoch, ?1, ?2, ?3, ?4, new.value ->> 2, job.priority
+         FROM json_each(?5) AS new CROSS JOIN tile ON tile.id = new.value ->> 0
+         CROSS JOIN job ON job.number = tile.job",
     )
     .bind(worker)
     .bind(moment.generation)
     .bind(moment.now_ms)
     .bind(moment.now_ms + moment.lease_ms)
-    .bind(serde_json::json!(pairs).to_string())
+    .bind(serde_json::json!(rows).to_string())
     .execute(connection)
     .await?;
     expect_rows("lease: granted", grants.len() as u64, &made)

@@ -10,7 +10,9 @@ use proto::worker_protocol::{LeaseOutcome, LeaseReport};
 use proto::{LeaseId, WorkerId};
 
 use super::lease::{self, LeaseEnd, LiveLease};
-use super::{Connection, Result, TransitionContext, Wake, durations, expect_rows, finish, picture, row_count, stitch};
+use super::{
+    Connection, Result, TransitionContext, Wake, durations, expect_rows, fair_share, finish, picture, row_count, stitch,
+};
 
 /// Outcome of a set of results.
 #[derive(Clone, Debug, Default)]
@@ -40,6 +42,13 @@ pub(super) async fn deliver(
     moment: TransitionContext,
 ) -> Result<DeliverResult> {
     let mut delivered = DeliverResult::default();
+    let results = reports
+        .iter()
+        .filter(|report| matches!(report.outcome, LeaseOutcome::Picture { .. } | LeaseOutcome::Blob { .. }));
+    let results: Vec<LeaseId> = results.map(|report| report.lease).collect();
+    if !results.is_empty() {
+        fair_share::record_delivery(connection, worker, &super::json_list(results), moment).await?;
+    }
     let mut pictures: BTreeMap<(&str, u64), Vec<LeaseId>> = BTreeMap::new();
     let (mut blobs, mut others) = (Vec::new(), Vec::new());
     for report in reports {

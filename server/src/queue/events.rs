@@ -17,10 +17,8 @@ use crate::database::Durability;
 const RETENTION_MS: i64 = 24 * 3_600_000;
 /// Maximum number of events in total; beyond it the oldest are pruned, even those of running jobs.
 const MAX_EVENTS: i64 = 500_000;
-/// Number of jobs whose events are pruned in one transaction.
-const JOBS_BATCH: i64 = 100;
-/// Number of events of running jobs pruned in one transaction.
-const EVENTS_BATCH: i64 = 5_000;
+/// Number of events pruned in one transaction.
+const EVENTS_BATCH: i64 = 1_000;
 /// Maximum number of rectangles in a snapshot.
 const MAX_RECTANGLES: i64 = 20_000;
 
@@ -105,10 +103,12 @@ impl Queue {
 
     /// Whether a job has finished; `None` if it does not exist.
     pub(crate) async fn has_ended(&self, job: i64) -> Result<Option<bool>> {
-        Ok(sqlx::query_scalar("SELECT finished_at_ms IS NOT NULL FROM job WHERE number = ?")
-            .bind(job)
-            .fetch_optional(self.readers())
-            .await?)
+        Ok(sqlx::query_scalar(
+            "SELECT finished_at_ms IS NOT NULL FROM job WHERE number = ? AND cleanup IS NOT 'delete'",
+        )
+        .bind(job)
+        .fetch_optional(self.readers())
+        .await?)
     }
 
     /// Number of the newest event.
@@ -238,26 +238,37 @@ fn contiguous_ranges(numbers: &[u32]) -> Vec<[u32; 2]> {
     runs
 }
 
+/// Deletes the oldest events of a job that ended long ago, or of all jobs; returns how many, or 1 if there was none of
+/// the job.
 async fn prune(connection: &mut Connection, ended_before_ms: i64) -> Result<u64> {
-    let jobs: Vec<i64> = sqlx::query_scalar(
-        "UPDATE job SET events_kept = 0,
-                        events_pruned = coalesce((SELECT max(number) FROM outbox WHERE outbox.job = job.number), events_pruned)
-         WHERE number IN (SELECT number FROM job
-                          WHERE events_kept = 1 AND finished_at_ms IS NOT NULL AND finished_at_ms < ? LIMIT ?)
-         RETURNING number",
+    let job: Option<i64> = sqlx::query_scalar(
+        "SELECT number FROM job WHERE events_kept = 1 AND finished_at_ms IS NOT NULL AND finished_at_ms < ? LIMIT 1",
     )
     .bind(ended_before_ms)
-    .bind(JOBS_BATCH)
-    .fetch_all(&mut *connection)
+    .fetch_optional(&mut *connection)
     .await?;
-    if !jobs.is_empty() {
-        sqlx::query("DELETE FROM outbox WHERE job IN (SELECT value FROM json_each(?))")
-            .bind(super::json_numbers(jobs.iter().copied()))
-            .execute(connection)
+    let Some(job) = job else { return prune_surplus(connection, MAX_EVENTS).await };
+    let last: Option<i64> =
+        sqlx::query_scalar("SELECT max(number) FROM (SELECT number FROM outbox WHERE job = ? ORDER BY number LIMIT ?)")
+            .bind(job)
+            .bind(EVENTS_BATCH)
+            .fetch_one(&mut *connection)
             .await?;
-        return Ok(jobs.len() as u64);
-    }
-    prune_surplus(connection, MAX_EVENTS).await
+    sqlx::query(
+        "UPDATE job SET events_pruned = coalesce(?1, events_pruned),
+                        events_kept = EXISTS (SELECT 1 FROM outbox WHERE outbox.job = ?2 AND outbox.number > ?1)
+         WHERE number = ?2",
+    )
+    .bind(last)
+    .bind(job)
+    .execute(&mut *connection)
+    .await?;
+    let dropped = sqlx::query("DELETE FROM outbox WHERE job = ? AND number <= ?")
+        .bind(job)
+        .bind(last)
+        .execute(connection)
+        .await?;
+    Ok(dropped.rows_affected().max(1))
 }
 
 /// Deletes the oldest events beyond the newest `keep`.

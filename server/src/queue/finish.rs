@@ -4,6 +4,7 @@ use proto::JobId;
 use proto::job::JobState;
 use sqlx::Row;
 
+use super::cleanup::{self, RemovedContent};
 use super::{Connection, Result, TransitionContext, expect_rows, parse_column};
 use crate::database::DatabaseError;
 
@@ -21,11 +22,8 @@ pub(super) struct ProgressDelta {
 /// Outcome of a cancel.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum CancelOutcome {
-    /// The job is cancelled; these blobs may be orphans now.
-    Done {
-        /// Hashes of blobs.
-        blobs: Vec<String>,
-    },
+    /// The job is cancelled; this content may be orphaned now.
+    Done(RemovedContent),
     /// The job had finished already.
     AlreadyFinished(JobState),
     /// The job does not exist.
@@ -35,13 +33,8 @@ pub(crate) enum CancelOutcome {
 /// Outcome of a delete.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum DeleteOutcome {
-    /// The job is deleted; these pictures and blobs may be orphans now.
-    Done {
-        /// Hashes of pictures.
-        pictures: Vec<String>,
-        /// Hashes of blobs.
-        blobs: Vec<String>,
-    },
+    /// The job is deleted, or hidden while it is; this content may be orphaned now.
+    Done(RemovedContent),
     /// The job is running.
     Running,
     /// The job does not exist.
@@ -100,7 +93,7 @@ pub(super) async fn fail(
     moment: TransitionContext,
 ) -> Result<()> {
     let failed = sqlx::query(
-        "UPDATE job SET state = 'failed', error = ?, finished_at_ms = ?, tiles_dead = tiles_dead + 1
+        "UPDATE job SET state = 'failed', error = ?, finished_at_ms = ?, tiles_dead = tiles_dead + 1, cleanup = 'void'
          WHERE number = ? AND finished_at_ms IS NULL",
     )
     .bind(message)
@@ -109,7 +102,7 @@ pub(super) async fn fail(
     .execute(&mut *connection)
     .await?;
     expect_rows("job: failed", 1, &failed)?;
-    void_open_work(connection, job).await
+    cleanup::piece(connection, job, moment).await.map(drop)
 }
 
 /// Fails the job of a frame that cannot be opened, unless the job has finished.
@@ -120,29 +113,29 @@ pub(super) async fn refuse(
     moment: TransitionContext,
 ) -> Result<()> {
     sqlx::query(
-        "UPDATE job SET state = 'failed', error = ?, finished_at_ms = ? WHERE number = ? AND finished_at_ms IS NULL",
+        "UPDATE job SET state = 'failed', error = ?, finished_at_ms = ?, cleanup = 'void'
+         WHERE number = ? AND finished_at_ms IS NULL",
     )
     .bind(message)
     .bind(moment.wall_ms)
     .bind(job)
     .execute(&mut *connection)
     .await?;
-    void_open_work(connection, job).await
+    cleanup::piece(connection, job, moment).await.map(drop)
 }
 
 /// Cancels a job that has not finished.
 pub(super) async fn cancel(connection: &mut Connection, id: JobId, moment: TransitionContext) -> Result<CancelOutcome> {
     let cancelled: Option<i64> = sqlx::query_scalar(
-        "UPDATE job SET state = 'cancelled', finished_at_ms = ? WHERE id = ? AND finished_at_ms IS NULL
-         RETURNING number",
+        "UPDATE job SET state = 'cancelled', finished_at_ms = ?, cleanup = 'void'
+         WHERE id = ? AND finished_at_ms IS NULL RETURNING number",
     )
     .bind(moment.wall_ms)
     .bind(id.to_string())
     .fetch_optional(&mut *connection)
     .await?;
     if let Some(job) = cancelled {
-        void_open_work(connection, job).await?;
-        return Ok(CancelOutcome::Done { blobs: blobs(connection, job).await? });
+        return cleanup::piece(connection, job, moment).await.map(CancelOutcome::Done);
     }
     let state: Option<String> = sqlx::query_scalar("SELECT state FROM job WHERE id = ?")
         .bind(id.to_string())
@@ -151,21 +144,9 @@ pub(super) async fn cancel(connection: &mut Connection, id: JobId, moment: Trans
     state.map_or(Ok(CancelOutcome::Unknown), |name| job_state(&name).map(CancelOutcome::AlreadyFinished))
 }
 
-/// Voids the open frames and tiles of a finished job.
-async fn void_open_work(connection: &mut Connection, job: i64) -> Result<()> {
-    for statement in [
-        "UPDATE lease SET ended = 'void' WHERE ended IS NULL
-         AND tile IN (SELECT id FROM tile WHERE job = ? AND state = 'leased')",
-        "UPDATE tile SET state = 'void' WHERE job = ? AND state IN ('ready', 'leased')",
-        "UPDATE frame SET state = 'void' WHERE job = ? AND state IN ('open', 'stitching')",
-    ] {
-        sqlx::query(statement).bind(job).execute(&mut *connection).await?;
-    }
-    Ok(())
-}
-
-/// Deletes a job that is not running, with all its rows, and the pictures that only it used.
-pub(super) async fn delete(connection: &mut Connection, id: JobId) -> Result<DeleteOutcome> {
+/// Deletes a job that is not running, with all its rows, and the pictures that only it used: the first piece of them
+/// now.
+pub(super) async fn delete(connection: &mut Connection, id: JobId, moment: TransitionContext) -> Result<DeleteOutcome> {
     let row = sqlx::query("SELECT number, state FROM job WHERE id = ?")
         .bind(id.to_string())
         .fetch_optional(&mut *connection)
@@ -174,33 +155,7 @@ pub(super) async fn delete(connection: &mut Connection, id: JobId) -> Result<Del
     if job_state(&row.try_get::<String, _>("state")?)? == JobState::Running {
         return Ok(DeleteOutcome::Running);
     }
-    let (pictures, blobs) = delete_rows(connection, row.try_get("number")?).await?;
-    Ok(DeleteOutcome::Done { pictures, blobs })
-}
-
-/// Deletes a job with all its rows; returns the hashes of its pictures and blobs, which may be orphans now.
-pub(super) async fn delete_rows(connection: &mut Connection, job: i64) -> Result<(Vec<String>, Vec<String>)> {
-    let pictures: Vec<String> =
-        sqlx::query_scalar("SELECT DISTINCT picture FROM frame WHERE job = ? AND picture IS NOT NULL")
-            .bind(job)
-            .fetch_all(&mut *connection)
-            .await?;
-    let blobs = blobs(connection, job).await?;
-    let deleted = sqlx::query("DELETE FROM job WHERE number = ?").bind(job).execute(&mut *connection).await?;
-    expect_rows("job: deleted", 1, &deleted)?;
-    sqlx::query(
-        "DELETE FROM picture WHERE hash IN (SELECT value FROM json_each(?))
-         AND NOT EXISTS (SELECT 1 FROM frame WHERE frame.picture = picture.hash)",
-    )
-    .bind(super::json_list(&pictures))
-    .execute(connection)
-    .await?;
-    Ok((pictures, blobs))
-}
-
-async fn blobs(connection: &mut Connection, job: i64) -> Result<Vec<String>> {
-    Ok(sqlx::query_scalar("SELECT DISTINCT blob FROM tile WHERE job = ? AND blob IS NOT NULL")
-        .bind(job)
-        .fetch_all(connection)
-        .await?)
+    let job = row.try_get("number")?;
+    cleanup::mark_deleted(connection, job).await?;
+    cleanup::piece(connection, job, moment).await.map(DeleteOutcome::Done)
 }

@@ -14,7 +14,7 @@ use crate::database::Durability;
 /// Retention of idempotency keys.
 const RETENTION_MS: i64 = 48 * 3_600_000;
 /// Number of keys deleted in one transaction.
-const DROP_BATCH: i64 = 5_000;
+const DROP_BATCH: i64 = 1_000;
 
 /// Idempotency key and the fingerprint of its request.
 #[derive(Clone, Debug, PartialEq, Eq)]

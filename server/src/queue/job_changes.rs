@@ -5,7 +5,7 @@ use proto::job::JobState;
 use proto::job::{DeleteDryRun, JobPatch};
 use sqlx::Row;
 
-use super::{Connection, Queue, Result, TransitionContext, Wake, finish};
+use super::{Connection, Queue, Result, TransitionContext, Wake, cleanup, expect_rows, finish};
 use crate::database::Durability;
 
 /// Outcome of a change to a job.
@@ -19,16 +19,34 @@ pub(crate) enum ChangeOutcome {
     Unknown,
 }
 
+/// Result of an attempt to retry a job.
+enum RetryStep {
+    /// It was decided.
+    Outcome(ChangeOutcome),
+    /// The open work of this job must be voided completely first.
+    CleanUpFirst(i64),
+}
+
 impl Queue {
     /// Requeues the dead tiles of a failed job.
     pub(crate) async fn retry(&self, job: JobId) -> Result<ChangeOutcome> {
-        let moment = self.context();
-        let changed = self
-            .database
-            .write(Durability::Full, move |connection| Box::pin(async move { retry(connection, job, moment).await }))
-            .await?;
-        self.wake(Wake::WORK);
-        Ok(changed)
+        loop {
+            let moment = self.context();
+            let step = self
+                .database
+                .write(Durability::Full, move |connection| {
+                    Box::pin(async move { retry(connection, job, moment).await })
+                })
+                .await?;
+            match step {
+                RetryStep::CleanUpFirst(job) => self.finish_cleanup(job).await?,
+                RetryStep::Outcome(outcome) => {
+                    self.wake(Wake::WORK);
+                    self.wake_signals.cleanup.notify_one();
+                    return Ok(outcome);
+                }
+            }
+        }
     }
 
     /// Changes a job that has not finished.
@@ -87,30 +105,31 @@ async fn state(connection: &mut Connection, id: JobId) -> Result<ChangeOutcome> 
     state.map_or(Ok(ChangeOutcome::Unknown), |name| finish::job_state(&name).map(ChangeOutcome::WrongState))
 }
 
-/// Marks a failed job as running; its dead tiles, and the tiles skipped because of them, become ready.
-async fn retry(connection: &mut Connection, id: JobId, moment: TransitionContext) -> Result<ChangeOutcome> {
-    let job: Option<i64> = sqlx::query_scalar(
-        "UPDATE job SET state = 'running', error = NULL, finished_at_ms = NULL, tiles_dead = 0, events_kept = 1,
+/// Marks a failed job as running; its dead tiles, and the tiles skipped because of them, become ready: the first piece
+/// of them now.
+async fn retry(connection: &mut Connection, id: JobId, moment: TransitionContext) -> Result<RetryStep> {
+    let job: Option<(i64, Option<String>)> =
+        sqlx::query_as("SELECT number, cleanup FROM job WHERE id = ? AND state = 'failed' AND tiles_dead > 0")
+            .bind(id.to_string())
+            .fetch_optional(&mut *connection)
+            .await?;
+    let job = match job {
+        None => return state(connection, id).await.map(RetryStep::Outcome),
+        Some((job, Some(_))) => return Ok(RetryStep::CleanUpFirst(job)),
+        Some((job, None)) => job,
+    };
+    let retried = sqlx::query(
+        "UPDATE job SET state = 'running', error = NULL, finished_at_ms = NULL, events_kept = 1, cleanup = 'requeue',
                         retried_at_ms = ?1, started_at_ms = coalesce(started_at_ms, ?1)
-         WHERE id = ?2 AND state = 'failed' AND tiles_dead > 0 RETURNING number",
+         WHERE number = ?2",
     )
     .bind(moment.wall_ms)
-    .bind(id.to_string())
-    .fetch_optional(&mut *connection)
+    .bind(job)
+    .execute(&mut *connection)
     .await?;
-    let Some(job) = job else { return state(connection, id).await };
-    for statement in [
-        "UPDATE frame SET state = CASE WHEN tiles_done = tiles_total THEN 'stitching' ELSE 'open' END
-         WHERE job = ? AND state = 'void'",
-        "UPDATE tile SET state = 'ready', not_before_ms = 0, avoid = NULL, errors = 0, crashes = 0, lost = 0,
-                         interrupts = 0, blob = NULL, blob_bytes = NULL
-         WHERE job = ? AND state IN ('dead', 'void') AND (kind = 'render' OR EXISTS (
-             SELECT 1 FROM frame
-             WHERE frame.job = tile.job AND frame.number = tile.frame AND frame.state = 'stitching'))",
-    ] {
-        sqlx::query(statement).bind(job).execute(&mut *connection).await?;
-    }
-    Ok(ChangeOutcome::Done)
+    expect_rows("job: failed to running", 1, &retried)?;
+    cleanup::piece(connection, job, moment).await?;
+    Ok(RetryStep::Outcome(ChangeOutcome::Done))
 }
 
 async fn change(connection: &mut Connection, id: JobId, patch: &JobPatch) -> Result<ChangeOutcome> {

@@ -94,7 +94,7 @@ impl Counters {
     }
 }
 
-/// A live lease and its tile.
+/// A live lease and its tile. A lease whose job has ended is not live, even before it is voided.
 #[derive(Clone, Debug)]
 pub(super) struct LiveLease {
     pub(super) lease: String,
@@ -114,7 +114,8 @@ macro_rules! held_where {
         concat!(
             "SELECT lease.id AS lease, lease.worker, tile.id AS tile, tile.job, tile.frame, tile.kind, tile.rays,
                     lease.granted_ms, tile.errors, tile.crashes, tile.lost, tile.interrupts
-             FROM lease JOIN tile ON tile.id = lease.tile WHERE lease.ended IS NULL AND ",
+             FROM lease JOIN tile ON tile.id = lease.tile JOIN job ON job.number = tile.job
+             WHERE lease.ended IS NULL AND job.finished_at_ms IS NULL AND ",
             $condition
         )
     };
@@ -170,7 +171,9 @@ pub(super) struct LeaseGrant {
 /// worker ever had.
 pub(super) async fn live_leases(connection: &mut Connection, worker: &str) -> Result<Vec<LeaseGrant>> {
     let rows = sqlx::query(
-        "SELECT id, granted_ms FROM lease INDEXED BY lease_live_by_worker WHERE worker = ? AND ended IS NULL",
+        "SELECT lease.id, lease.granted_ms FROM lease INDEXED BY lease_live_by_worker
+         CROSS JOIN tile ON tile.id = lease.tile CROSS JOIN job ON job.number = tile.job
+         WHERE lease.worker = ? AND lease.ended IS NULL AND job.finished_at_ms IS NULL",
     )
     .bind(worker)
     .fetch_all(connection)
@@ -195,7 +198,7 @@ pub(super) async fn end_without_result(
     message: &str,
     moment: TransitionContext,
 ) -> Result<Wake> {
-    end_lease(connection, &held.lease, cause.name()).await?;
+    end_lease(connection, held, cause.name(), moment).await?;
     if cause == LeaseEnd::Failed {
         exclusion::record_error(connection, &held.worker, held.job, moment).await?;
     }
@@ -233,26 +236,37 @@ async fn is_leased(connection: &mut Connection, tile: i64) -> Result<bool> {
     Ok(live.is_some())
 }
 
-/// Ends the remaining leases of tiles that are done, because their workers were slower.
+/// Ends the remaining leases of tiles that are done, because their workers were slower; nothing is charged for them.
 pub(super) async fn revoke_duplicates(
     connection: &mut Connection,
     tiles: impl IntoIterator<Item = i64>,
 ) -> Result<Wake> {
-    let void =
-        sqlx::query("UPDATE lease SET ended = 'void' WHERE ended IS NULL AND tile IN (SELECT value FROM json_each(?))")
-            .bind(super::json_numbers(tiles))
-            .execute(connection)
-            .await?;
+    let void = sqlx::query(
+        "UPDATE lease SET ended = 'void', used_us = 0
+             WHERE ended IS NULL AND tile IN (SELECT value FROM json_each(?))",
+    )
+    .bind(super::json_numbers(tiles))
+    .execute(connection)
+    .await?;
     Ok(if void.rows_affected() > 0 { Wake::UPDATES } else { Wake::default() })
 }
 
-/// Ends one live lease.
-pub(super) async fn end_lease(connection: &mut Connection, lease: &str, ended: &str) -> Result<()> {
-    let done = sqlx::query("UPDATE lease SET ended = ? WHERE id = ? AND ended IS NULL")
-        .bind(ended)
-        .bind(lease)
-        .execute(connection)
-        .await?;
+/// Ends one live lease without a result; it is charged at most its estimate.
+async fn end_lease(
+    connection: &mut Connection,
+    held: &LiveLease,
+    ended: &str,
+    moment: TransitionContext,
+) -> Result<()> {
+    let used_us = (moment.now_ms - held.granted_ms).max(0).saturating_mul(1000);
+    let done = sqlx::query(
+        "UPDATE lease SET ended = ?, used_us = min(charged_us, coalesce(used_us, ?)) WHERE id = ? AND ended IS NULL",
+    )
+    .bind(ended)
+    .bind(used_us)
+    .bind(&held.lease)
+    .execute(connection)
+    .await?;
     expect_rows("lease: live to ended", 1, &done)
 }
 

@@ -31,7 +31,7 @@ macro_rules! jobs_where {
                     (SELECT max(coalesce(max_nodes, 9223372036854775807)) FROM worker
                      WHERE state <> 'gone' AND state IN ('starting', 'ready')) AS farm_max_nodes,
                     (SELECT value <> 0 FROM meta WHERE name = 'paused') AS farm_paused
-             FROM job WHERE ",
+             FROM job WHERE cleanup IS NOT 'delete' AND ",
             $condition
         )
     };

@@ -2,7 +2,7 @@
 
 use sqlx::Row;
 
-use super::{Connection, Result, exclusion, fair_share, json_numbers, row_count};
+use super::{Connection, Result, exclusion, fair_share, json_numbers, row_count, speeds};
 
 /// Retention of ended leases, to recognize late results.
 const LEASE_RETENTION_MS: u64 = 3_600_000;
@@ -52,23 +52,32 @@ pub(super) async fn recover(connection: &mut Connection, now_ms: i64, lease_ms: 
         .execute(&mut *connection)
         .await?;
     exclusion::recover(connection, now_ms).await?;
+    speeds::recover(connection, now_ms).await?;
     let jobs =
         sqlx::query("SELECT count(*) AS jobs FROM job WHERE finished_at_ms IS NULL").fetch_one(connection).await?;
     Ok(Recovery { generation, jobs: jobs.try_get("jobs")?, leases: row_count(tiles.len()) })
 }
 
-/// Deletes leases that ended long ago or whose worker is gone, and workers that are gone.
-pub(super) async fn tidy(connection: &mut Connection) -> Result<()> {
-    sqlx::query("DELETE FROM lease WHERE ended IS NOT NULL AND id < ?")
-        .bind(min_kept_id(uuid::Uuid::now_v7()))
-        .execute(&mut *connection)
-        .await?;
-    sqlx::query(
-        "DELETE FROM worker WHERE state = 'gone' AND NOT EXISTS (SELECT 1 FROM lease WHERE lease.worker = worker.id)",
+/// Deletes leases that ended long ago, and workers that are gone and have none: at most `limit` of each. Returns
+/// whether there may be more.
+pub(super) async fn tidy(connection: &mut Connection, limit: i64) -> Result<bool> {
+    let leases = sqlx::query(
+        "DELETE FROM lease WHERE id IN (SELECT id FROM lease WHERE ended IS NOT NULL AND id < ? ORDER BY id LIMIT ?)",
     )
+    .bind(min_kept_id(uuid::Uuid::now_v7()))
+    .bind(limit)
     .execute(&mut *connection)
     .await?;
-    fair_share::tidy(connection).await
+    let workers = sqlx::query(
+        "DELETE FROM worker WHERE id IN (SELECT id FROM worker WHERE state = 'gone'
+             AND NOT EXISTS (SELECT 1 FROM lease WHERE lease.worker = worker.id) LIMIT ?)",
+    )
+    .bind(limit)
+    .execute(&mut *connection)
+    .await?;
+    fair_share::tidy(connection).await?;
+    let limit = limit.unsigned_abs();
+    Ok(leases.rows_affected() >= limit || workers.rows_affected() >= limit)
 }
 
 /// Smallest lease id that is kept; ids contain their time.

@@ -1,4 +1,5 @@
-//! Repair after lost bytes: deletes the rows of missing pictures and renders their frames again.
+//! Repair after lost bytes, which deletes the rows of missing pictures and renders their frames again, and of books
+//! that cannot be right: absurd shares.
 
 use sqlx::Row;
 use sqlx::sqlite::SqliteRow;
@@ -6,6 +7,10 @@ use sqlx::sqlite::SqliteRow;
 use super::finish::job_state;
 use super::{Connection, FrameOpening, Result, expect_rows, json_list, open_frame, row_count};
 use crate::tile_plan::TilePlan;
+
+/// Most that a share can be ahead of the submitter served last, in microseconds of a worker: 100 days, more than
+/// everything that is leased at one time can cost.
+const MAX_LEAD_US: i64 = 100 * 24 * 3_600_000_000;
 
 /// Outcome for the frames of missing pictures.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -48,6 +53,23 @@ impl LostFrame {
             },
         })
     }
+}
+
+/// Number of shares that cannot be right: so far ahead that their submitter would never be served.
+const ABSURD_SHARES_SQL: &str = "
+    SELECT count(*) FROM share WHERE served_us - coalesce(
+        (SELECT served_us FROM share_clock WHERE share_clock.priority = share.priority), 0) > ?";
+
+/// Number of submitters' shares that cannot be right.
+pub(crate) async fn absurd_shares(connection: &mut Connection) -> std::result::Result<i64, sqlx::Error> {
+    sqlx::query_scalar(ABSURD_SHARES_SQL).bind(MAX_LEAD_US).fetch_one(connection).await
+}
+
+/// Starts all shares again from zero: they only decide who is next.
+pub(crate) async fn reset_shares(connection: &mut Connection) -> Result<()> {
+    sqlx::query("UPDATE share SET served_us = 0").execute(&mut *connection).await?;
+    sqlx::query("DELETE FROM share_clock").execute(connection).await?;
+    Ok(())
 }
 
 /// Deletes the rows of pictures whose bytes are missing. Frames that use them are reopened, and their jobs run

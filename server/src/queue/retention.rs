@@ -1,4 +1,4 @@
-//! Finished jobs past their retention: found by index, oldest first, and deleted one per transaction.
+//! Finished jobs past their retention: found by index, oldest first, and deleted in pieces like any job.
 //!
 //! Deletes only rows. The sweep deletes unreferenced bytes afterwards, so that a kill between the two leaves
 //! bytes without a row, which the next sweep finds, and never a row without bytes.
@@ -7,29 +7,27 @@ use proto::{JobId, Retention};
 use sqlx::Row;
 use sqlx::sqlite::SqliteRow;
 
-use super::{Connection, Queue, Result, finish, json_numbers, parse_column};
+use super::cleanup::{self, RemovedContent};
+use super::{Connection, Queue, Result, TransitionContext, json_numbers, parse_column};
 use crate::database::Durability;
 
 /// `job.keep_ms` of a job that is kept forever.
 const FOREVER: i64 = -1;
-/// Number of tiles deleted per transaction; tiles of larger jobs are deleted in batches before the job's own
-/// row.
-const TILES_BATCH: i64 = 5_000;
 
 /// Jobs past their own retention.
 const OVER_SQL: &str = "SELECT number, id, name, finished_at_ms, keep_ms FROM job INDEXED BY job_by_own_end
-     WHERE finished_at_ms IS NOT NULL AND keep_ms >= 0 AND finished_at_ms + keep_ms <= ?
+     WHERE finished_at_ms IS NOT NULL AND keep_ms >= 0 AND finished_at_ms + keep_ms <= ? AND cleanup IS NOT 'delete'
      ORDER BY finished_at_ms + keep_ms LIMIT ?";
 
 /// Jobs without a retention of their own that finished before the given time.
 const OLD_SQL: &str = "SELECT number, id, name, finished_at_ms, keep_ms FROM job INDEXED BY job_by_finish
-     WHERE finished_at_ms IS NOT NULL AND keep_ms IS NULL AND finished_at_ms <= ?
+     WHERE finished_at_ms IS NOT NULL AND keep_ms IS NULL AND finished_at_ms <= ? AND cleanup IS NOT 'delete'
      ORDER BY finished_at_ms LIMIT ?";
 
 /// Jobs that may be deleted for the store's size, oldest first.
 const OLDEST_SQL: &str = "SELECT number, id, name, finished_at_ms, keep_ms FROM job INDEXED BY job_not_for_ever
      WHERE finished_at_ms IS NOT NULL AND (keep_ms IS NULL OR keep_ms >= 0)
-       AND (finished_at_ms, number) > (?, ?)
+       AND (finished_at_ms, number) > (?, ?) AND cleanup IS NOT 'delete'
      ORDER BY finished_at_ms, number LIMIT ?";
 
 /// Bytes of pictures that only this job and the listed jobs use.
@@ -38,11 +36,6 @@ const FREED_SQL: &str = "SELECT coalesce(sum(size_bytes), 0) FROM (
          WHERE own.job = ?1 AND own.picture IS NOT NULL AND NOT EXISTS (
              SELECT 1 FROM frame AS other WHERE other.picture = own.picture AND other.picture IS NOT NULL
              AND other.job <> ?1 AND other.job NOT IN (SELECT value FROM json_each(?2))))";
-
-/// Batch of the tiles of a finished job.
-const REMOVE_TILES_SQL: &str = "DELETE FROM tile WHERE id IN (SELECT id FROM tile WHERE job = ?1 LIMIT ?2)
-     AND EXISTS (SELECT 1 FROM job WHERE number = ?1 AND finished_at_ms = ?3 AND keep_ms IS ?4
-                 AND state IN ('succeeded', 'cancelled'))";
 
 /// Finished job, as read from the database.
 #[derive(Clone, Debug)]
@@ -56,15 +49,6 @@ pub(crate) struct FinishedJob {
     /// Time at which it finished, by the wall clock.
     pub(crate) finished_at_ms: i64,
     keep_ms: Option<i64>,
-}
-
-/// Hashes that may be orphans after a job was deleted.
-#[derive(Clone, Debug)]
-pub(crate) struct RemovedContent {
-    /// Hashes of its pictures.
-    pub(crate) pictures: Vec<String>,
-    /// Hashes of its tiles' blobs.
-    pub(crate) blobs: Vec<String>,
 }
 
 /// Stores a job's retention.
@@ -117,47 +101,33 @@ impl Queue {
 
     /// Deletes a job if it has not changed since it was read; `None` if it has.
     pub(crate) async fn remove(&self, job: &FinishedJob) -> Result<Option<RemovedContent>> {
-        loop {
-            let few = job.clone();
-            let fewer = self
-                .database
-                .write(Durability::Relaxed, move |connection| {
-                    Box::pin(async move { remove_tile_batch(connection, &few).await })
-                })
-                .await?;
-            if fewer < TILES_BATCH as u64 {
-                break;
-            }
-        }
-        let job = job.clone();
-        self.database
-            .write(Durability::Full, move |connection| Box::pin(async move { remove(connection, &job).await }))
-            .await
+        let (job, moment) = (job.clone(), self.context());
+        let removed = self
+            .database
+            .write(Durability::Full, move |connection| Box::pin(async move { remove(connection, &job, moment).await }))
+            .await?;
+        self.wake_signals.cleanup.notify_one();
+        Ok(removed)
     }
 }
 
-async fn remove_tile_batch(connection: &mut Connection, job: &FinishedJob) -> Result<u64> {
-    let fewer = sqlx::query(REMOVE_TILES_SQL)
-        .bind(job.number)
-        .bind(TILES_BATCH)
-        .bind(job.finished_at_ms)
-        .bind(job.keep_ms)
-        .execute(connection)
-        .await?;
-    Ok(fewer.rows_affected())
-}
-
-async fn remove(connection: &mut Connection, job: &FinishedJob) -> Result<Option<RemovedContent>> {
-    let same: Option<i64> =
-        sqlx::query_scalar("SELECT number FROM job WHERE number = ? AND finished_at_ms = ? AND keep_ms IS ?")
-            .bind(job.number)
-            .bind(job.finished_at_ms)
-            .bind(job.keep_ms)
-            .fetch_optional(&mut *connection)
-            .await?;
+async fn remove(
+    connection: &mut Connection,
+    job: &FinishedJob,
+    moment: TransitionContext,
+) -> Result<Option<RemovedContent>> {
+    let same: Option<i64> = sqlx::query_scalar(
+        "SELECT number FROM job
+         WHERE number = ? AND finished_at_ms = ? AND keep_ms IS ? AND cleanup IS NOT 'delete'",
+    )
+    .bind(job.number)
+    .bind(job.finished_at_ms)
+    .bind(job.keep_ms)
+    .fetch_optional(&mut *connection)
+    .await?;
     let Some(number) = same else { return Ok(None) };
-    let (pictures, blobs) = finish::delete_rows(connection, number).await?;
-    Ok(Some(RemovedContent { pictures, blobs }))
+    cleanup::mark_deleted(connection, number).await?;
+    cleanup::piece(connection, number, moment).await.map(Some)
 }
 
 #[cfg(test)]
@@ -171,7 +141,7 @@ mod tests {
         let folder = tempfile::tempdir().expect("a temporary folder");
         let store = Database::open(folder.path()).await.expect("opens");
         let (queue, _) = Queue::open(store.into(), Clock::manual().0, 1000).await.expect("opens");
-        for statement in [OVER_SQL, OLD_SQL, OLDEST_SQL, FREED_SQL, REMOVE_TILES_SQL] {
+        for statement in [OVER_SQL, OLD_SQL, OLDEST_SQL, FREED_SQL] {
             let plan = format!("EXPLAIN QUERY PLAN {statement}");
             let rows = sqlx::query(sqlx::AssertSqlSafe(plan)).fetch_all(queue.readers()).await.expect("explains");
             for row in rows {

@@ -1,23 +1,28 @@
-//! Stragglers: if no tile is ready, a tile that takes far longer than others of its job gets a duplicate lease;
-//! its first lease stays live. The first result counts; `deliver` ends the other lease.
+//! Stragglers: if no tile is ready, a tile that takes far longer than others of its job, or than its estimate, gets a
+//! duplicate lease; its first lease stays live. The first result counts; `deliver` ends the other lease.
 
 use std::collections::HashMap;
 
 use proto::LeaseId;
+use proto::bounded::RaysPerSecond;
 use proto::worker_protocol::{Batch, BatchWork};
 use sqlx::Row;
 
-use super::claim::{self, ClaimFilter, ClaimRequest};
-use super::{Connection, Result, TransitionContext, batch_size, durations, expect_rows, row_count};
+use super::claim::{self, ClaimFilter, ClaimRequest, NewLease};
+use super::speeds::{self, JobSpeed};
+use super::{Connection, Result, TransitionContext, batch_size, durations, expect_rows, fair_share, row_count};
 
-/// A lease older than this many times the job's median tile duration is a straggler's.
-const MAX_MEDIANS: i64 = 3;
+/// A lease older than this many times the job's median tile duration, or its estimate, is a straggler's.
+const MAX_RATIO: i64 = 3;
 /// Minimum age of a straggler's lease.
 const MIN_AGE_MS: i64 = 500;
 /// Minimum age of a stitch that counts as a straggler: tile durations do not predict a stitch's.
 const MIN_STITCH_AGE_MS: i64 = 10_000;
-/// Interval before a job without any delivery is checked again.
-const NO_MEDIAN_RETRY_MS: i64 = 1000;
+/// Minimum age of a straggler's lease if no speed was measured in its job, so that its estimate is a guess.
+const MIN_GUESSED_AGE_MS: i64 = 5_000;
+/// After this time without its result a lease is not exclusive any more, whatever the estimate and the median: both
+/// depend on what workers report.
+const MAX_EXCLUSIVE_MS: i64 = 120_000;
 /// Number of the oldest leases that are checked.
 const MAX_CANDIDATES: i64 = 256;
 
@@ -49,6 +54,42 @@ struct OldLease {
     granted_ms: i64,
 }
 
+impl OldLease {
+    /// Time at which it becomes a straggler's.
+    async fn patience_ends_ms(
+        &self,
+        connection: &mut Connection,
+        median_ms: Option<i64>,
+        moment: TransitionContext,
+    ) -> Result<i64> {
+        let ends_ms = match median_ms {
+            _ if self.stitch => {
+                let longest_ms = MAX_RATIO.saturating_mul(median_ms.unwrap_or_default());
+                self.granted_ms.saturating_add(longest_ms.max(MIN_STITCH_AGE_MS))
+            }
+            Some(median_ms) => self.granted_ms.saturating_add(MAX_RATIO.saturating_mul(median_ms).max(MIN_AGE_MS)),
+            None => {
+                let speed = speeds::of_holder(connection, &self.worker, self.job, moment).await?;
+                let rays: i64 =
+                    sqlx::query_scalar(HELD_RAYS_SQL).bind(&self.worker).bind(self.job).fetch_one(connection).await?;
+                let rays_per_second = speed.map_or(fair_share::DEFAULT_RAYS_PER_SECOND, JobSpeed::get);
+                let estimate_ms = (rays as f64 / rays_per_second * 1e3) as i64;
+                let least_ms = match speed {
+                    Some(JobSpeed::Measured(_)) => MIN_AGE_MS,
+                    Some(JobSpeed::Overall(_)) | None => MIN_GUESSED_AGE_MS,
+                };
+                self.granted_ms.saturating_add(MAX_RATIO.saturating_mul(estimate_ms).max(least_ms))
+            }
+        };
+        Ok(ends_ms.min(self.granted_ms.saturating_add(MAX_EXCLUSIVE_MS)))
+    }
+}
+
+/// Camera rays of the tiles of a job that a worker holds.
+const HELD_RAYS_SQL: &str = "SELECT coalesce(sum(tile.rays), 0) FROM lease INDEXED BY lease_live_by_worker
+     CROSS JOIN tile ON tile.id = lease.tile
+     WHERE lease.worker = ? AND lease.ended IS NULL AND tile.job = ?";
+
 /// Grants a duplicate lease on the oldest straggler.
 pub(super) async fn claim(
     connection: &mut Connection,
@@ -71,11 +112,7 @@ pub(super) async fn claim(
             Some(known) => *known,
             None => *patience.entry(old.job).or_insert(durations::median_ms(connection, old.job).await?),
         };
-        let least_ms = if old.stitch { MIN_STITCH_AGE_MS } else { MIN_AGE_MS };
-        let left_ms = match median_ms {
-            Some(median_ms) => old.granted_ms + (MAX_MEDIANS * median_ms).max(least_ms) - moment.now_ms,
-            None => NO_MEDIAN_RETRY_MS,
-        };
+        let left_ms = old.patience_ends_ms(connection, median_ms, moment).await? - moment.now_ms;
         if left_ms > 0 {
             again_ms = Some(again_ms.map_or(left_ms, |again_ms| again_ms.min(left_ms)));
             continue;
@@ -98,7 +135,7 @@ async fn duplicate_leases(
     if old.stitch {
         let tile = claim::stitch_tile(connection, job.number, old.frame).await?;
         let lease = LeaseId::new();
-        grant(connection, &[(tile, lease)], view, moment).await?;
+        grant(connection, &[NewLease::free(tile, lease)], view, moment).await?;
         let work = claim::stitch_work(connection, job.number, old.frame, lease).await?;
         return Ok(Batch { job: job.id, frame: old.frame, tile_seconds: Some(job.tile_seconds), work });
     }
@@ -116,7 +153,7 @@ async fn duplicate_leases(
         held.len()
     } else {
         let ready = held.iter().map(claim::read_ready).collect::<Result<Vec<_>>>()?;
-        batch_size::batch_len(&ready, whole, claimant.rays_per_second, 1, None)
+        batch_size::batch_len(&ready, whole, claimant.rays_per_second.map(RaysPerSecond::get), 1, None)
     };
     let (tiles, grants) = claim::new_leases(&held[..length])?;
     grant(connection, &grants, view, moment).await?;
@@ -127,14 +164,14 @@ async fn duplicate_leases(
 /// Leases tiles that are leased already, each with its next epoch.
 async fn grant(
     connection: &mut Connection,
-    grants: &[(i64, LeaseId)],
+    grants: &[NewLease],
     view: &ClaimFilter,
     moment: TransitionContext,
 ) -> Result<()> {
     let again = sqlx::query(
         "UPDATE tile SET epoch = epoch + 1 WHERE state = 'leased' AND id IN (SELECT value FROM json_each(?))",
     )
-    .bind(super::json_numbers(grants.iter().map(|(tile, _)| *tile)))
+    .bind(super::json_numbers(grants.iter().map(|grant| grant.tile)))
     .execute(&mut *connection)
     .await?;
     expect_rows("tile: leased to leased twice", row_count(grants.len()).unsigned_abs(), &again)?;

@@ -3,6 +3,7 @@
 use std::collections::HashSet;
 use std::time::Duration;
 
+use proto::bounded::RaysPerSecond;
 use proto::worker_protocol::{Batch, LeaseReport};
 use proto::{LeaseId, WorkerId};
 use sqlx::Row;
@@ -16,6 +17,9 @@ use crate::tile_plan::TilePlan;
 /// not list it in its syncs.
 const UNHEARD_LEASE_MS: i64 = 2000;
 
+/// After a claim that failed, the worker's next one follows after this time.
+const FAILED_CLAIM_RETRY_MS: i64 = 5000;
+
 /// Input of a sync.
 #[derive(Clone, Debug)]
 pub(crate) struct SyncInput {
@@ -24,7 +28,7 @@ pub(crate) struct SyncInput {
     /// Caller that speaks for the worker.
     pub(crate) owner: String,
     /// Its measured camera rays a second.
-    pub(crate) rays_per_second: Option<f64>,
+    pub(crate) rays_per_second: Option<RaysPerSecond>,
     /// Leases that the worker holds.
     pub(crate) held_leases: Vec<LeaseId>,
     /// Results of leases that have finished.
@@ -118,7 +122,7 @@ pub(super) async fn sync(
         ring.add(workers::deregister(connection, turn.worker, moment).await?);
     }
     let next = if turn.wants_work && !turn.shutting_down && worker.state == SyncState::Ready {
-        claim_work(connection, &turn, worker.max_nodes, moment).await?
+        claim_or_nothing(connection, &turn, worker.max_nodes, moment).await?
     } else {
         NextWork::Nothing(None)
     };
@@ -159,7 +163,7 @@ async fn touch_worker(
          RETURNING state, coalesce(max_nodes, ?5) AS max_nodes",
     )
     .bind(moment.now_ms)
-    .bind(turn.rays_per_second)
+    .bind(turn.rays_per_second.map(RaysPerSecond::get))
     .bind(&turn.owner)
     .bind(turn.worker.to_string())
     .bind(claim::ANY_NODES)
@@ -206,6 +210,31 @@ async fn renew_leases(
         );
     }
     Ok(ring)
+}
+
+/// Claims work under a savepoint of its own, so that a claim that fails takes no results and renewals with it: then
+/// the worker gets no work, and asks again after a while.
+async fn claim_or_nothing(
+    connection: &mut Connection,
+    turn: &SyncInput,
+    max_nodes: i64,
+    moment: TransitionContext,
+) -> Result<NextWork> {
+    sqlx::query("SAVEPOINT claim").execute(&mut *connection).await?;
+    match claim_work(connection, turn, max_nodes, moment).await {
+        Ok(next) => {
+            sqlx::query("RELEASE claim").execute(connection).await?;
+            Ok(next)
+        }
+        Err(error) => {
+            sqlx::query("ROLLBACK TO claim; RELEASE claim").execute(connection).await?;
+            tracing::error!(
+                code = "claim_failed", worker = %turn.worker, %error, cause = ?std::error::Error::source(&error),
+                "a claim failed; its worker gets no work: run `sdfarm doctor`"
+            );
+            Ok(NextWork::Nothing(Some(FAILED_CLAIM_RETRY_MS)))
+        }
+    }
 }
 
 async fn claim_work(

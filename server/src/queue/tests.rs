@@ -2,11 +2,13 @@
 //! operations, and shares are fair.
 
 mod fair_share;
+mod large_jobs;
 mod model;
 mod plans;
 mod sequences;
 mod workers;
 
+use proto::bounded::RaysPerSecond;
 use proto::worker_protocol::{BatchWork, RegisterRequest};
 use proto::{JobId, WorkerId};
 
@@ -103,15 +105,16 @@ impl Fixture {
     /// Asserts that every job's and frame's counters are those of their tiles.
     async fn check(&self) {
         const CHECKS: [&str; 10] = [
-            "SELECT count(*) FROM job WHERE tiles_done + 0 <> (
+            "SELECT count(*) FROM job WHERE cleanup IS NOT 'delete' AND tiles_done + 0 <> (
                  SELECT count(*) FROM tile WHERE tile.job = job.number AND kind = 'render' AND state = 'done')",
-            "SELECT count(*) FROM job WHERE rays_done <> (
+            "SELECT count(*) FROM job WHERE cleanup IS NOT 'delete' AND rays_done <> (
                  SELECT coalesce(sum(rays), 0) FROM tile WHERE tile.job = job.number AND kind = 'render' AND state = 'done')",
-            "SELECT count(*) FROM job WHERE tiles_dead <> (
+            "SELECT count(*) FROM job WHERE cleanup IS NOT 'delete' AND tiles_dead <> (
                  SELECT count(*) FROM tile WHERE tile.job = job.number AND state = 'dead')",
-            "SELECT count(*) FROM job WHERE frames_stored <> (
+            "SELECT count(*) FROM job WHERE cleanup IS NOT 'delete' AND frames_stored <> (
                  SELECT count(*) FROM frame WHERE frame.job = job.number AND state = 'stored')",
-            "SELECT count(*) FROM frame WHERE tiles_done <> (
+            "SELECT count(*) FROM frame WHERE (SELECT cleanup FROM job WHERE job.number = frame.job) IS NOT 'delete'
+                 AND tiles_done <> (
                  SELECT count(*) FROM tile WHERE tile.job = frame.job AND tile.frame = frame.number
                  AND kind = 'render' AND state = 'done')",
             "SELECT count(*) FROM tile WHERE (state = 'leased') <> EXISTS (
@@ -124,7 +127,7 @@ impl Fixture {
             "SELECT count(*) FROM share WHERE jobs <> (
                  SELECT count(*) FROM job WHERE job.submitter = share.submitter AND job.priority = share.priority
                  AND finished_at_ms IS NULL AND paused = 0)",
-            "SELECT count(*) FROM job WHERE finished_at_ms IS NOT NULL AND EXISTS (
+            "SELECT count(*) FROM job WHERE finished_at_ms IS NOT NULL AND cleanup IS NULL AND EXISTS (
                  SELECT 1 FROM tile WHERE tile.job = job.number AND state IN ('ready', 'leased'))",
         ];
         let all = CHECKS.map(|check| format!("SELECT ({check}) AS wrong")).join(" UNION ALL ");
@@ -151,6 +154,10 @@ fn new_job(frames: u32) -> NewJob {
         tile_seconds: 600,
         file_text: "{}".to_owned(),
     }
+}
+
+fn speed(rays_per_second: f64) -> Option<RaysPerSecond> {
+    RaysPerSecond::new(rays_per_second)
 }
 
 fn turn(worker: WorkerId) -> SyncInput {
@@ -224,4 +231,40 @@ async fn a_job_of_unknown_size_goes_to_any_worker() {
     let said = SyncInput { wants_work: true, ..turn(worker) };
     let NextWork::Run(run) = bench.turn(said).await.expect("known").next else { panic!("there is work") };
     assert_eq!(run.job, job);
+}
+
+/// Runs a statement in the writer.
+async fn execute(bench: &Fixture, statement: &'static str) {
+    let write = bench.queue.database.write(crate::database::Durability::Relaxed, move |connection| {
+        Box::pin(async move {
+            sqlx::query(statement).execute(connection).await?;
+            Ok(())
+        })
+    });
+    write.await.expect("executes");
+}
+
+#[tokio::test]
+async fn a_claim_that_fails_takes_no_results_with_it() {
+    let bench = Fixture::new().await;
+    let worker = bench.worker(None).await;
+    let (first, second) = (bench.submit(1, 1).await, bench.submit(1, 1).await);
+    let asks = SyncInput { wants_work: true, rays_per_second: speed(1e9), ..turn(worker) };
+    let NextWork::Run(run) = bench.turn(asks.clone()).await.expect("known").next else { panic!("there is work") };
+    assert_eq!(run.job, first);
+    execute(&bench, "CREATE TRIGGER broken BEFORE INSERT ON lease BEGIN SELECT raise(ABORT, 'no leases today'); END")
+        .await;
+    let hash = blake3::hash(b"pixels").to_hex().to_string();
+    let outcome = proto::worker_protocol::LeaseOutcome::Picture { hash, size_bytes: 1 };
+    let reports = leases(&run).map(|lease| proto::worker_protocol::LeaseReport { lease, outcome: outcome.clone() });
+    let turned = bench.turn(SyncInput { reports: reports.collect(), ..asks.clone() }).await.expect("known");
+    assert!(matches!(turned.next, NextWork::Nothing(Some(_))), "{:?}", turned.next);
+    assert_eq!(turned.revoked_leases, []);
+    let state = bench.queue.job(first).await.expect("reads").expect("a job").state;
+    assert_eq!(state, proto::job::JobState::Succeeded, "the result counts");
+    bench.check().await;
+    execute(&bench, "DROP TRIGGER broken").await;
+    let NextWork::Run(run) = bench.turn(asks).await.expect("known").next else { panic!("there is work") };
+    assert_eq!(run.job, second);
+    bench.check().await;
 }

@@ -35,19 +35,29 @@ impl Queue {
     /// Deletes trace contexts of jobs that finished, were deleted, or were never accepted, except recent ones;
     /// returns the number deleted.
     pub(crate) async fn drop_traces(&self) -> Result<u64> {
-        self.database
-            .write(Durability::Relaxed, move |connection| {
-                Box::pin(async move {
-                    let dropped = sqlx::query(
-                        "DELETE FROM job_trace WHERE job < ? AND NOT EXISTS (
-                             SELECT 1 FROM job WHERE job.id = job_trace.job AND finished_at_ms IS NULL)",
-                    )
-                    .bind(recover::min_kept_id(uuid::Uuid::now_v7()))
-                    .execute(connection)
-                    .await?;
-                    Ok(dropped.rows_affected())
+        let mut count = 0;
+        loop {
+            let limit = self.piece_rows;
+            let dropped = self
+                .database
+                .write(Durability::Relaxed, move |connection| {
+                    Box::pin(async move {
+                        let dropped = sqlx::query(
+                            "DELETE FROM job_trace WHERE job IN (SELECT job FROM job_trace WHERE job < ? AND NOT EXISTS (
+                                 SELECT 1 FROM job WHERE job.id = job_trace.job AND finished_at_ms IS NULL) LIMIT ?)",
+                        )
+                        .bind(recover::min_kept_id(uuid::Uuid::now_v7()))
+                        .bind(limit)
+                        .execute(connection)
+                        .await?;
+                        Ok(dropped.rows_affected())
+                    })
                 })
-            })
-            .await
+                .await?;
+            count += dropped;
+            if dropped < limit.unsigned_abs() {
+                return Ok(count);
+            }
+        }
     }
 }

@@ -16,7 +16,7 @@ use crate::database::Durability;
 /// Retention of finished deliveries.
 const RETENTION_MS: i64 = 7 * 24 * 3_600_000;
 /// Number of deliveries deleted in one transaction.
-const DROP_BATCH: i64 = 5_000;
+const DROP_BATCH: i64 = 1_000;
 /// Maximum number of listed deliveries of a job.
 const MAX_LISTED: i64 = 1_000;
 

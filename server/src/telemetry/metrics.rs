@@ -112,6 +112,8 @@ impl Metrics {
         ];
         book.0.register("sdfarm_build", "Version of the server", Info::new(build));
         book.add("sdfarm_commit_seconds", "Duration of a database commit", commits.seconds.clone());
+        let longest = "Longest database transaction since the start";
+        book.add("sdfarm_commit_longest_seconds", longest, commits.longest_seconds.clone());
         book.add("sdfarm_commit_operations", "Operations in one database commit", commits.operations.clone());
         Self {
             uptime_seconds: book.gauge("sdfarm_uptime_seconds", "Time since the server started"),

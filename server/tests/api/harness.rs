@@ -180,7 +180,7 @@ impl<'a> Worker<'a> {
     pub(crate) async fn try_sync(&self, said: Said) -> Response {
         let request = SyncRequest {
             worker: self.id,
-            rays_per_second: self.rays_per_second,
+            rays_per_second: self.rays_per_second.and_then(proto::bounded::RaysPerSecond::new),
             held_leases: said.holding,
             reports: said.results,
             wants_work: said.wants_work,

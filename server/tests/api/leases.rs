@@ -310,3 +310,103 @@ async fn a_worker_that_delivered_receives_the_next_job_at_once() {
     }
     farm.stop().await;
 }
+
+/// Every number of a sync, with a value that is allowed and values that are not, and where it is.
+fn hostile_numbers() -> Vec<(serde_json::Value, String, bool)> {
+    let lease = proto::LeaseId::new();
+    let blob =
+        serde_json::json!([{ "lease": lease, "outcome": { "blob": { "hash": "0".repeat(64), "size_bytes": 1 } } }]);
+    let picture =
+        serde_json::json!([{ "lease": lease, "outcome": { "picture": { "hash": "0".repeat(64), "size_bytes": 1 } } }]);
+    let bad = serde_json::json!([{ "lease": lease, "outcome": { "bad_blobs": { "tiles": [1] } } }]);
+    let metrics = serde_json::json!({ "timings": [{ "phase": "render", "took_ms": 1.0, "rays": 1 }],
+                                      "memory": { "used_bytes": 1, "total_bytes": 1 } });
+    let sync = |reports: serde_json::Value| {
+        serde_json::json!({ "rays_per_second": 1.0, "held_leases": [], "reports": reports, "wants_work": true,
+                            "wait_ms": 0, "metrics": metrics })
+    };
+    let mut cases = Vec::new();
+    for body in [sync(blob), sync(picture), sync(bad)] {
+        let mut places = Vec::new();
+        numbers_in(&body, String::new(), &mut places);
+        for place in places {
+            // Clamped, as the protocol says.
+            let is_clamped = ["/rays_per_second", "/wait_ms", "/took_ms"].iter().any(|name| place.ends_with(name));
+            for number in [
+                "1e-300",
+                "0.5",
+                "-1",
+                "-9223372036854775809",
+                "9007199254740993",
+                "9223372036854775807",
+                "18446744073709551615",
+                "18446744073709551616",
+                "1e300",
+                "1e400",
+            ] {
+                let mut hostile = body.clone();
+                let value: serde_json::Value = serde_json::from_str(number).unwrap_or_else(|_| "1e400".into());
+                *hostile.pointer_mut(&place).expect("a number") = value;
+                cases.push((hostile, place.clone(), is_clamped));
+            }
+        }
+    }
+    cases
+}
+
+fn numbers_in(value: &serde_json::Value, place: String, places: &mut Vec<String>) {
+    match value {
+        serde_json::Value::Number(_) => places.push(place),
+        serde_json::Value::Array(items) => {
+            items.iter().enumerate().for_each(|(index, item)| numbers_in(item, format!("{place}/{index}"), places));
+        }
+        serde_json::Value::Object(members) => {
+            members.iter().for_each(|(name, member)| numbers_in(member, format!("{place}/{name}"), places));
+        }
+        _ => {}
+    }
+}
+
+#[tokio::test]
+async fn no_number_of_a_worker_stops_the_farm() {
+    let farm = Farm::start().await;
+    farm.submit(&job(1920, 1080, 4)).await;
+    let hostile = farm.worker("hostile").await;
+    let cases = hostile_numbers();
+    assert!(cases.len() >= 200, "{}", cases.len());
+    for (mut body, place, is_clamped) in cases {
+        body["worker"] = serde_json::json!(hostile.id);
+        let response = farm.post("/v1/worker/sync", body.to_string()).await;
+        let status = response.status().as_u16();
+        let value = body.pointer(&place).expect("a number").clone();
+        assert!(status == 200 || status == 422, "{status} for {place} = {value}");
+        if status == 422 {
+            let problem: serde_json::Value = read(response, StatusCode::UNPROCESSABLE_ENTITY).await;
+            let pointer = problem["errors"][0]["pointer"].as_str().expect("a place").to_owned();
+            let last = place.rsplit('/').find(|part| part.parse::<u32>().is_err()).expect("a name");
+            assert!(pointer.contains(last), "{pointer} for {place} = {value}");
+        } else {
+            let number = value.as_f64().expect("a number");
+            assert!(is_clamped || (0.0..=9.1e15).contains(&number) && place.contains("tiles"), "{place} = {value}");
+        }
+    }
+    farm.hand.advance(LEASE);
+    let honest = farm.worker("honest").await;
+    assert!(honest.claim().await.is_some(), "work for others");
+    farm.stop().await;
+}
+
+#[tokio::test]
+async fn absurdly_slow_workers_do_not_overflow_a_share() {
+    let farm = Farm::start().await;
+    for seed in 0..4 {
+        farm.submit(&small_job(seed)).await;
+    }
+    let mut slow = farm.worker("slow").await;
+    slow.rays_per_second = Some(1e-300);
+    for _ in 0..4 {
+        let run = slow.claim().await.expect("work");
+        slow.report(slow.results(&run).await).await;
+    }
+    farm.stop().await;
+}

@@ -79,14 +79,14 @@ async fn straggle(farm: &Farm, slow: &Worker<'_>, quick: &Worker<'_>) -> (JobVie
     let posted = farm.submit(&three_tiles(1)).await;
     let held = slow.claim().await.expect("work");
     assert_eq!(leases(&held).len(), 1);
-    for _ in 1..posted.tiles.total {
-        let run = quick.claim().await.expect("work");
-        farm.hand.advance(Duration::from_millis(400 / posted.tiles.total));
+    while let Some(run) = quick.claim().await {
+        let tiles = leases(&run).len() as u64;
+        farm.hand.advance(Duration::from_millis(400 * tiles / posted.tiles.total));
         quick.report(quick.results(&run).await).await;
         slow.sync(Said { holding: leases(&held), ..Said::default() }).await;
     }
-    assert!(quick.claim().await.is_none(), "no tile is ready, and none straggles yet");
-    farm.hand.advance(Duration::from_millis(500));
+    // No tile is ready, and none straggles yet.
+    farm.hand.advance(Duration::from_millis(800));
     (posted, held)
 }
 
@@ -254,5 +254,68 @@ async fn a_tile_lost_twice_is_leased_alone() {
     let mut third = farm.worker("third").await;
     third.rays_per_second = Some(1e9);
     assert_eq!(leases(&third.claim().await.expect("work")).len(), 1);
+    farm.stop().await;
+}
+
+/// Advances the clock while a worker renews its leases, and never delivers.
+async fn renew_for(farm: &Farm, worker: &Worker<'_>, held: &proto::worker_protocol::Batch, time: Duration) {
+    let mut left = time;
+    while left > Duration::ZERO {
+        let step = left.min(LEASE / 2);
+        farm.hand.advance(step);
+        left -= step;
+        let told = worker.sync(Said { holding: leases(held), ..Said::default() }).await;
+        assert_eq!(told.revoked_leases, []);
+    }
+}
+
+#[tokio::test]
+async fn a_worker_that_never_delivers_loses_its_exclusivity() {
+    let farm = Farm::start().await;
+    let posted = farm.submit(&small_job(1)).await;
+    let silent = farm.worker("silent").await;
+    let held = silent.claim().await.expect("work");
+    let idle = farm.worker("idle").await;
+    renew_for(&farm, &silent, &held, Duration::from_secs(4)).await;
+    assert!(idle.claim().await.is_none(), "it may still deliver");
+    renew_for(&farm, &silent, &held, Duration::from_secs(2)).await;
+    let again = idle.claim().await.expect("the tile, without any delivery of its job");
+    assert_eq!(again.frame, held.frame);
+    idle.report(idle.results(&again).await).await;
+    assert_state(&farm, posted.id, JobState::Succeeded).await;
+    assert_eq!(silent.report(silent.results(&held).await).await.revoked_leases, leases(&held));
+    farm.stop().await;
+}
+
+#[tokio::test]
+async fn slow_deliveries_do_not_make_a_lease_exclusive_for_long() {
+    let farm = Farm::start().await;
+    let mut animation = small_job(1);
+    animation["frames"] = serde_json::json!({ "count": 2 });
+    let posted = farm.submit(&animation).await;
+    let mut silent = farm.worker("silent").await;
+    silent.rays_per_second = Some(1e-9);
+    // An hour for the first frame, so that neither the median nor the speed ends its patience.
+    let run = silent.claim().await.expect("work");
+    renew_for(&farm, &silent, &run, Duration::from_hours(1)).await;
+    let whole = silent.results(&run).await;
+    silent.report(whole).await;
+    let held = loop {
+        let run = silent.claim().await.expect("the other frame");
+        if run.frame == 1 {
+            break run;
+        }
+        silent.report(silent.results(&run).await).await;
+    };
+    renew_for(&farm, &silent, &held, Duration::from_secs(110)).await;
+    let idle = farm.worker("idle").await;
+    assert!(idle.claim().await.is_none(), "it may still deliver");
+    renew_for(&farm, &silent, &held, Duration::from_secs(15)).await;
+    let mut run = idle.claim().await;
+    while let Some(more) = run {
+        idle.report(idle.results(&more).await).await;
+        run = idle.claim().await;
+    }
+    assert_state(&farm, posted.id, JobState::Succeeded).await;
     farm.stop().await;
 }

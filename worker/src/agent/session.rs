@@ -7,6 +7,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use proto::LeaseId;
+use proto::bounded::RaysPerSecond;
 use proto::worker_protocol::{Batch, LeaseOutcome, LeaseReport, RegisterResponse, SyncRequest, SyncResponse};
 use tokio::sync::mpsc::{self, UnboundedReceiver, UnboundedSender};
 use tokio::task::{JoinError, JoinSet};
@@ -106,8 +107,9 @@ impl ThroughputEstimate {
         *self = Self { rays: self.rays * fade + rays, seconds: self.seconds * fade + seconds };
     }
 
-    fn rays_per_second(self) -> Option<f64> {
-        (self.seconds > 0.0).then(|| self.rays / (self.seconds + Self::PRIOR_SECONDS))
+    fn rays_per_second(self) -> Option<RaysPerSecond> {
+        let is_measured = self.seconds > 0.0 && self.rays > 0.0;
+        is_measured.then(|| RaysPerSecond::new(self.rays / (self.seconds + Self::PRIOR_SECONDS))).flatten()
     }
 }
 

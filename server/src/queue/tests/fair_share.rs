@@ -5,7 +5,7 @@ use std::time::Duration;
 use proto::worker_protocol::{Batch, BatchWork, LeaseOutcome, LeaseReport};
 use proto::{JobId, WorkerId};
 
-use super::{Fixture, leases, new_job, turn};
+use super::{Fixture, leases, new_job, speed, turn};
 use crate::queue::{NewJob, NextWork, SyncInput};
 use crate::tile_plan::TilePlan;
 
@@ -26,7 +26,7 @@ async fn submit(bench: &Fixture, new: NewJob) -> JobId {
 }
 
 async fn claim(bench: &Fixture, worker: WorkerId) -> Option<Batch> {
-    let said = SyncInput { wants_work: true, rays_per_second: Some(RAYS_PER_SECOND), ..turn(worker) };
+    let said = SyncInput { wants_work: true, rays_per_second: speed(RAYS_PER_SECOND), ..turn(worker) };
     match bench.turn(said).await.expect("known").next {
         NextWork::Run(run) => Some(run),
         NextWork::OpenFrame { .. } | NextWork::Nothing(_) => None,
@@ -41,6 +41,11 @@ async fn finish(bench: &Fixture, worker: WorkerId, run: &Batch) {
         let holding = leases(run).collect();
         bench.turn(SyncInput { held_leases: holding, ..turn(worker) }).await;
     }
+    deliver(bench, worker, run).await;
+}
+
+/// Delivers the results of a batch.
+async fn deliver(bench: &Fixture, worker: WorkerId, run: &Batch) {
     let hash = blake3::hash(b"pixels").to_hex().to_string();
     let whole = !matches!(run.work, BatchWork::Render { whole_frame: false, .. });
     let outcome =
@@ -147,4 +152,64 @@ async fn shares_without_work_or_credit_are_removed() {
         .await
         .expect("reads");
     assert_eq!(left, ["second", "waiting"], "the first would start where the second was served last");
+}
+
+/// Total charge of a submitter, in seconds.
+async fn served(bench: &Fixture, submitter: &str) -> f64 {
+    let served = sqlx::query_scalar("SELECT served_us FROM share WHERE submitter = ?").bind(submitter);
+    let served_us: i64 = served.fetch_one(bench.queue.readers()).await.expect("reads");
+    served_us as f64 / 1e6
+}
+
+/// Claims with the speed that a worker reports, and delivers after this time.
+async fn work(bench: &Fixture, worker: WorkerId, reported: f64, took: Duration) -> usize {
+    let said = SyncInput { wants_work: true, rays_per_second: speed(reported), ..turn(worker) };
+    let NextWork::Run(run) = bench.turn(said).await.expect("known").next else { panic!("there is work") };
+    let mut left = took;
+    while left > Duration::ZERO {
+        let step = left.min(Duration::from_millis(900));
+        bench.hand.advance(step);
+        left -= step;
+        bench.turn(SyncInput { held_leases: leases(&run).collect(), ..turn(worker) }).await;
+    }
+    deliver(bench, worker, &run).await;
+    leases(&run).count()
+}
+
+#[tokio::test]
+async fn a_light_job_is_not_charged_at_the_speed_of_a_heavy_one() {
+    let bench = Fixture::new().await;
+    let worker = bench.worker(None).await;
+    submit(&bench, job_of("heavy", 10, 0)).await;
+    // The first batches are one tile each; the worker finds out that it renders 100 rays per second here.
+    for _ in 0..3 {
+        assert_eq!(work(&bench, worker, 100.0, Duration::from_secs(10)).await, 1);
+    }
+    let heavy = served(&bench, "heavy").await;
+    assert!((29.0..=31.0).contains(&heavy), "{heavy} s");
+    submit(&bench, job_of("light", 10, 0)).await;
+    // Its first batch is sized by the speed over all scenes, the next one by its own.
+    assert_eq!(work(&bench, worker, 100.0, Duration::from_millis(4)).await, 1);
+    let begun = served(&bench, "light").await;
+    let clock_before = 30.0;
+    assert!(begun <= clock_before + 0.1, "{begun} s");
+    assert_eq!(work(&bench, worker, 100.0, Duration::from_millis(36)).await, 9);
+    let light = served(&bench, "light").await;
+    assert!((0.03..=0.05).contains(&(light - begun)), "{begun} s, then {light} s");
+    bench.check().await;
+}
+
+#[tokio::test]
+async fn a_cancelled_job_is_charged_for_the_time_it_held_a_worker() {
+    let bench = Fixture::new().await;
+    let worker = bench.worker(None).await;
+    let heavy = submit(&bench, job_of("heavy", 1, 0)).await;
+    let run = claim(&bench, worker).await.expect("work");
+    for _ in 0..10 {
+        bench.hand.advance(Duration::from_millis(900));
+        bench.turn(SyncInput { held_leases: leases(&run).collect(), ..turn(worker) }).await;
+    }
+    bench.queue.cancel(heavy).await.expect("cancels");
+    let charged = served(&bench, "heavy").await;
+    assert!((8.9..=9.1).contains(&charged), "{charged} s");
 }

@@ -20,10 +20,12 @@ use crate::database::Database;
 
 /// Number of recorded sequences.
 const SEQUENCES: usize = 40;
-/// Tables that may be scanned: they have one row for each meta value, worker, or submitter.
-const SMALL: [&str; 4] = ["meta", "worker", "share", "strike"];
+/// Tables that may be scanned: they have one row for each meta value, worker, or submitter, or for each worker in an
+/// unfinished job.
+const SMALL: [&str; 5] = ["meta", "worker", "share", "strike", "speed"];
 /// Indexes that contain only unfinished work, or are read in order up to the first match.
-const SHORT: [&str; 8] = [
+const SHORT: [&str; 9] = [
+    "job_to_clean_up",
     "tile_stitch",
     "tile_waiting",
     "lease_live_by_grant",

@@ -5,6 +5,7 @@ use std::time::Duration;
 
 use proptest::prelude::{Just, Strategy, any, prop_oneof};
 use proptest::test_runner::{Config, RngAlgorithm, TestCaseError, TestRng, TestRunner};
+use proto::bounded::RaysPerSecond;
 use proto::job::JobPatch;
 use proto::worker_protocol::{Batch, BatchWork, LeaseOutcome, LeaseReport};
 use proto::{JobId, LeaseId, WorkerId};
@@ -19,6 +20,8 @@ const SEQUENCES: u32 = 100;
 const MANY_SEQUENCES: u32 = 500;
 /// Maximum number of operations in a sequence.
 const OPERATIONS: usize = 40;
+/// Rows of a piece of a large change: so few that most changes take several pieces.
+const FEW_ROWS: i64 = 4;
 /// Scenes with more nodes count as large.
 const SMALL_NODES: u32 = 500;
 
@@ -55,6 +58,8 @@ pub(super) enum Operation {
     },
     Restart,
     Tidy,
+    /// Makes one piece of what is left of large changes.
+    CleanUp,
 }
 
 fn operation() -> impl Strategy<Value = Operation> {
@@ -77,6 +82,7 @@ fn operation() -> impl Strategy<Value = Operation> {
         1 => (1..3_usize, any::<bool>()).prop_map(|(worker, crashed)| Operation::Reap { worker, crashed }),
         1 => Just(Operation::Restart),
         1 => Just(Operation::Tidy),
+        2 => Just(Operation::CleanUp),
     ]
 }
 
@@ -104,7 +110,8 @@ pub(super) struct Pair {
 }
 
 impl Pair {
-    pub(super) async fn new(bench: Fixture) -> Self {
+    pub(super) async fn new(mut bench: Fixture) -> Self {
+        bench.queue.piece_rows = FEW_ROWS;
         let mut pair = Self { bench, model: Model::default(), jobs: Vec::new(), workers: Vec::new(), count: 0 };
         for (takes_large, pool) in [(true, false), (false, true), (true, true)] {
             let id = pair.register(takes_large, pool).await;
@@ -131,7 +138,7 @@ impl Pair {
             reports: results.clone(),
             held_leases: holding.clone(),
             wants_work: claim.is_some(),
-            rays_per_second: claim,
+            rays_per_second: claim.and_then(RaysPerSecond::new),
             ..turn(id)
         };
         let mut lost = Vec::new();
@@ -211,6 +218,7 @@ impl Pair {
 
     async fn restart(&mut self) {
         self.bench.restart().await;
+        self.bench.queue.piece_rows = FEW_ROWS;
         let pool: Vec<WorkerId> = self.workers.iter().filter(|worker| worker.pool).map(|worker| worker.id).collect();
         self.model.restart(&pool);
     }
@@ -224,7 +232,7 @@ impl Pair {
 
     async fn delete(&mut self, id: JobId) {
         let deleted = self.bench.queue.delete(id).await.expect("a response");
-        if let DeleteOutcome::Done { .. } = deleted {
+        if let DeleteOutcome::Done(_) = deleted {
             assert_ne!(self.model.jobs.get(&id).expect("known").state, proto::job::JobState::Running);
             self.model.jobs.remove(&id);
             self.jobs.retain(|job| *job != id);
@@ -250,6 +258,7 @@ impl Pair {
             }
             Operation::Restart => self.restart().await,
             Operation::Tidy => queue.prune().await.expect("tidies"),
+            Operation::CleanUp => drop(queue.clean_up_piece().await.expect("a piece")),
             Operation::PauseFarm(paused) => {
                 queue.pause_all(paused).await.expect("a response");
                 self.model.farm_paused = paused;
@@ -309,6 +318,7 @@ impl Pair {
             if self.model.jobs.values().all(|job| job.state.is_final()) {
                 return;
             }
+            self.apply(&Operation::CleanUp).await;
             // A worker that was away for a long time registers first.
             let mut run = self.call(0, Vec::new(), Some(1e9)).await;
             if run.is_none() {
@@ -332,6 +342,7 @@ async fn run(operations: &[Operation]) {
         pair.check().await;
     }
     pair.work_off().await;
+    while pair.bench.queue.clean_up_piece().await.expect("a piece").is_some() {}
     pair.check().await;
 }
 

@@ -6,7 +6,7 @@ use std::time::Duration;
 use proto::WorkerId;
 use proto::worker_protocol::{Batch, LeaseOutcome, LeaseReport};
 
-use super::{Fixture, leases, new_job, turn};
+use super::{Fixture, leases, new_job, speed, turn};
 use crate::queue::{FrameOpening, NewJob, NextWork, OpenOutcome, SyncInput, SyncOutcome};
 use crate::tile_plan::TilePlan;
 
@@ -18,6 +18,7 @@ async fn claim(bench: &Fixture, worker: WorkerId) -> Option<Batch> {
 }
 
 async fn claim_at(bench: &Fixture, worker: WorkerId, rays_per_second: Option<f64>) -> Option<Batch> {
+    let rays_per_second = rays_per_second.and_then(speed);
     let said = SyncInput { wants_work: true, rays_per_second, ..turn(worker) };
     match bench.turn(said).await.expect("known").next {
         NextWork::Run(run) => Some(run),
@@ -116,7 +117,7 @@ async fn a_worker_that_shuts_down_releases_its_leases_at_once() {
 async fn a_batch_takes_no_longer_than_the_fastest_other_worker_needs_for_all() {
     let bench = Fixture::in_memory().await;
     let (slow, fast) = (bench.worker(None).await, bench.worker(None).await);
-    bench.turn(SyncInput { rays_per_second: Some(1e6), ..turn(fast) }).await.expect("known");
+    bench.turn(SyncInput { rays_per_second: speed(1e6), ..turn(fast) }).await.expect("known");
     // 100 tiles of 1024 rays: the fast worker needs 0.1 s for all, in which the slow one renders one.
     let plan = TilePlan { width_px: 3200, height_px: 32, samples: 1, pixel_bytes: 16, edge_px: Some(32), frames: 1 };
     bench.queue.submit(NewJob { plan, ..new_job(1) }).await.expect("accepted");
