@@ -15,6 +15,12 @@ pub const MAX_QUEUED_JOBS: u32 = 100_000;
 /// Default maximum of open connections.
 pub const MAX_CONNECTIONS: u32 = 16_384;
 
+/// Default percentage of the results of remote workers that are verified.
+pub const VERIFY_PERCENT: f64 = 5.0;
+
+/// Default time in which all results of a new remote worker are verified, in minutes.
+pub const VERIFY_NEW_MINUTES: u64 = 3;
+
 /// Files of a certificate and its private key.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct TlsFiles {
@@ -51,6 +57,10 @@ pub struct Config {
     pub max_connections: u32,
     /// Maximum number of unfinished jobs.
     pub max_queued_jobs: u32,
+    /// Fraction of the results of remote workers that another worker renders again.
+    pub verify_share: f64,
+    /// Time after a remote worker's registration in which all its results are rendered again.
+    pub verify_new: Duration,
     /// Host names, without port, that the `Host` header may contain in addition to loopback names and IP
     /// addresses.
     pub allowed_hosts: Vec<String>,
@@ -99,6 +109,8 @@ impl Default for Config {
             tls: None,
             max_connections: MAX_CONNECTIONS,
             max_queued_jobs: MAX_QUEUED_JOBS,
+            verify_share: VERIFY_PERCENT / 100.0,
+            verify_new: Duration::from_secs(60 * VERIFY_NEW_MINUTES),
             allowed_hosts: Vec::new(),
             allowed_webhook_ranges: Vec::new(),
             webhook_secret: None,

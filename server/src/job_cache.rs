@@ -8,6 +8,7 @@ use std::sync::{Arc, Mutex};
 use tokio::sync::{Semaphore, oneshot};
 
 use crate::database::DatabaseError;
+use crate::delivery_check::ExpectedPicture;
 use crate::queue::Queue;
 
 /// Stack size of a parsing thread.
@@ -69,6 +70,17 @@ impl JobCache {
         let (moves, job) = (job.is_animated(), Arc::clone(job));
         let key = move || job.cache_key(frame).to_hex().to_string();
         if moves { self.run_on_parser_thread(key).await } else { Ok(key()) }
+    }
+
+    /// What the picture of a frame must be; for an animated job this copies the scene.
+    pub(crate) async fn expected_picture(
+        &self,
+        job: &Arc<scene::Job>,
+        frame: u32,
+    ) -> Result<Result<ExpectedPicture, scene::FrameError>, JobLoadError> {
+        let (moves, job) = (job.is_animated(), Arc::clone(job));
+        let expected = move || ExpectedPicture::new(&job, frame);
+        if moves { self.run_on_parser_thread(expected).await } else { Ok(expected()) }
     }
 
     async fn run_on_parser_thread<T: Send + 'static>(

@@ -11,6 +11,7 @@ mod config;
 mod content_store;
 mod data_folder;
 mod database;
+mod delivery_check;
 mod estimate;
 mod events;
 mod farm;
@@ -25,6 +26,7 @@ mod preview_helper;
 mod queue;
 mod retention;
 mod signed_links;
+mod space_reserve;
 mod startup;
 mod telemetry;
 mod tile_plan;
@@ -39,7 +41,7 @@ use tokio_util::sync::CancellationToken;
 
 pub use api_keys::{OfflineApiKeys, OfflineApiKeysError};
 pub use clock::{Clock, ManualClock};
-pub use config::{Config, MAX_CONNECTIONS, MAX_QUEUED_JOBS, TlsFiles};
+pub use config::{Config, MAX_CONNECTIONS, MAX_QUEUED_JOBS, TlsFiles, VERIFY_NEW_MINUTES, VERIFY_PERCENT};
 pub use data_folder::{
     Backup, DataFolderError, Depth, Finding, Repair, Restored, Severity, back_up, restore, run_checks,
 };

@@ -24,6 +24,7 @@ mod previews;
 mod read;
 mod recover;
 mod repair;
+mod reported;
 mod retention;
 mod stats;
 mod stitch;
@@ -33,6 +34,8 @@ mod sync;
 #[cfg(test)]
 mod tests;
 mod trace_context;
+mod undo;
+mod verification;
 mod webhooks;
 mod workers;
 
@@ -57,10 +60,12 @@ pub(crate) use previews::{FrameContents, ReadyWorker};
 pub(crate) use read::StoredImage;
 pub(crate) use recover::Recovery;
 pub(crate) use repair::{Reopened, forget_pictures};
+pub(crate) use reported::{RejectedResult, ReportedTile};
 pub(crate) use retention::FinishedJob;
 pub(crate) use stats::QueueStats;
 pub(crate) use submit::NewJob;
 pub(crate) use sync::{NextWork, SyncInput, SyncOutcome};
+pub(crate) use verification::VerificationPolicy;
 pub(crate) use webhooks::{Attempt, Delivery};
 pub(crate) use workers::{NewWorker, Registration};
 
@@ -78,6 +83,8 @@ pub(crate) struct TransitionContext {
     lease_ms: i64,
     /// Boot generation of the server.
     generation: i64,
+    /// Which results are verified.
+    verification: VerificationPolicy,
 }
 
 /// Wake signals, sent after commits that others wait for.
@@ -115,6 +122,7 @@ pub(crate) struct Queue {
     clock: Clock,
     lease_ms: i64,
     generation: i64,
+    verification: VerificationPolicy,
     wake_signals: Arc<WakeSignals>,
 }
 
@@ -127,9 +135,20 @@ impl Queue {
                 Box::pin(async move { recover::recover(connection, now_ms, lease_ms).await })
             })
             .await?;
-        let queue =
-            Self { database: store, clock, lease_ms, generation: recovered.generation, wake_signals: Arc::default() };
+        let queue = Self {
+            database: store,
+            clock,
+            lease_ms,
+            generation: recovered.generation,
+            verification: VerificationPolicy::default(),
+            wake_signals: Arc::default(),
+        };
         Ok((queue, recovered))
+    }
+
+    /// The same queue, which has a share of results verified.
+    pub(crate) fn with_verification(self, verification: VerificationPolicy) -> Self {
+        Self { verification, ..self }
     }
 
     fn context(&self) -> TransitionContext {
@@ -138,6 +157,7 @@ impl Queue {
             wall_ms: self.clock.wall_ms(),
             lease_ms: self.lease_ms,
             generation: self.generation,
+            verification: self.verification,
         }
     }
 
@@ -210,6 +230,19 @@ impl Queue {
             .database
             .write(Durability::Relaxed, move |connection| {
                 Box::pin(async move { lease::rescue(connection, moment).await })
+            })
+            .await?;
+        self.wake(ring);
+        Ok(count)
+    }
+
+    /// Releases overdue verifications, and gives up old ones; returns the number of results that remain unverified.
+    pub(crate) async fn expire_verifications(&self) -> Result<u64> {
+        let moment = self.context();
+        let (count, ring) = self
+            .database
+            .write(Durability::Relaxed, move |connection| {
+                Box::pin(async move { verification::discard_expired(connection, moment).await })
             })
             .await?;
         self.wake(ring);

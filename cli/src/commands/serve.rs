@@ -8,7 +8,9 @@ use anyhow::Context;
 use clap::Args;
 use proto::pool::MAX_POOL_WORKERS;
 use proto::{Retention, Secret};
-use server::{AddressRange, Config, MAX_CONNECTIONS, MAX_QUEUED_JOBS, Server, TlsFiles};
+use server::{
+    AddressRange, Config, MAX_CONNECTIONS, MAX_QUEUED_JOBS, Server, TlsFiles, VERIFY_NEW_MINUTES, VERIFY_PERCENT,
+};
 use tokio_util::sync::CancellationToken;
 use worker::{CpuRenderer, RenderError, Simd};
 
@@ -60,6 +62,12 @@ pub(crate) struct Arguments {
     /// Maximum number of unfinished jobs; above it, submissions are rejected because the queue is full.
     #[arg(long, value_name = "N", env = "SDFARM_MAX_QUEUED_JOBS", default_value_t = MAX_QUEUED_JOBS, value_parser = clap::value_parser!(u32).range(1..=i64::from(QUEUED_JOBS_LIMIT)))]
     max_queued_jobs: u32,
+    /// Percentage of the results of remote workers that another worker renders again; 0 for none.
+    #[arg(long, value_name = "PERCENT", env = "SDFARM_VERIFY_SHARE", default_value_t = VERIFY_PERCENT, value_parser = percentage)]
+    verify_share: f64,
+    /// Minutes after its registration in which all results of a remote worker are rendered again.
+    #[arg(long, value_name = "MINUTES", env = "SDFARM_VERIFY_NEW_MINUTES", default_value_t = VERIFY_NEW_MINUTES, value_parser = clap::value_parser!(u64).range(0..=1440))]
+    verify_new_minutes: u64,
     /// Retention of finished jobs that do not set their own: 36h, 30d, forever.
     #[arg(long, value_name = "AGE", env = "SDFARM_KEEP_JOBS", default_value = "forever")]
     keep_jobs: Retention,
@@ -96,6 +104,8 @@ impl Arguments {
             tls: self.tls_cert.zip(self.tls_key).map(|(certificate, key)| TlsFiles { certificate, key }),
             max_connections: self.max_connections,
             max_queued_jobs: self.max_queued_jobs,
+            verify_share: self.verify_share / 100.0,
+            verify_new: Duration::from_mins(self.verify_new_minutes),
             allowed_hosts: self.host,
             job_retention: match self.keep_jobs {
                 Retention::Forever => None,
@@ -115,6 +125,12 @@ impl Arguments {
 fn address(text: &str) -> Result<SocketAddr, String> {
     text.parse()
         .map_err(|_| "use an IP address and a port, such as 127.0.0.1:8080, 0.0.0.0:8080 or [::1]:8080".to_owned())
+}
+
+/// Parses `--verify-share`.
+fn percentage(text: &str) -> Result<f64, String> {
+    let percent = text.trim_end_matches('%').parse().ok().filter(|percent| (0.0..=100.0).contains(percent));
+    percent.ok_or_else(|| "use a number from 0 to 100".to_owned())
 }
 
 /// Serves until SIGINT or SIGTERM.

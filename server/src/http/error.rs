@@ -5,7 +5,7 @@ use axum::response::{IntoResponse, Response};
 use proto::api_key::Scope;
 use proto::job::JobState;
 use proto::problem::ValidationErrorView;
-use proto::{JobId, Problem};
+use proto::{JobId, LeaseId, Problem};
 
 use crate::api_keys::ApiKeyError;
 use crate::content_store::ContentError;
@@ -112,16 +112,24 @@ pub(crate) enum ApiError {
     WrongHash(String),
     #[error("{0}")]
     WrongBytes(String),
+    #[error("the result of lease {lease} is said to have {size_bytes} bytes: no file may have more than {limit_bytes}")]
+    ResultTooLarge { lease: LeaseId, size_bytes: u64, limit_bytes: u64 },
     #[error("there is no blob {0}")]
     UnknownBlob(String),
-    #[error("the picture's file is missing in the store: submit the job again with Cache-Control: no-cache")]
+    #[error("the picture's file is missing: it is rendered again, retry when its job has succeeded")]
     LostPicture,
+    #[error("the picture's file is damaged: it is rendered again, retry when its job has succeeded")]
+    DamagedPicture,
+    #[error("there is no picture {0}: `picture` of a frame (GET /v1/jobs/{{id}}/frames) is its hash")]
+    UnknownPicture(String),
     #[error("the link has expired ({0}): request a new one")]
     LinkExpired(String),
     #[error("the signature does not match the link: use the link unchanged, or request a new one")]
     WrongSignature,
     #[error(transparent)]
     PreviewFailed(HelperError),
+    #[error(transparent)]
+    TooManyPreviews(HelperError),
     #[error("the server is shutting down: retry in a few seconds")]
     ShuttingDown,
     #[error("the disk is full: free space for the data folder, then retry")]
@@ -215,10 +223,20 @@ impl ApiError {
             Self::WrongBytes(_) => {
                 (StatusCode::UNPROCESSABLE_ENTITY, "wrong_bytes", "The bytes do not match their hash")
             }
+            Self::ResultTooLarge { .. } => {
+                (StatusCode::UNPROCESSABLE_ENTITY, "result_too_large", "The result's size is out of range")
+            }
             Self::UnknownBlob(_) => (StatusCode::NOT_FOUND, "unknown_blob", "There is no such blob"),
             Self::LostPicture => (StatusCode::INTERNAL_SERVER_ERROR, "lost_picture", "The picture's file is gone"),
+            Self::DamagedPicture => {
+                (StatusCode::INTERNAL_SERVER_ERROR, "damaged_picture", "The picture's file is damaged")
+            }
+            Self::UnknownPicture(_) => (StatusCode::NOT_FOUND, "unknown_picture", "There is no such picture"),
             Self::LinkExpired(_) => (StatusCode::GONE, "link_expired", "The link has expired"),
             Self::WrongSignature => (StatusCode::FORBIDDEN, "wrong_signature", "The signature is invalid"),
+            Self::TooManyPreviews(_) => {
+                (StatusCode::TOO_MANY_REQUESTS, "too_many_previews", "Too many previews are waiting")
+            }
             Self::PreviewFailed(_) => (StatusCode::SERVICE_UNAVAILABLE, "no_preview", "The preview failed"),
             Self::ShuttingDown => (StatusCode::SERVICE_UNAVAILABLE, "closing", "The server is shutting down"),
             Self::DiskFull => (StatusCode::INSUFFICIENT_STORAGE, "disk_full", "The disk is full"),
@@ -287,7 +305,7 @@ impl IntoResponse for ApiError {
             Self::QueueFull { .. } | Self::Quota { .. } => {
                 response.headers_mut().insert(header::RETRY_AFTER, HeaderValue::from_static("10"));
             }
-            Self::ShuttingDown | Self::ResponseTimeout { .. } | Self::PreviewFailed(_) => {
+            Self::ShuttingDown | Self::ResponseTimeout { .. } | Self::PreviewFailed(_) | Self::TooManyPreviews(_) => {
                 response.headers_mut().insert(header::RETRY_AFTER, HeaderValue::from_static("5"));
             }
             Self::WrongRange { size_bytes } => {
@@ -374,7 +392,10 @@ impl From<SyncError> for ApiError {
 impl From<HelperError> for ApiError {
     fn from(error: HelperError) -> Self {
         tracing::warn!(%error, "could not draw a preview");
-        Self::PreviewFailed(error)
+        match error {
+            HelperError::Busy => Self::TooManyPreviews(error),
+            HelperError::TimedOut | HelperError::Start(_) | HelperError::Failed(_) => Self::PreviewFailed(error),
+        }
     }
 }
 

@@ -116,7 +116,11 @@ pub(super) async fn delete(
             None => Err(ApiError::UnknownJob(id)),
         };
     }
-    match farm.queue.delete(job).await? {
+    let deleted = match farm.queue.delete(job).await {
+        Err(error) if farm.has_made_room(&error) => farm.queue.delete(job).await,
+        done => done,
+    };
+    match deleted? {
         DeleteOutcome::Done { pictures, blobs } => {
             farm.sweep_later(ContentKind::Picture, pictures);
             farm.sweep_later(ContentKind::Blob, blobs);

@@ -11,9 +11,10 @@ use proto::job::JobState;
 use proto::preview_helper::HelperRequest;
 use serde::Deserialize;
 
+use super::auth::Caller;
 use super::error::ApiError;
 use super::{body, images, range};
-use crate::content_store::{ContentHash, ContentKind};
+use crate::content_store::ContentKind;
 use crate::farm::Farm;
 use crate::queue::FrameContents;
 
@@ -60,18 +61,20 @@ impl WidthQuery {
         (status = 304, description = "The client has the current version"),
         (status = 404, description = "No such frame or job", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
         (status = 422, description = "Invalid query parameters", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+        (status = 429, description = "Too many previews are waiting: see Retry-After", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
         (status = 503, description = "The preview could not be drawn", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
     )
 )]
 pub(super) async fn preview(
     State(farm): State<Arc<Farm>>,
+    caller: Caller,
     Path((id, frame)): Path<(String, String)>,
     uri: Uri,
     headers: HeaderMap,
 ) -> Result<Response, ApiError> {
     let width = WidthQuery::read(&uri)?;
     let (job, frame) = images::frame_of(&farm, &id, &frame).await?;
-    answer(&farm, job, frame, width, &headers).await
+    answer(&farm, caller.name(), job, frame, width, &headers).await
 }
 
 /// Get a stored picture as a small PNG.
@@ -87,11 +90,13 @@ pub(super) async fn preview(
         (status = 304, description = "The client has the current version"),
         (status = 404, description = "Not stored yet, or no such frame or job", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
         (status = 422, description = "Invalid query parameters", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+        (status = 429, description = "Too many previews are waiting: see Retry-After", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
         (status = 503, description = "The preview could not be drawn", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
     )
 )]
 pub(super) async fn thumbnail(
     State(farm): State<Arc<Farm>>,
+    caller: Caller,
     Path((id, frame)): Path<(String, String)>,
     uri: Uri,
     headers: HeaderMap,
@@ -99,7 +104,9 @@ pub(super) async fn thumbnail(
     let width_px = WidthQuery::read(&uri)?.unwrap_or(THUMBNAIL_PX);
     let (job, frame) = images::frame_of(&farm, &id, &frame).await?;
     match farm.queue.frame_contents(job, frame).await? {
-        FrameContents::Stored { hash } => scaled(&farm, &hash, width_px, images::IMMUTABLE, &headers).await,
+        FrameContents::Stored { hash, size_bytes } => {
+            scaled(&farm, caller.name(), &hash, size_bytes, width_px, images::IMMUTABLE, &headers).await
+        }
         FrameContents::Unfinished { state, .. } => Err(ApiError::NotStored { job, frame, state }),
         FrameContents::NoFrame(frames) => Err(ApiError::UnknownFrame { job, frame: frame.to_string(), frames }),
         FrameContents::NoJob => Err(ApiError::UnknownJob(job.to_string())),
@@ -109,6 +116,7 @@ pub(super) async fn thumbnail(
 /// Draws a preview of a frame.
 pub(super) async fn answer(
     farm: &Farm,
+    submitter: &str,
     job: JobId,
     frame: u32,
     width_px: Option<u32>,
@@ -116,9 +124,11 @@ pub(super) async fn answer(
 ) -> Result<Response, ApiError> {
     let width_px = width_px.unwrap_or(PREVIEW_PX);
     match farm.queue.frame_contents(job, frame).await? {
-        FrameContents::Stored { hash } => scaled(farm, &hash, width_px, "no-cache", headers).await,
+        FrameContents::Stored { hash, size_bytes } => {
+            scaled(farm, submitter, &hash, size_bytes, width_px, "no-cache", headers).await
+        }
         FrameContents::Unfinished { state, blobs } => {
-            unfinished(farm, job, frame, width_px, state, blobs, headers).await
+            unfinished(farm, submitter, job, frame, width_px, state, blobs, headers).await
         }
         FrameContents::NoFrame(frames) => Err(ApiError::UnknownFrame { job, frame: frame.to_string(), frames }),
         FrameContents::NoJob => Err(ApiError::UnknownJob(job.to_string())),
@@ -127,7 +137,9 @@ pub(super) async fn answer(
 
 async fn scaled(
     farm: &Farm,
+    submitter: &str,
     hash: &str,
+    size_bytes: u64,
     width_px: u32,
     cache: &'static str,
     headers: &HeaderMap,
@@ -136,17 +148,15 @@ async fn scaled(
     if is_known(headers, &tag) {
         return Ok(describe(StatusCode::NOT_MODIFIED.into_response(), &tag, cache));
     }
-    let name = ContentHash::parse(hash).ok_or(ApiError::LostPicture)?;
-    if farm.content.size_bytes(ContentKind::Picture, &name).await?.is_none() {
-        return Err(ApiError::LostPicture);
-    }
+    images::intact(farm, hash, size_bytes).await?;
     let sketch = HelperRequest::Thumbnail { file: ContentKind::Picture.file(&farm.config.data, hash), width_px };
-    let picture = farm.preview_helper.picture(&tag, &sketch).await?;
+    let picture = farm.preview_helper.picture(submitter, &tag, &sketch).await?;
     Ok(png(picture, &tag, cache))
 }
 
 async fn unfinished(
     farm: &Farm,
+    submitter: &str,
     job: JobId,
     frame: u32,
     width_px: u32,
@@ -168,7 +178,7 @@ async fn unfinished(
         coarse: farm.preview_helper.coarse(job, frame),
         coarse_ms: COARSE_MS,
     };
-    let picture = farm.preview_helper.picture(&tag, &sketch).await?;
+    let picture = farm.preview_helper.picture(submitter, &tag, &sketch).await?;
     Ok(png(picture, &tag, "no-cache"))
 }
 

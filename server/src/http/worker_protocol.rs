@@ -12,7 +12,9 @@ use axum::response::{IntoResponse, Response};
 use futures_util::TryStreamExt;
 use proto::WorkerId;
 use proto::fail_point::{self, FailPoint};
-use proto::worker_protocol::{ContentFolders, RegisterRequest, RegisterResponse, SyncRequest, SyncResponse};
+use proto::worker_protocol::{
+    ContentFolders, LeaseOutcome, LeaseReport, RegisterRequest, RegisterResponse, SyncRequest, SyncResponse,
+};
 use tracing::Instrument;
 
 use super::auth::Caller;
@@ -73,6 +75,7 @@ pub(super) async fn sync(
     request: Body,
 ) -> Result<Json<SyncResponse>, ApiError> {
     let request: SyncRequest = body::read_json(&headers, request, MAX_SYNC_BYTES).await?;
+    check_sizes(&request.reports)?;
     farm.telemetry.record_metrics(request.worker, &request.metrics);
     let mut deadline = monotonic_now() + max_wait(&farm, &request);
     let mut turn = SyncInput {
@@ -80,6 +83,7 @@ pub(super) async fn sync(
         rays_per_second: request.rays_per_second.filter(|rate| rate.is_finite() && *rate > 0.0),
         held_leases: request.held_leases,
         reports: request.reports,
+        rejected: Vec::new(),
         wants_work: request.wants_work,
         shutting_down: request.shutting_down,
         opening: None,
@@ -91,7 +95,7 @@ pub(super) async fn sync(
         work.as_mut().enable();
         news.as_mut().enable();
         let prompt = turn.has_reports();
-        let again = SyncInput { reports: Vec::new(), ..turn.clone() };
+        let again = turn.without_reports();
         let begun = monotonic_now();
         let turned = farm.sync(turn).await?.ok_or_else(|| ApiError::UnknownWorker(again.worker.to_string()))?;
         let now = monotonic_now();
@@ -115,6 +119,21 @@ pub(super) async fn sync(
         }
         turn = again;
     }
+}
+
+/// Rejects sizes that no stored file can have.
+fn check_sizes(reports: &[LeaseReport]) -> Result<(), ApiError> {
+    for report in reports {
+        let (kind, size_bytes) = match report.outcome {
+            LeaseOutcome::Blob { size_bytes, .. } => (ContentKind::Blob, size_bytes),
+            LeaseOutcome::Picture { size_bytes, .. } => (ContentKind::Picture, size_bytes),
+            LeaseOutcome::BadBlobs { .. } | LeaseOutcome::Failed { .. } | LeaseOutcome::Released => continue,
+        };
+        if size_bytes > kind.max_bytes() {
+            return Err(ApiError::ResultTooLarge { lease: report.lease, size_bytes, limit_bytes: kind.max_bytes() });
+        }
+    }
+    Ok(())
 }
 
 /// Wait of a worker with leases: it needs the response in time to renew them.
@@ -165,6 +184,9 @@ pub(super) async fn put_picture(
 
 async fn put(farm: &Farm, kind: ContentKind, hash: String, request: Body) -> Result<StatusCode, ApiError> {
     let name = ContentHash::parse(&hash).ok_or_else(|| ApiError::WrongHash(hash.clone()))?;
+    if farm.reserve.is_released() {
+        return Err(ApiError::DiskFull);
+    }
     let bytes = request.into_data_stream().map_err(std::io::Error::other);
     let span = tracing::info_span!("store", ?kind, %hash);
     farm.content.put(kind, &name, bytes).instrument(span).await?;

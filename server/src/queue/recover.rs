@@ -2,7 +2,7 @@
 
 use sqlx::Row;
 
-use super::{Connection, Result, exclusion, fair_share, json_numbers, row_count};
+use super::{Connection, Result, exclusion, fair_share, json_numbers, row_count, verification};
 
 /// Retention of ended leases, to recognize late results.
 const LEASE_RETENTION_MS: u64 = 3_600_000;
@@ -52,6 +52,7 @@ pub(super) async fn recover(connection: &mut Connection, now_ms: i64, lease_ms: 
         .execute(&mut *connection)
         .await?;
     exclusion::recover(connection, now_ms).await?;
+    verification::reset_after_restart(connection, now_ms).await?;
     let jobs =
         sqlx::query("SELECT count(*) AS jobs FROM job WHERE finished_at_ms IS NULL").fetch_one(connection).await?;
     Ok(Recovery { generation, jobs: jobs.try_get("jobs")?, leases: row_count(tiles.len()) })

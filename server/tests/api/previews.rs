@@ -38,3 +38,30 @@ async fn a_failing_helper_affects_only_the_preview() {
         farm.stop().await;
     }
 }
+
+#[tokio::test]
+async fn previews_that_wait_are_bounded() {
+    use std::os::unix::fs::PermissionsExt;
+    // A helper that never responds.
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let program = folder.path().join("helper");
+    std::fs::write(&program, "#!/bin/sh\nexec cat > /dev/null\n").expect("written");
+    std::fs::set_permissions(&program, std::fs::Permissions::from_mode(0o755)).expect("executable");
+    let farm = Farm::start_in(folder, |config| config.worker_program = program).await;
+    let url = farm.url(&format!("/v1/jobs/{}/frames/0/preview", farm.submit(&small_job(1)).await.id));
+    let (sender, mut refusals) = tokio::sync::mpsc::unbounded_channel();
+    let mut asking = tokio::task::JoinSet::new();
+    for _ in 0..40 {
+        let (request, sender) = (farm.client.get(&url), sender.clone());
+        asking.spawn(async move { drop(sender.send(request.send().await.expect("a response"))) });
+    }
+    // Two are drawn, and sixteen of one submitter wait.
+    for _ in 0..22 {
+        let refusal = in_time(refusals.recv()).await.expect("a response");
+        assert_eq!(refusal.headers()["retry-after"], "5");
+        refused(refusal, 429, "too_many_previews").await;
+    }
+    assert!(refusals.try_recv().is_err(), "the others wait");
+    asking.shutdown().await;
+    farm.stop().await;
+}
