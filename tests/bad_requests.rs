@@ -81,6 +81,10 @@ impl Stage {
     fn hide(&self, text: &str) -> String {
         let ids = self.names.iter().filter(|(_, value)| value.len() > 8);
         let text = ids.fold(text.to_owned(), |text, (name, value)| text.replace(value, name));
+        let size = self.fill("{size}");
+        let text = text
+            .replace(&format!("bytes */{size}"), "bytes */{size}")
+            .replace(&format!("has {size} bytes"), "has {size} bytes");
         let address = self.farm.address.strip_prefix("http://").expect("an address");
         hide_ids(&text.replace(address, "{address}"))
     }

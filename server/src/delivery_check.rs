@@ -36,7 +36,7 @@ pub(crate) struct FileEnds {
     pub(crate) tail: Bytes,
 }
 
-/// What the picture of a frame must be.
+/// Expected picture of a frame.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct ExpectedPicture {
     width_px: u32,
@@ -204,7 +204,7 @@ mod tests {
         }
     }
 
-    /// What a job of 8×6 pixels expects; as EXR it has the layer `depth`.
+    /// Expected picture of a job of 8×6 pixels; as EXR it has the layer `depth`.
     pub(super) fn expected(format: &str) -> ExpectedPicture {
         let layers = if format == "exr" { r#", "layers": ["depth"]"# } else { "" };
         let text = format!(

@@ -143,7 +143,7 @@ impl Farm {
     pub(crate) async fn sync(&self, mut turn: SyncInput) -> Result<Option<SyncOutcome>, SyncError> {
         let gate = if turn.has_reports() { Some(self.content.block_sweep().await) } else { None };
         self.check_reports(&mut turn).await?;
-        // What would be rendered could not be stored, and would take the space that deletions need.
+        // Results could not be stored, and would take the space that deletions need.
         turn.wants_work &= !self.reserve.is_released();
         let worker = turn.worker;
         let again = turn.without_reports();
@@ -217,10 +217,13 @@ impl Farm {
         Ok(FrameOpening { job: number, frame, picture_key, tiles: plan.tiles(), samples: plan.samples })
     }
 
-    /// Whether an operation that makes room should run again: the disk was too full even for that, and the reserve is
-    /// released now.
+    /// Whether an operation that makes room should run again: the disk was too full even for that, but the database's
+    /// WAL is shorter now, and the reserve is released.
     pub(crate) fn has_made_room(&self, error: &DatabaseError) -> bool {
-        error.is_full() && self.reserve.release()
+        if error.is_full() {
+            self.reserve.release();
+        }
+        error.is_full()
     }
 
     /// Requests the maintenance task to delete those of the given bytes that no row refers to.

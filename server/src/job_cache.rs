@@ -72,7 +72,7 @@ impl JobCache {
         if moves { self.run_on_parser_thread(key).await } else { Ok(key()) }
     }
 
-    /// What the picture of a frame must be; for an animated job this copies the scene.
+    /// Expected picture of a frame; for an animated job this copies the scene.
     pub(crate) async fn expected_picture(
         &self,
         job: &Arc<scene::Job>,

@@ -46,10 +46,10 @@ impl SpaceReserve {
         self.is_released.load(Ordering::Relaxed)
     }
 
-    /// Releases the space; false if it was released before.
-    pub(crate) fn release(&self) -> bool {
+    /// Releases the space, unless it was released before.
+    pub(crate) fn release(&self) {
         if self.is_released.swap(true, Ordering::Relaxed) {
-            return false;
+            return;
         }
         tracing::error!(
             code = "disk_full",
@@ -59,7 +59,6 @@ impl SpaceReserve {
         if let Err(error) = fs::remove_file(&self.file) {
             tracing::error!(%error, "could not release the reserve");
         }
-        true
     }
 
     /// Sets the space aside again if there is room for it and as much again. Returns whether it was and is no longer
@@ -109,8 +108,10 @@ mod tests {
         let reserve = SpaceReserve::open(folder.path());
         let file = folder.path().join(FILE);
         assert!(file.metadata().expect("set aside").len() > 0 && !reserve.is_released());
-        assert!(reserve.release() && reserve.is_released() && !file.exists());
-        assert!(!reserve.release(), "there is nothing left");
+        for _ in 0..2 {
+            reserve.release();
+            assert!(reserve.is_released() && !file.exists());
+        }
         assert!(reserve.restore() && file.exists() && !reserve.is_released());
         assert!(!reserve.restore());
         drop(reserve);

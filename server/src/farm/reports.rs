@@ -11,6 +11,9 @@ use crate::delivery_check::check_blob;
 use crate::job_cache::JobLoadError;
 use crate::queue::{RejectedResult, ReportedTile, SyncInput};
 
+/// Number of characters that are kept of the name of a rejected result.
+const MAX_LOGGED_CHARACTERS: usize = 80;
+
 /// Verdict about the bytes of a result.
 #[derive(Clone, Debug, PartialEq)]
 enum Verdict {
@@ -46,7 +49,7 @@ impl Farm {
         // The leases of a whole frame have one picture, which is checked once.
         let mut last: Option<(Delivered, Verdict)> = None;
         let mut kept = Vec::with_capacity(turn.reports.len());
-        for mut report in std::mem::take(&mut turn.reports) {
+        for report in std::mem::take(&mut turn.reports) {
             let (kind, hash, size_bytes) = match &report.outcome {
                 LeaseOutcome::Blob { hash, size_bytes } => (ContentKind::Blob, hash, *size_bytes),
                 LeaseOutcome::Picture { hash, size_bytes } => (ContentKind::Picture, hash, *size_bytes),
@@ -61,19 +64,17 @@ impl Farm {
                 Some((same, verdict)) if *same == delivered => verdict.clone(),
                 _ => self.check_bytes(&delivered).await?,
             };
-            match &verdict {
-                Verdict::Right => kept.push(report),
-                Verdict::Missing => {
-                    tracing::warn!(lease = %report.lease, hash = ?delivered.hash, "a result's bytes are missing; its tile is requeued");
-                    report.outcome = LeaseOutcome::Released;
+            let (is_wrong, reason) = match &verdict {
+                Verdict::Right => {
                     kept.push(report);
+                    last = Some((delivered, verdict));
+                    continue;
                 }
-                Verdict::Wrong(reason) => turn.rejected.push(RejectedResult {
-                    lease: report.lease,
-                    hash: delivered.hash.clone(),
-                    reason: reason.clone(),
-                }),
-            }
+                Verdict::Missing => (false, "its bytes are not in the store".to_owned()),
+                Verdict::Wrong(reason) => (true, reason.clone()),
+            };
+            let hash = delivered.hash.chars().take(MAX_LOGGED_CHARACTERS).collect();
+            turn.rejected.push(RejectedResult { lease: report.lease, hash, reason, is_wrong });
             last = Some((delivered, verdict));
         }
         turn.reports = kept;

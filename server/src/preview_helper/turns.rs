@@ -57,7 +57,7 @@ impl Drop for Turn {
             drop(state);
             match next.send(Self(Some(turns.clone()))) {
                 Ok(()) => return,
-                // Whoever does not wait any more returns the turn, which the next one gets.
+                // A request that does not wait any more returns the turn, which the next one gets.
                 Err(mut turn) => drop(turn.0.take()),
             }
         }

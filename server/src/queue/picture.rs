@@ -133,7 +133,7 @@ async fn finish_all(connection: &mut Connection, held: &[LiveLease]) -> Result<W
 const FIRST_PICTURE_SQL: &str = "SELECT frame.picture FROM lease JOIN tile ON tile.id = lease.tile
      JOIN frame ON frame.job = tile.job AND frame.number = tile.frame WHERE lease.id = ?";
 
-/// Adds a picture to the cache. The first one of a cache key is kept, unless the job was to be rendered anew: its
+/// Adds a picture to the cache. The first one of a cache key is kept, unless the job was to bypass it: its
 /// picture replaces the first. Returns the number of pictures that differ from it.
 async fn cache_picture(
     connection: &mut Connection,
@@ -161,7 +161,7 @@ async fn cache_picture(
     let job = super::job_id(connection, picture.job).await?;
     tracing::error!(
         code = "nondeterministic_picture", %job, frame = picture.frame, %first,
-        second = picture.hash, "one picture was rendered in two ways; later jobs get the first, unless this job was to be rendered anew"
+        second = picture.hash, "one picture was rendered in two ways; later jobs get the first, unless this job bypasses the cache"
     );
     Ok(1)
 }

@@ -1,7 +1,7 @@
 //! Results before they count: the tiles they are for, and the results that were rejected because their bytes are
 //! not what was asked for.
 
-use std::collections::HashMap;
+use std::collections::{BTreeMap, HashMap};
 
 use proto::{LeaseId, Rect, WorkerId};
 use sqlx::Row;
@@ -42,8 +42,10 @@ pub(crate) struct RejectedResult {
     pub(crate) lease: LeaseId,
     /// Its name, as the worker sent it.
     pub(crate) hash: String,
-    /// What is wrong with it.
+    /// Reason of the rejection.
     pub(crate) reason: String,
+    /// Whether no correct worker delivers it; otherwise it is only missing.
+    pub(crate) is_wrong: bool,
 }
 
 impl Queue {
@@ -98,20 +100,20 @@ pub(super) async fn reject(
     moment: TransitionContext,
 ) -> Result<(Vec<LeaseId>, bool, Wake)> {
     let (mut lost, mut ring) = (Vec::new(), Wake::default());
-    let mut hashes: Vec<&str> = Vec::new();
+    // All tiles of a frame share a picture, which counts once.
+    let mut hashes: BTreeMap<&str, bool> = BTreeMap::new();
     let (verifications, wake) = verification::reject(connection, &worker.to_string(), rejected).await?;
     ring.add(wake);
     for result in rejected {
         if verifications.contains(&result.lease) {
-            hashes.push(&result.hash);
+            hashes.insert(&result.hash, result.is_wrong);
             continue;
         }
         let Some(held) = lease::live_leases_among(connection, worker, &[result.lease]).await?.pop() else {
             lost.push(result.lease);
             continue;
         };
-        if !hashes.contains(&&*result.hash) {
-            hashes.push(&result.hash);
+        if hashes.insert(&result.hash, result.is_wrong).is_none() {
             let job = super::job_id(connection, held.job).await?;
             tracing::warn!(
                 code = "wrong_result", %worker, %job, frame = held.frame, hash = ?result.hash, reason = %result.reason,
@@ -120,9 +122,8 @@ pub(super) async fn reject(
         }
         ring.add(lease::end_without_result(connection, &held, LeaseEnd::Rejected, &result.reason, moment).await?);
     }
-    hashes.sort_unstable();
-    hashes.dedup();
-    let is_quarantined = exclusion::record_wrong_results(connection, worker, hashes.len()).await?;
+    let wrong = hashes.values().filter(|is_wrong| **is_wrong).count();
+    let is_quarantined = exclusion::record_wrong_results(connection, worker, wrong).await?;
     if is_quarantined {
         let reason = "its worker is quarantined";
         ring.add(workers::end_leases(connection, &worker.to_string(), LeaseEnd::Released, reason, moment).await?);

@@ -70,7 +70,7 @@ pub(crate) struct SyncOutcome {
     pub(crate) nondeterministic: u64,
     /// Number of results that are not what was asked for.
     pub(crate) rejected: u64,
-    /// What happened to verifications.
+    /// Changes of verifications.
     pub(crate) verification: VerificationOutcome,
     pub(super) ring: Wake,
 }

@@ -37,7 +37,7 @@ pub(crate) struct VerificationPolicy {
     pub(crate) new_worker_ms: i64,
 }
 
-/// What happened to verifications in one transition.
+/// Changes of verifications in one transition.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct VerificationOutcome {
     /// Results that were confirmed.
@@ -60,7 +60,7 @@ pub(super) struct Candidate {
     hash: String,
 }
 
-/// What a result covers.
+/// Part of a frame that a result covers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum DeliveredPart {
     /// The tile with this row.

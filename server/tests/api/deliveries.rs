@@ -1,5 +1,5 @@
-//! What a worker delivers is checked before it counts: whoever delivers something else gets no more work, and
-//! nothing of it is kept.
+//! Results are checked before they count: a worker that delivers something else gets no more work, and nothing of it
+//! is kept.
 
 use proto::frame::{ForgottenPicture, FramePage};
 use proto::job::{JobState, JobView};
@@ -152,7 +152,7 @@ async fn quarantine_ends_the_leases_that_the_worker_holds() {
 }
 
 #[tokio::test]
-async fn a_picture_rendered_anew_replaces_the_cached_one() {
+async fn a_picture_rendered_without_the_cache_replaces_the_cached_one() {
     let farm = Farm::start().await;
     let first = farm.submit(&small_job(1)).await;
     let worker = farm.worker("one").await;
@@ -229,5 +229,20 @@ async fn a_forgotten_picture_of_a_cancelled_job_is_not_rendered_again() {
     assert_eq!((forgotten.frames_rendered_again, forgotten.frames_without_picture), (0, 1));
     refused(farm.get(&format!("/v1/jobs/{id}/image")).await, 404, "picture_not_stored").await;
     assert!(worker.claim().await.is_none());
+    farm.stop().await;
+}
+
+#[tokio::test]
+async fn a_missing_result_is_no_strike_but_another_worker_renders_it() {
+    let farm = Farm::start().await;
+    let id = farm.submit(&small_job(1)).await.id;
+    let (forgetful, other) = (farm.worker("forgetful").await, farm.worker("other").await);
+    let held = leases(&forgetful.claim().await.expect("work"));
+    let missing = LeaseOutcome::Picture { hash: "0".repeat(64), size_bytes: 9 };
+    forgetful.report(vec![reported(held[0], missing)]).await;
+    assert!(forgetful.claim().await.is_none());
+    assert_eq!(other.work_off().await, 1);
+    assert_state(&farm, id, JobState::Succeeded).await;
+    assert_eq!(state_of(&farm, forgetful.id).await, WorkerState::Ready);
     farm.stop().await;
 }

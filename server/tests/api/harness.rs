@@ -148,7 +148,7 @@ pub(crate) fn small_job(seed: u32) -> Value {
     job
 }
 
-/// What a lease asks for.
+/// Tile or frame of a lease.
 #[derive(Clone)]
 struct Place {
     job: Arc<scene::Job>,

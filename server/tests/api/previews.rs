@@ -2,7 +2,7 @@
 
 use reqwest::StatusCode;
 
-use super::harness::{Farm, read, refused, small_job};
+use super::harness::{Farm, in_time, read, refused, small_job};
 
 #[tokio::test]
 async fn previews_of_missing_jobs_and_frames_are_rejected() {

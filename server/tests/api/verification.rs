@@ -1,5 +1,5 @@
-//! Verification: results of remote workers are rendered again by another worker, and whoever was wrong is quarantined
-//! with all that it delivered since its last confirmed result.
+//! Verification: results of remote workers are rendered again by another worker, and the worker that was wrong is
+//! quarantined, with all that it delivered since its last confirmed result.
 
 use std::time::Duration;
 

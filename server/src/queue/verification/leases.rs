@@ -9,7 +9,7 @@ use super::super::{Connection, Result, TransitionContext, Wake, expect_rows, jso
 
 /// A lease granted in a response that the worker never received is released after this time.
 const UNHEARD_LEASE_MS: i64 = 2000;
-/// A result that nobody could verify for this long is given up, for example because no third worker decides.
+/// A result that no worker could verify for this long is given up, for example because no third worker decides.
 const MAX_AGE_MS: i64 = 600_000;
 
 /// Leases results to a verifier: number of the verification, lease, and position of the tile.
@@ -116,7 +116,7 @@ pub(super) async fn release_all(connection: &mut Connection, leases: &[String]) 
     release(connection, &numbers).await
 }
 
-/// Releases overdue verifications, and gives up those that nobody could verify for long; returns their number.
+/// Releases overdue verifications, and gives up those that no worker could verify for long; returns their number.
 pub(in super::super) async fn discard_expired(
     connection: &mut Connection,
     moment: TransitionContext,
