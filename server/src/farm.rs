@@ -153,7 +153,9 @@ impl Farm {
         self.count(&turned);
         self.sweep_later(ContentKind::Blob, std::mem::take(&mut turned.leftovers));
         let forgotten = std::mem::take(&mut turned.verification.forgotten);
-        forgotten.iter().for_each(|hash| self.preview_helper.forget(hash));
+        for hash in &forgotten {
+            self.preview_helper.forget(hash);
+        }
         self.sweep_later(ContentKind::Picture, forgotten);
         while let NextWork::OpenFrame { job, frame, plan } = turned.next {
             let Some(opening) = self.frame_opening(job, frame, plan).await? else {

@@ -89,7 +89,7 @@ mod tests {
     use super::*;
 
     fn attribute(name: &str, kind: &str, value: &[u8]) -> Vec<u8> {
-        [name.as_bytes(), b"\0", kind.as_bytes(), b"\0", &(value.len() as i32).to_le_bytes(), value].concat()
+        [name.as_bytes(), b"\0", kind.as_bytes(), b"\0", &(value.len() as u32).to_le_bytes(), value].concat()
     }
 
     fn channel(name: &str, sample: i32) -> Vec<u8> {

@@ -57,14 +57,14 @@ mod tests {
     use super::super::tests::{ends, expected};
     use super::*;
 
-    fn chunk(kind: &[u8; 4], content: &[u8]) -> Vec<u8> {
+    fn chunk(kind: [u8; 4], content: &[u8]) -> Vec<u8> {
         [&(content.len() as u32).to_be_bytes(), kind.as_slice(), content, &[0; 4]].concat()
     }
 
     fn picture(width_px: u32, color: u8, provenance: &str) -> Vec<u8> {
         let header = [&width_px.to_be_bytes()[..], &6_u32.to_be_bytes(), &[8, color, 0, 0, 0]].concat();
         let text = [b"sdfarm\0\0\0\0\0", provenance.as_bytes()].concat();
-        [SIGNATURE, &chunk(b"IHDR", &header), &chunk(b"iTXt", &text), &chunk(b"IDAT", &[7; 20]), END].concat()
+        [SIGNATURE, &chunk(*b"IHDR", &header), &chunk(*b"iTXt", &text), &chunk(*b"IDAT", &[7; 20]), END].concat()
     }
 
     #[test]

@@ -119,7 +119,10 @@ pub(super) async fn follow(
     }
     let mut response = match content {
         LinkContent::Image => images::answer(&farm, job, frame, &headers).await?,
-        LinkContent::Preview => previews::answer(&farm, LINK_READER, job, frame, None, &headers).await?,
+        LinkContent::Preview => {
+            let reader = previews::Reader { name: LINK_READER, headers: &headers };
+            previews::answer(&farm, reader, job, frame, None).await?
+        }
     };
     // A cached copy must be revalidated, or it would outlive the link.
     response.headers_mut().insert(header::CACHE_CONTROL, HeaderValue::from_static("private, no-cache"));

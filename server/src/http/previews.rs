@@ -74,7 +74,7 @@ pub(super) async fn preview(
 ) -> Result<Response, ApiError> {
     let width = WidthQuery::read(&uri)?;
     let (job, frame) = images::frame_of(&farm, &id, &frame).await?;
-    answer(&farm, caller.name(), job, frame, width, &headers).await
+    answer(&farm, Reader { name: caller.name(), headers: &headers }, job, frame, width).await
 }
 
 /// Get a stored picture as a small PNG.
@@ -103,9 +103,10 @@ pub(super) async fn thumbnail(
 ) -> Result<Response, ApiError> {
     let width_px = WidthQuery::read(&uri)?.unwrap_or(THUMBNAIL_PX);
     let (job, frame) = images::frame_of(&farm, &id, &frame).await?;
+    let reader = Reader { name: caller.name(), headers: &headers };
     match farm.queue.frame_contents(job, frame).await? {
         FrameContents::Stored { hash, size_bytes } => {
-            scaled(&farm, caller.name(), &hash, size_bytes, width_px, images::IMMUTABLE, &headers).await
+            scaled(&farm, reader, &hash, size_bytes, width_px, images::IMMUTABLE).await
         }
         FrameContents::Unfinished { state, .. } => Err(ApiError::NotStored { job, frame, state }),
         FrameContents::NoFrame(frames) => Err(ApiError::UnknownFrame { job, frame: frame.to_string(), frames }),
@@ -113,22 +114,30 @@ pub(super) async fn thumbnail(
     }
 }
 
+/// Client that asks for a preview.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Reader<'a> {
+    /// Name under which it waits for a helper.
+    pub(super) name: &'a str,
+    /// Headers of its request.
+    pub(super) headers: &'a HeaderMap,
+}
+
 /// Draws a preview of a frame.
 pub(super) async fn answer(
     farm: &Farm,
-    submitter: &str,
+    reader: Reader<'_>,
     job: JobId,
     frame: u32,
     width_px: Option<u32>,
-    headers: &HeaderMap,
 ) -> Result<Response, ApiError> {
     let width_px = width_px.unwrap_or(PREVIEW_PX);
     match farm.queue.frame_contents(job, frame).await? {
         FrameContents::Stored { hash, size_bytes } => {
-            scaled(farm, submitter, &hash, size_bytes, width_px, "no-cache", headers).await
+            scaled(farm, reader, &hash, size_bytes, width_px, "no-cache").await
         }
         FrameContents::Unfinished { state, blobs } => {
-            unfinished(farm, submitter, job, frame, width_px, state, blobs, headers).await
+            unfinished(farm, reader, job, frame, width_px, state, blobs).await
         }
         FrameContents::NoFrame(frames) => Err(ApiError::UnknownFrame { job, frame: frame.to_string(), frames }),
         FrameContents::NoJob => Err(ApiError::UnknownJob(job.to_string())),
@@ -137,36 +146,34 @@ pub(super) async fn answer(
 
 async fn scaled(
     farm: &Farm,
-    submitter: &str,
+    reader: Reader<'_>,
     hash: &str,
     size_bytes: u64,
     width_px: u32,
     cache: &'static str,
-    headers: &HeaderMap,
 ) -> Result<Response, ApiError> {
     let tag = format!("\"{hash}-{width_px}\"");
-    if is_known(headers, &tag) {
+    if is_known(reader.headers, &tag) {
         return Ok(describe(StatusCode::NOT_MODIFIED.into_response(), &tag, cache));
     }
     images::intact(farm, hash, size_bytes).await?;
     let sketch = HelperRequest::Thumbnail { file: ContentKind::Picture.file(&farm.config.data, hash), width_px };
-    let picture = farm.preview_helper.picture(submitter, &tag, &sketch).await?;
+    let picture = farm.preview_helper.picture(reader.name, &tag, &sketch).await?;
     Ok(png(picture, &tag, cache))
 }
 
 async fn unfinished(
     farm: &Farm,
-    submitter: &str,
+    reader: Reader<'_>,
     job: JobId,
     frame: u32,
     width_px: u32,
     state: JobState,
     blobs: Vec<String>,
-    headers: &HeaderMap,
 ) -> Result<Response, ApiError> {
     let shown = format!("{job} {frame} {width_px} {} {}", state.name(), blobs.join(" "));
     let tag = format!("\"{}\"", blake3::hash(shown.as_bytes()).to_hex());
-    if is_known(headers, &tag) {
+    if is_known(reader.headers, &tag) {
         return Ok(describe(StatusCode::NOT_MODIFIED.into_response(), &tag, "no-cache"));
     }
     let text = farm.queue.file(job).await?.ok_or_else(|| ApiError::UnknownJob(job.to_string()))?;
@@ -178,7 +185,7 @@ async fn unfinished(
         coarse: farm.preview_helper.coarse(job, frame),
         coarse_ms: COARSE_MS,
     };
-    let picture = farm.preview_helper.picture(submitter, &tag, &sketch).await?;
+    let picture = farm.preview_helper.picture(reader.name, &tag, &sketch).await?;
     Ok(png(picture, &tag, "no-cache"))
 }
 

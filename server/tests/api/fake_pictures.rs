@@ -64,7 +64,7 @@ fn png_head(job: &Job, frame: u32) -> Vec<u8> {
 
 fn exr_head(job: &Job, frame: u32) -> Vec<u8> {
     let attribute = |name: &str, kind: &str, value: &[u8]| {
-        [name.as_bytes(), b"\0", kind.as_bytes(), b"\0", &(value.len() as i32).to_le_bytes(), value].concat()
+        [name.as_bytes(), b"\0", kind.as_bytes(), b"\0", &(value.len() as u32).to_le_bytes(), value].concat()
     };
     let color = if job.image.precision == Precision::Half { 1 } else { 2 };
     let mut channels: Vec<(&str, i32)> = job

@@ -219,15 +219,14 @@ impl<'a> Worker<'a> {
     /// Remembers what the leases of a batch ask for.
     async fn remember(&self, run: &Batch) {
         let known = self.jobs.lock().expect("no holder panics").get(&run.job).cloned();
-        let job = match known {
-            Some(job) => job,
-            None => {
-                let text = in_time(self.farm.get(&worker_protocol::job_path(run.job)).await.bytes()).await;
-                let Ok(job) = scene::parse(&text.expect("a body")) else { return };
-                let job = Arc::new(job);
-                self.jobs.lock().expect("no holder panics").insert(run.job, Arc::clone(&job));
-                job
-            }
+        let job = if let Some(job) = known {
+            job
+        } else {
+            let text = in_time(self.farm.get(&worker_protocol::job_path(run.job)).await.bytes()).await;
+            let Ok(job) = scene::parse(&text.expect("a body")) else { return };
+            let job = Arc::new(job);
+            self.jobs.lock().expect("no holder panics").insert(run.job, Arc::clone(&job));
+            job
         };
         let rect = Rect::full(job.image.width, job.image.height);
         let rects: Vec<(LeaseId, Rect)> = match &run.work {

@@ -85,6 +85,9 @@ async fn an_exr_has_its_media_type() {
     farm.stop().await;
 }
 
+/// Changes the file of a picture.
+type Damage = fn(&std::path::Path, &[u8]);
+
 /// File of a picture.
 fn file_of(farm: &Farm, picture: &[u8]) -> std::path::PathBuf {
     farm.folder.path().join("pictures").join(blake3::hash(picture).to_hex().as_str())
@@ -94,7 +97,6 @@ fn file_of(farm: &Farm, picture: &[u8]) -> std::path::PathBuf {
 async fn a_damaged_picture_is_reported_and_rendered_again() {
     let farm = Farm::start().await;
     let worker = farm.worker("one").await;
-    type Damage = fn(&std::path::Path, &[u8]);
     let damages: [(Damage, &str); 4] = [
         (|file, _| std::fs::write(file, "").expect("emptied"), "damaged_picture"),
         (|file, picture| std::fs::write(file, &picture[..100]).expect("cut"), "damaged_picture"),
