@@ -12,7 +12,7 @@ use std::fmt::Write;
 use serde_json::{Value, json};
 
 use crate::jobs;
-use crate::support::{Farm, root};
+use crate::support::{Farm, rendered_here, root};
 use raw::{Request, exchange};
 
 /// Minimum number of invalid requests.
@@ -49,7 +49,7 @@ impl Stage {
         };
         let run = sync(json!([]), true)["batch"].clone();
         let tiles = run["work"]["render"]["tiles"].as_array().expect("tiles").clone();
-        let picture = b"no picture, but bytes".to_vec();
+        let picture = rendered_here(&jobs::quick(), 0);
         let hash = blake3::hash(&picture).to_hex().to_string();
         let size_bytes = picture.len();
         assert_eq!(farm.send("PUT", &format!("/v1/worker/pictures/{hash}"), &[], picture).status, 204);
@@ -65,6 +65,7 @@ impl Stage {
             ("{worker}", worker),
             ("{stale}", stale),
             ("{hash}", hash),
+            ("{size}", size_bytes.to_string()),
             ("{nobody}", "01900000-0000-7000-8000-000000000000".to_owned()),
             ("{version}", scene::PICTURE_VERSION.to_string()),
         ];
@@ -80,6 +81,10 @@ impl Stage {
     fn hide(&self, text: &str) -> String {
         let ids = self.names.iter().filter(|(_, value)| value.len() > 8);
         let text = ids.fold(text.to_owned(), |text, (name, value)| text.replace(value, name));
+        let size = self.fill("{size}");
+        let text = text
+            .replace(&format!("bytes */{size}"), "bytes */{size}")
+            .replace(&format!("has {size} bytes"), "has {size} bytes");
         let address = self.farm.address.strip_prefix("http://").expect("an address");
         hide_ids(&text.replace(address, "{address}"))
     }

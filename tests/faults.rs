@@ -135,6 +135,58 @@ fn full_disk_gives_a_problem_and_the_server_recovers() {
     farm.succeeded(&accepted);
 }
 
+#[test]
+fn full_disk_keeps_no_server_from_starting_and_no_job_from_being_cancelled_or_deleted() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let data = folder.path().join("data");
+    fs::create_dir(&data).expect("made");
+    let Some(_mounted) = Mount::new(&data, "size=8m") else {
+        return skip("mount", "a small disk needs a mount, which this user may not create");
+    };
+    let farm = Farm::start_on(folder.path(), &["--workers", "0"]);
+    let ids: Vec<String> = (0..20).map(|seed| farm.accept(&jobs::seeded(&jobs::quick(), seed).to_string())).collect();
+    assert!(data.join("reserve").metadata().expect("set aside").len() > 0);
+    assert!(farm.terminate().success());
+
+    fill(&data.join("ballast"));
+    let farm = Farm::start_on(folder.path(), &["--workers", "0"]);
+    assert!(!data.join("reserve").exists(), "it was needed to start");
+    let refused = farm.post(&jobs::quick().to_string());
+    assert_eq!((refused.status, refused.json()["code"].as_str()), (507, Some("disk_full")), "{}", refused.text());
+    for id in &ids {
+        let cancelled = farm.send("POST", &format!("/v1/jobs/{id}/cancel"), &[], Vec::new());
+        assert_eq!(cancelled.status, 200, "{}", cancelled.text());
+        let deleted = farm.send("DELETE", &format!("/v1/jobs/{id}"), &[], Vec::new());
+        assert_eq!(deleted.status, 204, "{}", deleted.text());
+    }
+    fs::remove_file(data.join("ballast")).expect("ours");
+    eventually("the reserve is restored", || data.join("reserve").exists().then_some(()));
+    eventually("jobs are taken again", || (farm.post(&jobs::quick().to_string()).status == 201).then_some(()));
+}
+
+#[test]
+fn full_disk_releases_its_reserve_for_a_deletion() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let data = folder.path().join("data");
+    fs::create_dir(&data).expect("made");
+    let Some(_mounted) = Mount::new(&data, "size=8m") else {
+        return skip("mount", "a small disk needs a mount, which this user may not create");
+    };
+    let farm = Farm::start_on(folder.path(), &["--workers", "0"]);
+    let first = farm.accept(&jobs::quick().to_string());
+    fill(&data.join("ballast"));
+    let refused = (0..1000u64)
+        .map(|seed| farm.post(&jobs::seeded(&jobs::quick(), seed).to_string()))
+        .find(|answer| answer.status != 201);
+    assert_eq!(refused.expect("the disk is full").status, 507);
+    assert!(data.join("reserve").exists(), "it is not for submissions");
+    let cancelled = farm.send("POST", &format!("/v1/jobs/{first}/cancel"), &[], Vec::new());
+    assert_eq!(cancelled.status, 200, "{}", cancelled.text());
+    let deleted = farm.send("DELETE", &format!("/v1/jobs/{first}"), &[], Vec::new());
+    assert_eq!(deleted.status, 204, "{}", deleted.text());
+    assert!(!data.join("reserve").exists());
+}
+
 /// Writes zeros until the disk is full.
 fn fill(path: &Path) {
     use std::io::Write;

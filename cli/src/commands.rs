@@ -11,6 +11,7 @@ mod doctor;
 mod explain;
 mod fetch;
 mod file;
+mod forget;
 mod gc;
 mod jobs;
 mod key;
@@ -69,6 +70,8 @@ pub(crate) enum Command {
     Preview(preview::Arguments),
     /// Create a signed link to a picture, which works without a key until it expires.
     Link(link::Arguments),
+    /// Forget a wrong picture everywhere, and render the frames that showed it again.
+    Forget(forget::Arguments),
     /// Remove jobs past their retention, or list them (--dry-run).
     Gc(gc::Arguments),
     /// List jobs, newest first.
@@ -141,6 +144,7 @@ impl Command {
             Self::Resubmit(arguments) => run_async(interruptible(resubmit::run(arguments))),
             Self::Preview(arguments) => run_async(interruptible(preview::run(arguments))),
             Self::Link(arguments) => run_async(interruptible(link::run(arguments))),
+            Self::Forget(arguments) => run_async(interruptible(forget::run(arguments))),
             Self::Gc(arguments) => run_async(interruptible(gc::run(arguments))),
             Self::Jobs(arguments) => run_async(interruptible(jobs::run(arguments))),
             Self::Cancel(arguments) => run_async(interruptible(cancel::run(arguments))),

@@ -57,3 +57,14 @@ pub struct FramePage {
     /// `cursor` of the next page; null on the last.
     pub next_cursor: Option<String>,
 }
+
+/// A picture that was forgotten, as `DELETE /v1/pictures/{hash}` returns it.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct ForgottenPicture {
+    /// BLAKE3 of its bytes, in hex.
+    pub picture: String,
+    /// Number of frames that showed it and are rendered again.
+    pub frames_rendered_again: u64,
+    /// Number of frames of failed or cancelled jobs that showed it and have no picture now.
+    pub frames_without_picture: u64,
+}

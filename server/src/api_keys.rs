@@ -208,7 +208,10 @@ impl ApiKeys {
         let old = self.all();
         let now_ms = self.clock.wall_ms();
         let keys = rows.into_iter().map(|row| {
-            let known = old.iter().find(|key| key.number() == row.number);
+            // A key that is live again, because the wall clock was ahead for a while, starts again: the requests that
+            // were open have ended.
+            let has_ended = |key: &ApiKey| row.is_live(now_ms) && key.revoked().is_cancelled();
+            let known = old.iter().find(|key| key.number() == row.number && !has_ended(key));
             let key = ApiKey::new(row, known.map(|key| &**key));
             key.revoke_if_expired(now_ms);
             Arc::new(key)

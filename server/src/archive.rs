@@ -14,9 +14,9 @@ use futures_util::stream::BoxStream;
 use zip::write::{SimpleFileOptions, StreamWriter};
 use zip::{CompressionMethod, DateTime, ZipWriter};
 
-use crate::content_store::{ContentError, ContentHash, ContentKind};
+use crate::content_store::{ContentError, ContentKind};
 use crate::database::DatabaseError;
-use crate::farm::Farm;
+use crate::farm::{Farm, PictureState, SyncError};
 use crate::queue::{FrameSet, StoredFrame};
 
 /// Approximate size of the chunks of a response.
@@ -44,8 +44,11 @@ pub(crate) enum ArchiveError {
         #[source]
         source: object_store::Error,
     },
-    /// A picture's file is missing.
-    #[error("the picture of frame {0} is missing from the store")]
+    /// A picture's file could not be checked.
+    #[error(transparent)]
+    Check(#[from] SyncError),
+    /// A picture's file is missing or damaged.
+    #[error("the picture of frame {0} is missing or damaged; it is rendered again")]
     PictureMissing(u32),
     /// The archive format cannot represent it.
     #[error("the archive could not be written")]
@@ -135,7 +138,9 @@ impl Archive {
         let Some(frame) = self.waiting.pop_front() else { return Ok(false) };
         self.next_frame = frame.number + 1;
         let gone = || ArchiveError::PictureMissing(frame.number);
-        let name = ContentHash::parse(&frame.picture).ok_or_else(gone)?;
+        let PictureState::Intact(name) = self.farm.check_picture(&frame.picture, frame.size_bytes).await? else {
+            return Err(gone());
+        };
         let (_, bytes) = self.farm.content.get(ContentKind::Picture, &name, None).await?.ok_or_else(gone)?;
         let options = SimpleFileOptions::default()
             .compression_method(CompressionMethod::Stored)

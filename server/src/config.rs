@@ -30,6 +30,12 @@ pub const MAX_CONNECTIONS: u32 = 16_384;
 /// Default maximum of a caller's requests in progress, event streams and unread responses included.
 pub const MAX_REQUESTS_PER_CALLER: u32 = 1024;
 
+/// Default percentage of the results of remote workers that are verified.
+pub const VERIFY_PERCENT: f64 = 5.0;
+
+/// Default time in which all results of a new remote worker are verified, in minutes.
+pub const VERIFY_NEW_MINUTES: u64 = 3;
+
 /// Files of a certificate and its private key.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct TlsFiles {
@@ -78,6 +84,10 @@ pub struct Config {
     pub max_rays_per_name: u64,
     /// Maximum number of paused jobs of a key's name.
     pub max_paused_per_name: u32,
+    /// Fraction of the results of remote workers that another worker renders again.
+    pub verify_share: f64,
+    /// Time after a remote worker's registration in which all its results are rendered again.
+    pub verify_new: Duration,
     /// Host names, without port, that the `Host` header may contain in addition to loopback names and IP
     /// addresses.
     pub allowed_hosts: Vec<String>,
@@ -132,6 +142,8 @@ impl Default for Config {
             max_jobs_per_name: MAX_JOBS_PER_NAME,
             max_rays_per_name: MAX_RAYS_PER_NAME,
             max_paused_per_name: MAX_PAUSED_PER_NAME,
+            verify_share: VERIFY_PERCENT / 100.0,
+            verify_new: Duration::from_secs(60 * VERIFY_NEW_MINUTES),
             allowed_hosts: Vec::new(),
             allowed_webhook_ranges: Vec::new(),
             webhook_secret: None,

@@ -3,10 +3,12 @@
 //! A picture is fsynced before its row is written; a tile blob is not, because losing one costs only a
 //! re-render. This module does not interpret the bytes.
 
-use std::io;
+use std::io::{self, Read, Seek, SeekFrom};
 use std::os::unix::fs::FileExt;
 use std::path::{Path as FolderPath, PathBuf};
 use std::time::Duration;
+
+mod verified;
 
 use bytes::{Bytes, BytesMut};
 use futures_util::stream::{BoxStream, Stream, StreamExt, TryStreamExt};
@@ -18,6 +20,9 @@ use object_store::{
 use proto::fail_point::{self, FailPoint};
 use proto::worker_protocol::{MAX_BLOB_BYTES, MAX_PICTURE_BYTES, PARTIAL_MARKER};
 use tokio::sync::RwLock;
+
+use self::verified::VerifiedFiles;
+use crate::delivery_check::{FileEnds, HEAD_BYTES, TAIL_BYTES};
 
 /// Number of bytes written at a time.
 pub(crate) const WRITE_CHUNK_BYTES: usize = 256 << 10;
@@ -129,12 +134,24 @@ impl ContentError {
     }
 }
 
+/// Condition of a stored file.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum FileState {
+    /// It has its size, and its bytes match their hash.
+    Intact,
+    /// It is missing.
+    Missing,
+    /// It has another size or other bytes.
+    Damaged,
+}
+
 /// The two folders, and the lock that protects content being reported from sweeps.
 #[derive(Debug)]
 pub(crate) struct ContentStore {
     durable: LocalFileSystem,
     volatile: LocalFileSystem,
     sweep_lock: RwLock<()>,
+    verified: VerifiedFiles,
 }
 
 impl ContentStore {
@@ -145,7 +162,12 @@ impl ContentStore {
         }
         remove_partial_writes(data, Duration::ZERO)?;
         let open = || LocalFileSystem::new_with_prefix(data).map_err(io::Error::other);
-        Ok(Self { durable: open()?.with_fsync(true), volatile: open()?, sweep_lock: RwLock::default() })
+        Ok(Self {
+            durable: open()?.with_fsync(true),
+            volatile: open()?,
+            sweep_lock: RwLock::default(),
+            verified: VerifiedFiles::default(),
+        })
     }
 
     fn store(&self, kind: ContentKind) -> &LocalFileSystem {
@@ -225,13 +247,17 @@ impl ContentStore {
         started.put_part(part.into()).await.map_err(failed("write", kind, name))
     }
 
-    /// Size of stored content; `None` if it is missing.
-    pub(crate) async fn size_bytes(&self, kind: ContentKind, name: &ContentHash) -> Result<Option<u64>, ContentError> {
-        match self.store(kind).head(&path(kind, name)).await {
-            Ok(meta) => Ok(Some(meta.size)),
-            Err(object_store::Error::NotFound { .. }) => Ok(None),
-            Err(error) => Err(failed("find", kind, name)(error)),
-        }
+    /// Size, first and last bytes of stored content; `None` if it is missing.
+    pub(crate) async fn ends(&self, kind: ContentKind, name: &ContentHash) -> Result<Option<FileEnds>, ContentError> {
+        let found = match self.store(kind).get(&path(kind, name)).await {
+            Ok(found) => found,
+            Err(object_store::Error::NotFound { .. }) => return Ok(None),
+            Err(error) => return Err(failed("read", kind, name)(error)),
+        };
+        let GetResultPayload::File(file, _) = found.payload else { unreachable!("both stores are folders") };
+        let read = tokio::task::spawn_blocking(move || read_ends(file)).await.map_err(io::Error::other).flatten();
+        let unreadable = |error: io::Error| object_store::Error::Generic { store: "file", source: error.into() };
+        read.map(Some).map_err(unreadable).map_err(failed("read", kind, name))
     }
 
     /// Stored content, or a range of it, and its total size; `None` if it is missing.
@@ -247,6 +273,46 @@ impl ContentStore {
             Ok(found) => Ok(Some((found.range.end - found.range.start, stream(found)))),
             Err(object_store::Error::NotFound { .. }) => Ok(None),
             Err(error) => Err(failed("read", kind, name)(error)),
+        }
+    }
+
+    /// Condition of a file of this recorded size. Its bytes are hashed before its first use, and again when it was
+    /// modified; those of a large file while it is used.
+    pub(crate) async fn file_state(
+        &self,
+        kind: ContentKind,
+        name: &ContentHash,
+        size_bytes: u64,
+    ) -> Result<FileState, ContentError> {
+        let found = match self.store(kind).get(&path(kind, name)).await {
+            Ok(found) => found,
+            Err(object_store::Error::NotFound { .. }) => return Ok(FileState::Missing),
+            Err(error) => return Err(failed("read", kind, name)(error)),
+        };
+        if found.meta.size != size_bytes {
+            return Ok(FileState::Damaged);
+        }
+        self.verified.check(name, found).await.map_err(failed("read", kind, name))
+    }
+
+    /// Deletes a file if it is not used, however new it is: a result that was about to be reported for the same bytes
+    /// is found missing, and rendered again. Returns whether there was one.
+    pub(crate) async fn delete_if<E: From<ContentError>, F: Future<Output = Result<bool, E>>>(
+        &self,
+        kind: ContentKind,
+        name: &ContentHash,
+        is_unused: impl FnOnce(String) -> F,
+    ) -> Result<bool, E> {
+        let shut = self.sweep_lock.write().await;
+        if !is_unused(name.0.clone()).await? {
+            return Ok(false);
+        }
+        let deleted = self.store(kind).delete(&path(kind, name)).await;
+        drop(shut);
+        match deleted {
+            Ok(()) => Ok(true),
+            Err(object_store::Error::NotFound { .. }) => Ok(false),
+            Err(error) => Err(failed("remove", kind, name)(error).into()),
         }
     }
 
@@ -362,6 +428,16 @@ fn stream(found: GetResult) -> BoxStream<'static, object_store::Result<Bytes>> {
     }
 }
 
+fn read_ends(mut file: std::fs::File) -> io::Result<FileEnds> {
+    let size_bytes = file.metadata()?.len();
+    let mut head = Vec::new();
+    Read::by_ref(&mut file).take(HEAD_BYTES).read_to_end(&mut head)?;
+    file.seek(SeekFrom::Start(size_bytes.saturating_sub(TAIL_BYTES)))?;
+    let mut tail = Vec::new();
+    Read::by_ref(&mut file).take(TAIL_BYTES).read_to_end(&mut tail)?;
+    Ok(FileEnds { size_bytes, head: head.into(), tail: tail.into() })
+}
+
 /// Store error caused by a triggered fail point.
 fn fail_point_error(struck: fail_point::FailPointError) -> object_store::Error {
     object_store::Error::Generic { store: "file", source: struck.into() }
@@ -379,6 +455,12 @@ fn failed(
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    impl ContentStore {
+        async fn size_bytes(&self, kind: ContentKind, name: &ContentHash) -> Result<Option<u64>, ContentError> {
+            Ok(self.ends(kind, name).await?.map(|ends| ends.size_bytes))
+        }
+    }
 
     fn stream(bytes: &'static [u8]) -> impl Stream<Item = io::Result<Bytes>> + Unpin {
         futures_util::stream::iter(bytes.chunks(100_000).map(|chunk| Ok(Bytes::from_static(chunk))))

@@ -2,16 +2,20 @@
 //!
 //! Depends on no HTTP types.
 
+mod pictures;
+mod reports;
+
+pub(crate) use pictures::PictureState;
+
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use proto::worker_protocol::{LeaseOutcome, LeaseReport};
 use tokio::sync::mpsc;
 use tokio_util::sync::CancellationToken;
 
 use crate::admission::Admission;
 use crate::config::Config;
-use crate::content_store::{ContentError, ContentHash, ContentKind, ContentStore};
+use crate::content_store::{ContentError, ContentKind, ContentStore};
 use crate::database::DatabaseError;
 use crate::events::EventHub;
 use crate::fair_queue::FairQueue;
@@ -23,6 +27,7 @@ use crate::queue::{
     SyncOutcome,
 };
 use crate::signed_links::LinkSigner;
+use crate::space_reserve::SpaceReserve;
 use crate::telemetry::Telemetry;
 use crate::tile_plan::TilePlan;
 use crate::webhooks::Webhooks;
@@ -49,6 +54,14 @@ pub(crate) struct ServerCounters {
     pub(crate) fenced: AtomicU64,
     /// Tiles that two workers rendered differently.
     pub(crate) nondeterministic: AtomicU64,
+    /// Results that are not what was asked for.
+    pub(crate) rejected: AtomicU64,
+    /// Results that another worker confirmed.
+    pub(crate) verified: AtomicU64,
+    /// Second renderings that differ from the first.
+    pub(crate) refuted: AtomicU64,
+    /// Results that should have been verified, but could not be.
+    pub(crate) unverified: AtomicU64,
     /// Failed attempts to deliver a webhook.
     pub(crate) webhook_failures: AtomicU64,
 }
@@ -66,6 +79,8 @@ pub(crate) struct Farm {
     pub(crate) events: EventHub,
     /// Pictures and blobs.
     pub(crate) content: ContentStore,
+    /// Space set aside for a full disk.
+    pub(crate) reserve: SpaceReserve,
     /// Parsed job files.
     pub(crate) jobs: JobCache,
     /// Admission: keys, rates, the audit log.
@@ -132,14 +147,21 @@ impl Farm {
     /// Runs a worker's sync until it has work or there is none; `None` if the worker is unknown.
     pub(crate) async fn sync(&self, mut turn: SyncInput) -> Result<Option<SyncOutcome>, SyncError> {
         let gate = if turn.has_reports() { Some(self.content.block_sweep().await) } else { None };
-        self.verify_reports(&mut turn.reports).await?;
+        self.check_reports(&mut turn).await?;
+        // Results could not be stored, and would take the space that deletions need.
+        turn.wants_work &= !self.reserve.is_released();
         let worker = turn.worker;
-        let again = SyncInput { reports: Vec::new(), ..turn.clone() };
+        let again = turn.without_reports();
         let taken = self.queue.turn(turn).await?;
         drop(gate);
         let Some(mut turned) = taken else { return Ok(None) };
         self.count(&turned);
         self.sweep_later(ContentKind::Blob, std::mem::take(&mut turned.leftovers));
+        let forgotten = std::mem::take(&mut turned.verification.forgotten);
+        for hash in &forgotten {
+            self.preview_helper.forget(hash);
+        }
+        self.sweep_later(ContentKind::Picture, forgotten);
         while let NextWork::OpenFrame { job, frame, plan } = turned.next {
             let Some(opening) = self.frame_opening(job, frame, plan).await? else {
                 turned.next = NextWork::Nothing(None);
@@ -160,6 +182,10 @@ impl Farm {
         self.totals.expired.fetch_add(turned.expired, Ordering::Relaxed);
         self.totals.fenced.fetch_add(turned.fenced, Ordering::Relaxed);
         self.totals.nondeterministic.fetch_add(turned.nondeterministic, Ordering::Relaxed);
+        self.totals.rejected.fetch_add(turned.rejected, Ordering::Relaxed);
+        self.totals.verified.fetch_add(turned.verification.agreed, Ordering::Relaxed);
+        self.totals.refuted.fetch_add(turned.verification.differed, Ordering::Relaxed);
+        self.totals.unverified.fetch_add(turned.verification.skipped, Ordering::Relaxed);
     }
 
     async fn frame_opening(
@@ -199,29 +225,13 @@ impl Farm {
         Ok(FrameOpening { job: number, frame, picture_key, tiles: plan.tiles(), samples: plan.samples })
     }
 
-    /// Drops reports whose bytes are not in the store; their tiles are requeued.
-    async fn verify_reports(&self, reports: &mut [LeaseReport]) -> Result<(), ContentError> {
-        let mut last: Option<(String, bool)> = None;
-        for report in reports {
-            let (kind, hash, size_bytes) = match &report.outcome {
-                LeaseOutcome::Blob { hash, size_bytes } => (ContentKind::Blob, hash, *size_bytes),
-                LeaseOutcome::Picture { hash, size_bytes } => (ContentKind::Picture, hash, *size_bytes),
-                LeaseOutcome::BadBlobs { .. } | LeaseOutcome::Failed { .. } | LeaseOutcome::Released => continue,
-            };
-            let there = match &last {
-                Some((same, there)) if same == hash => *there,
-                _ => match ContentHash::parse(hash) {
-                    None => false,
-                    Some(name) => self.content.size_bytes(kind, &name).await? == Some(size_bytes),
-                },
-            };
-            last = Some((hash.clone(), there));
-            if !there {
-                tracing::warn!(lease = %report.lease, %hash, "a result's bytes are missing; its tile is requeued");
-                report.outcome = LeaseOutcome::Released;
-            }
+    /// Whether an operation that makes room should run again: the disk was too full even for that, but the database's
+    /// WAL is shorter now, and the reserve is released.
+    pub(crate) fn has_made_room(&self, error: &DatabaseError) -> bool {
+        if error.is_full() {
+            self.reserve.release();
         }
-        Ok(())
+        error.is_full()
     }
 
     /// Requests the maintenance task to delete what no row refers to any more.

@@ -76,6 +76,7 @@ fn user_routes() -> OpenApiRouter<Arc<Farm>> {
         .routes(routes!(links::sign))
         // Needs no key: the link's signature authorizes the request.
         .routes(routes!(links::follow))
+        .routes(routes!(images::forget))
         .routes(routes!(retention::collect))
         .routes(routes!(pool::workers))
         .routes(routes!(pool::get, pool::put))

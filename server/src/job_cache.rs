@@ -9,6 +9,7 @@ use std::sync::{Arc, Mutex};
 use tokio::sync::oneshot;
 
 use crate::database::DatabaseError;
+use crate::delivery_check::ExpectedPicture;
 use crate::fair_queue::{FairQueue, Place, TooManyWaiting};
 use crate::queue::Queue;
 
@@ -102,6 +103,18 @@ impl JobCache {
         let (moves, job) = (job.is_animated(), Arc::clone(job));
         let key = move || job.cache_key(frame).to_hex().to_string();
         if moves { self.run(reader, key).await } else { Ok(key()) }
+    }
+
+    /// Expected picture of a frame; for an animated job this copies the scene.
+    pub(crate) async fn expected_picture(
+        &self,
+        reader: Reader<'_>,
+        job: &Arc<scene::Job>,
+        frame: u32,
+    ) -> Result<Result<ExpectedPicture, scene::FrameError>, JobLoadError> {
+        let (moves, job) = (job.is_animated(), Arc::clone(job));
+        let expected = move || ExpectedPicture::new(&job, frame);
+        if moves { self.run(reader, expected).await } else { Ok(expected()) }
     }
 
     /// Runs `work` on a thread of its own, when it is the reader's turn.

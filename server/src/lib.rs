@@ -12,6 +12,7 @@ mod config;
 mod content_store;
 mod data_folder;
 mod database;
+mod delivery_check;
 mod estimate;
 mod events;
 mod fair_queue;
@@ -28,6 +29,7 @@ mod private_files;
 mod queue;
 mod retention;
 mod signed_links;
+mod space_reserve;
 mod startup;
 mod telemetry;
 mod tile_plan;
@@ -44,7 +46,7 @@ pub use api_keys::{OfflineApiKeys, OfflineApiKeysError};
 pub use clock::{Clock, ManualClock};
 pub use config::{
     Config, MAX_CONNECTIONS, MAX_JOBS_PER_NAME, MAX_PAUSED_PER_NAME, MAX_QUEUED_JOBS, MAX_RAYS_PER_NAME,
-    MAX_REQUESTS_PER_CALLER, MAX_TILE_SECONDS, TlsFiles,
+    MAX_REQUESTS_PER_CALLER, MAX_TILE_SECONDS, TlsFiles, VERIFY_NEW_MINUTES, VERIFY_PERCENT,
 };
 pub use data_folder::{
     Backup, DataFolderError, Depth, Finding, Repair, Restored, Severity, back_up, restore, run_checks,

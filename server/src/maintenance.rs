@@ -77,8 +77,14 @@ async fn run_periodically(
 }
 
 async fn expire_leases(farm: &Farm) -> Result<(), DatabaseError> {
+    if farm.reserve.restore() {
+        tracing::info!("there is room on the disk again");
+        farm.queue.wake_signals().work.notify_waiters();
+    }
     let count = farm.queue.expire_leases().await?;
     farm.totals.expired.fetch_add(count, std::sync::atomic::Ordering::Relaxed);
+    let unverified = farm.queue.expire_verifications().await?;
+    farm.totals.unverified.fetch_add(unverified, std::sync::atomic::Ordering::Relaxed);
     Ok(())
 }
 

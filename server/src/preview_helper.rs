@@ -4,6 +4,8 @@
 //! A helper process is started on demand, a few at a time, with a time limit; it exits when its standard
 //! input closes, so a killed server leaves none behind.
 
+mod turns;
+
 use std::collections::VecDeque;
 use std::io;
 use std::path::{Path, PathBuf};
@@ -16,14 +18,15 @@ use proto::JobId;
 use proto::preview_helper::{self, CostSample, HelperRequest};
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::process::{Child, Command};
-use tokio::sync::Semaphore;
+
+use self::turns::{Turn, Turns};
 
 /// Maximum number of helper processes.
 const MAX_CHILDREN: usize = 2;
+/// Estimates wait in turn with the submitters of previews, under a name that no key has.
+const ESTIMATES: &str = " estimates";
 /// Time limit of a helper process.
 const TIME_LIMIT: Duration = Duration::from_secs(20);
-/// How long a request waits for a free helper.
-const MAX_WAIT: Duration = Duration::from_secs(10);
 /// Maximum size of a response.
 const MAX_ANSWER_BYTES: u64 = 64 << 20;
 /// Maximum number of bytes stored of a helper's standard error.
@@ -59,7 +62,7 @@ pub(crate) enum HelperError {
 pub(crate) struct PreviewHelper {
     program: PathBuf,
     folder: PathBuf,
-    permits: Semaphore,
+    turns: Turns,
     kept: Mutex<VecDeque<(String, Bytes)>>,
 }
 
@@ -72,8 +75,8 @@ impl PreviewHelper {
             Ok(()) | Err(_) => {}
         }
         std::fs::create_dir_all(&folder)?;
-        let permits = Semaphore::new(MAX_CHILDREN);
-        Ok(Self { program: program.to_owned(), folder, permits, kept: Mutex::default() })
+        let turns = Turns::new(MAX_CHILDREN);
+        Ok(Self { program: program.to_owned(), folder, turns, kept: Mutex::default() })
     }
 
     /// Path of a frame's coarse pass.
@@ -81,34 +84,36 @@ impl PreviewHelper {
         self.folder.join(format!("{job}-{frame}"))
     }
 
-    /// Picture with this entity tag, from the cache or drawn now.
-    pub(crate) async fn picture(&self, tag: &str, request: &HelperRequest) -> Result<Bytes, HelperError> {
+    /// Picture with this entity tag, from the cache or drawn in the turn of its submitter.
+    pub(crate) async fn picture(
+        &self,
+        submitter: &str,
+        tag: &str,
+        request: &HelperRequest,
+    ) -> Result<Bytes, HelperError> {
         if let Some(kept) = self.find(tag) {
             return Ok(kept);
         }
-        let permit = self.permit().await?;
+        let turn = self.turn(submitter).await?;
         // Another request may have drawn the picture in the meantime.
         if let Some(kept) = self.find(tag) {
             return Ok(kept);
         }
         let picture = Bytes::from(self.run(request).await?);
-        drop(permit);
+        drop(turn);
         self.keep(tag, &picture);
         Ok(picture)
     }
 
     /// Measures a sample of a job.
     pub(crate) async fn sample(&self, request: &HelperRequest) -> Result<CostSample, HelperError> {
-        let _permit = self.permit().await?;
+        let _turn = self.turn(ESTIMATES).await?;
         let answer = self.run(request).await?;
         serde_json::from_slice(&answer).map_err(|error| HelperError::Failed(error.to_string()))
     }
 
-    async fn permit(&self) -> Result<impl Drop + '_, HelperError> {
-        match tokio::time::timeout(MAX_WAIT, self.permits.acquire()).await {
-            Ok(Ok(permit)) => Ok(permit),
-            Ok(Err(_)) | Err(_) => Err(HelperError::Busy),
-        }
+    async fn turn(&self, submitter: &str) -> Result<Turn, HelperError> {
+        self.turns.wait(submitter).await.ok_or(HelperError::Busy)
     }
 
     /// Runs a helper; it is killed if the caller is dropped or the time is up.
@@ -145,6 +150,11 @@ impl PreviewHelper {
             count += 1;
             count == 1 || (count <= MAX_CACHED_PICTURES && sum_bytes <= MAX_CACHED_BYTES)
         });
+    }
+
+    /// Forgets what was drawn from a stored picture.
+    pub(crate) fn forget(&self, hash: &str) {
+        self.kept.lock().expect("no holder panics").retain(|(tag, _)| !tag.contains(hash));
     }
 
     /// Removes the oldest coarse passes beyond the maximum.

@@ -25,6 +25,7 @@ mod previews;
 mod read;
 mod recover;
 mod repair;
+mod reported;
 mod retention;
 mod speeds;
 mod stats;
@@ -35,6 +36,8 @@ mod sync;
 #[cfg(test)]
 mod tests;
 mod trace_context;
+mod undo;
+mod verification;
 mod webhooks;
 mod workers;
 
@@ -61,10 +64,12 @@ pub(crate) use previews::{FrameContents, ReadyWorker};
 pub(crate) use read::StoredImage;
 pub(crate) use recover::Recovery;
 pub(crate) use repair::{Reopened, absurd_shares, forget_pictures, reset_shares};
+pub(crate) use reported::{RejectedResult, ReportedTile};
 pub(crate) use retention::FinishedJob;
 pub(crate) use stats::QueueStats;
 pub(crate) use submit::NewJob;
 pub(crate) use sync::{NextWork, SyncInput, SyncOutcome};
+pub(crate) use verification::VerificationPolicy;
 pub(crate) use webhooks::{Attempt, BusyReceivers, Delivery};
 pub(crate) use workers::{LeaseNeed, NewWorker, Registration};
 
@@ -84,6 +89,8 @@ pub(crate) struct TransitionContext {
     generation: i64,
     /// Maximum number of rows that one piece of a large change changes.
     piece_rows: i64,
+    /// Which results are verified.
+    verification: VerificationPolicy,
 }
 
 /// Wake signals, sent after commits that others wait for.
@@ -124,6 +131,7 @@ pub(crate) struct Queue {
     lease_ms: i64,
     generation: i64,
     piece_rows: i64,
+    verification: VerificationPolicy,
     wake_signals: Arc<WakeSignals>,
 }
 
@@ -142,9 +150,15 @@ impl Queue {
             lease_ms,
             generation: recovered.generation,
             piece_rows: cleanup::PIECE_ROWS,
+            verification: VerificationPolicy::default(),
             wake_signals: Arc::default(),
         };
         Ok((queue, recovered))
+    }
+
+    /// The same queue, which has a share of results verified.
+    pub(crate) fn with_verification(self, verification: VerificationPolicy) -> Self {
+        Self { verification, ..self }
     }
 
     fn context(&self) -> TransitionContext {
@@ -154,6 +168,7 @@ impl Queue {
             lease_ms: self.lease_ms,
             generation: self.generation,
             piece_rows: self.piece_rows,
+            verification: self.verification,
         }
     }
 
@@ -230,6 +245,19 @@ impl Queue {
             .database
             .write_for_worker(Durability::Relaxed, move |connection| {
                 Box::pin(async move { lease::rescue(connection, moment).await })
+            })
+            .await?;
+        self.wake(ring);
+        Ok(count)
+    }
+
+    /// Releases overdue verifications, and gives up old ones; returns the number of results that remain unverified.
+    pub(crate) async fn expire_verifications(&self) -> Result<u64> {
+        let moment = self.context();
+        let (count, ring) = self
+            .database
+            .write(Durability::Relaxed, move |connection| {
+                Box::pin(async move { verification::discard_expired(connection, moment).await })
             })
             .await?;
         self.wake(ring);

@@ -48,7 +48,11 @@ async fn remove(farm: &Farm, dry_run: bool, store_bytes: u64) -> Result<GcReport
     let mut jobs = Vec::with_capacity(going.len());
     for Removal { job, reason, freed_bytes } in going {
         if !dry_run {
-            let Some(removed) = farm.queue.remove(&job).await? else { continue };
+            let removed = match farm.queue.remove(&job).await {
+                Err(error) if farm.has_made_room(&error) => farm.queue.remove(&job).await,
+                done => done,
+            };
+            let Some(removed) = removed? else { continue };
             tracing::info!(job = %job.id, reason = reason.name(), freed_bytes, "deleted a job past its retention");
             farm.sweep_removed(removed);
         }

@@ -24,8 +24,9 @@ use crate::lock::{FolderLock, LockError};
 use crate::pool::Pool;
 use crate::preview_helper::PreviewHelper;
 use crate::private_files::{self, ExposedFile};
-use crate::queue::Queue;
+use crate::queue::{Queue, VerificationPolicy};
 use crate::signed_links::LinkSigner;
+use crate::space_reserve::SpaceReserve;
 use crate::telemetry::Telemetry;
 use crate::webhooks::{AddressPolicy, SecretError, Signer, Webhooks, webhook_secret};
 
@@ -97,6 +98,8 @@ const UPGRADE_FIX: &str = "it may be from a newer release: run that one";
 pub(crate) async fn start(config: Config, clock: Clock) -> Result<Server, StartError> {
     let folder = |source| StartError::DataFolder { folder: config.data.clone(), source };
     private_files::create_folder(&config.data).map_err(folder)?;
+    // First of all, because everything that follows needs a little space.
+    let reserve = SpaceReserve::open(&config.data);
     let lock = FolderLock::acquire(&config.data).map_err(|error| match error {
         LockError::InUse(holder) => StartError::InUse { folder: config.data.clone(), holder },
         LockError::Io(source) => folder(source),
@@ -119,6 +122,11 @@ pub(crate) async fn start(config: Config, clock: Clock) -> Result<Server, StartE
     }
     let (queue, recovered) =
         Queue::open(Arc::clone(&store), clock, lease_ms).await.map_err(|error| explain_store(file, &error))?;
+    let verification = VerificationPolicy {
+        share: config.verify_share,
+        new_worker_ms: i64::try_from(config.verify_new.as_millis()).unwrap_or(i64::MAX / 4),
+    };
+    let queue = queue.with_verification(verification);
     tracing::info!(
         data = %config.data.display(), boot = recovered.generation, unfinished_jobs = recovered.jobs,
         handed_back = recovered.leases, "opened the data folder"
@@ -130,6 +138,7 @@ pub(crate) async fn start(config: Config, clock: Clock) -> Result<Server, StartE
         webhooks,
         queue,
         content: pictures,
+        reserve,
         jobs: JobCache::new(),
         admission,
         pool: Pool::new(config.pool_workers()),

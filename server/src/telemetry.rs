@@ -217,6 +217,10 @@ impl Telemetry {
             (&metrics.expired, &totals.expired),
             (&metrics.fenced, &totals.fenced),
             (&metrics.nondeterministic, &totals.nondeterministic),
+            (&metrics.rejected, &totals.rejected),
+            (&metrics.verified, &totals.verified),
+            (&metrics.refuted, &totals.refuted),
+            (&metrics.unverified, &totals.unverified),
             (&metrics.webhook_failures, &totals.webhook_failures),
         ] {
             counter.inner().store(total.load(Ordering::Relaxed), Ordering::Relaxed);

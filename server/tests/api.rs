@@ -7,7 +7,9 @@ mod api {
     mod bad_input;
     mod clocks;
     mod connections;
+    mod deliveries;
     mod events;
+    pub(crate) mod fake_pictures;
     mod files;
     mod frames;
     pub(crate) mod harness;
@@ -28,5 +30,6 @@ mod api {
     mod retention;
     mod start_page;
     mod startup;
+    mod verification;
     mod webhooks;
 }

@@ -121,7 +121,7 @@ pub(super) fn requests() -> Vec<Request> {
         let head = format!("POST /v1/jobs?{query}\ncontent-type: application/json");
         all.push(Request::new(format!("submit: {query}"), head).with("{}"));
     }
-    for range in ["bytes=21-", "bytes=1000-2000", "bytes=-0", "bytes=18446744073709551615-"] {
+    for range in ["bytes={size}-", "bytes=1000000-2000000", "bytes=-0", "bytes=18446744073709551615-"] {
         let head = format!("GET /v1/jobs/{{done}}/image\nrange: {range}");
         all.push(Request::new(format!("no such range: {range}"), head));
     }

@@ -67,12 +67,12 @@ fn stale() -> Vec<Request> {
         let results = format!("\"reports\":[{{\"lease\":\"{lease}\",\"outcome\":{outcome}}}]");
         changed(SYNC, name, SAID, "\"reports\":[]", &results).foreign()
     };
-    let picture = r#"{"picture":{"hash":"{hash}","size_bytes":21}}"#;
+    let picture = r#"{"picture":{"hash":"{hash}","size_bytes":{size}}}"#;
     vec![
         result("a picture under a stale lease", "{stale}", picture),
         result("a picture under an unknown lease", "{nobody}", picture),
         result("a blob under a stale lease", "{stale}", &picture.replace("picture", "blob")),
-        result("a picture of the wrong size", "{stale}", &picture.replace("21", "22")),
+        result("a picture of the wrong size", "{stale}", &picture.replace("{size}", "22")),
         result("a picture that was never uploaded", "{stale}", &picture.replace("{hash}", OTHER_HASH)),
         result("a picture whose name is not a hash", "{stale}", &picture.replace("{hash}", "../../etc/passwd")),
         result("a failure under a stale lease", "{stale}", r#"{"failed":{"message":"no"}}"#),

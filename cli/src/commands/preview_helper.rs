@@ -18,6 +18,9 @@ const STACK_BYTES: usize = 32 << 20;
 const MAX_HELPER_BYTES: u64 = 4 << 30;
 /// A sample yields to everything except the pool's own workers.
 const SAMPLE_NICENESS: i32 = 10;
+/// A drawing yields to everything, also to the pool's workers: at the lowest priority, it takes a few percent of a
+/// busy machine.
+const DRAWING_NICENESS: i32 = 19;
 
 /// Handles the request.
 pub(crate) fn run() -> anyhow::Result<()> {
@@ -36,15 +39,18 @@ pub(crate) fn run() -> anyhow::Result<()> {
     write_bytes(&answer.join().map_err(|_| anyhow::anyhow!("drawing panicked"))??)
 }
 
-/// Limits this helper's memory, or lowers its priority.
+/// Lowers this helper's priority, and limits its memory.
 fn set_limits(sketch: &HelperRequest) -> anyhow::Result<()> {
+    let niceness = match sketch {
+        HelperRequest::Preview { .. } | HelperRequest::Thumbnail { .. } => DRAWING_NICENESS,
+        HelperRequest::MeasureCost { .. } => SAMPLE_NICENESS,
+    };
+    nice(niceness).context("could not lower this process's priority")?;
     match sketch {
         HelperRequest::Preview { .. } | HelperRequest::Thumbnail { .. } => {
             let most = Some(MAX_HELPER_BYTES);
             setrlimit(Resource::As, Rlimit { current: most, maximum: most }).context("could not limit memory")
         }
-        HelperRequest::MeasureCost { .. } => {
-            nice(SAMPLE_NICENESS).map(drop).context("could not lower this process's priority")
-        }
+        HelperRequest::MeasureCost { .. } => Ok(()),
     }
 }

@@ -10,7 +10,7 @@ use proto::pool::MAX_POOL_WORKERS;
 use proto::{Retention, Secret};
 use server::{
     AddressRange, Config, MAX_CONNECTIONS, MAX_JOBS_PER_NAME, MAX_PAUSED_PER_NAME, MAX_QUEUED_JOBS, MAX_RAYS_PER_NAME,
-    MAX_REQUESTS_PER_CALLER, MAX_TILE_SECONDS, Server, TlsFiles,
+    MAX_REQUESTS_PER_CALLER, MAX_TILE_SECONDS, Server, TlsFiles, VERIFY_NEW_MINUTES, VERIFY_PERCENT,
 };
 use tokio_util::sync::CancellationToken;
 use worker::{CpuRenderer, RenderError, Simd};
@@ -84,6 +84,12 @@ pub(crate) struct Arguments {
     /// Maximum number of paused jobs of a key's name.
     #[arg(long, value_name = "N", env = "SDFARM_MAX_PAUSED_PER_NAME", default_value_t = MAX_PAUSED_PER_NAME)]
     max_paused_per_name: u32,
+    /// Percentage of the results of remote workers that another worker renders again; 0 for none.
+    #[arg(long, value_name = "PERCENT", env = "SDFARM_VERIFY_SHARE", default_value_t = VERIFY_PERCENT, value_parser = percentage)]
+    verify_share: f64,
+    /// Minutes after its registration in which all results of a remote worker are rendered again.
+    #[arg(long, value_name = "MINUTES", env = "SDFARM_VERIFY_NEW_MINUTES", default_value_t = VERIFY_NEW_MINUTES, value_parser = clap::value_parser!(u64).range(0..=1440))]
+    verify_new_minutes: u64,
     /// Retention of finished jobs that do not set their own: 36h, 30d, forever.
     #[arg(long, value_name = "AGE", env = "SDFARM_KEEP_JOBS", default_value = "forever")]
     keep_jobs: Retention,
@@ -126,6 +132,8 @@ impl Arguments {
             max_jobs_per_name: self.max_jobs_per_name,
             max_rays_per_name: self.max_rays_per_name,
             max_paused_per_name: self.max_paused_per_name,
+            verify_share: self.verify_share / 100.0,
+            verify_new: Duration::from_mins(self.verify_new_minutes),
             allowed_hosts: self.host,
             job_retention: match self.keep_jobs {
                 Retention::Forever => None,
@@ -145,6 +153,12 @@ impl Arguments {
 fn address(text: &str) -> Result<SocketAddr, String> {
     text.parse()
         .map_err(|_| "use an IP address and a port, such as 127.0.0.1:8080, 0.0.0.0:8080 or [::1]:8080".to_owned())
+}
+
+/// Parses `--verify-share`.
+fn percentage(text: &str) -> Result<f64, String> {
+    let percent = text.trim_end_matches('%').parse().ok().filter(|percent| (0.0..=100.0).contains(percent));
+    percent.ok_or_else(|| "use a number from 0 to 100".to_owned())
 }
 
 /// Serves until SIGINT or SIGTERM.

@@ -42,7 +42,7 @@ pub(crate) struct Arguments {
 /// Renders until it is stopped.
 pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     if arguments.pool {
-        // Render threads are started from here, and yield to the server and to previews.
+        // Render threads are started from here, and yield to the server.
         nice(POOL_NICENESS).context("could not lower this process's priority")?;
     }
     let signals = Signals::install()?;

@@ -19,7 +19,7 @@ const FIRST_PX: u32 = 32;
 /// Width of the last attempt, in pixels.
 const LAST_PX: u32 = 480;
 /// Maximum number of render threads.
-const MAX_THREADS: usize = 4;
+const MAX_THREADS: usize = 2;
 /// Assumed cost of doubling the width: about four times, and a little more as a margin.
 const GROWTH_ESTIMATE: f64 = 4.5;
 

@@ -6,6 +6,7 @@ use reqwest::Method;
 
 use super::{Client, ClientError};
 use crate::JobId;
+use crate::frame::ForgottenPicture;
 use crate::link::{LinkRequest, LinkView};
 use crate::retention::GcReport;
 
@@ -28,6 +29,11 @@ impl Client {
     /// Creates a signed link to a frame's picture.
     pub async fn link(&self, id: JobId, frame: u32, link: &LinkRequest) -> Result<LinkView, ClientError> {
         self.json(self.request(Method::POST, &format!("/v1/jobs/{id}/frames/{frame}/link")).json(link)).await
+    }
+
+    /// Forgets a picture everywhere, by the BLAKE3 of its bytes in hex.
+    pub async fn forget_picture(&self, hash: &str) -> Result<ForgottenPicture, ClientError> {
+        self.json(self.request(Method::DELETE, &format!("/v1/pictures/{hash}"))).await
     }
 
     /// Deletes the jobs past their retention, or lists them.

@@ -146,6 +146,13 @@ struct KeyRuntime {
     used_ms: AtomicI64,
 }
 
+impl KeyRow {
+    /// Whether the key is valid at this time of the wall clock.
+    pub(super) fn is_live(&self, now_ms: i64) -> bool {
+        self.revoked_at_ms.is_none() && self.expires_at_ms.is_none_or(|end_ms| now_ms < end_ms)
+    }
+}
+
 impl ApiKey {
     /// Builds the key of a row; `known` is the same key as loaded before, whose state it shares.
     pub(super) fn new(row: KeyRow, known: Option<&Self>) -> Self {
@@ -177,7 +184,7 @@ impl ApiKey {
     }
 
     pub(super) fn is_live(&self, now_ms: i64) -> bool {
-        !self.is_revoked() && self.row.expires_at_ms.is_none_or(|end_ms| now_ms < end_ms)
+        self.row.is_live(now_ms)
     }
 
     pub(super) fn revoke_if_expired(&self, now_ms: i64) {

@@ -99,3 +99,23 @@ async fn revoking_a_key_ends_only_its_requests() {
     live(&keys, &other.secret);
     assert_eq!(keys.live(), 1);
 }
+
+#[tokio::test]
+async fn a_key_that_expired_by_a_jump_of_the_wall_clock_lives_again() {
+    let (keys, hand, _folder) = empty().await;
+    create(&keys, "other").await;
+    let issued = keys.create(NewApiKey { expires_in_seconds: Some(600), ..new("anna") }).await.expect("a key");
+    let before = live(&keys, &issued.secret);
+    hand.shift_wall_clock(3_600_000);
+    keys.refresh().await.expect("read");
+    assert!(matches!(keys.find(&issued.secret), KeyLookup::Expired));
+    assert!(before.revoked().is_cancelled(), "its open requests have ended");
+    hand.shift_wall_clock(-3_600_000);
+    keys.refresh().await.expect("read");
+    let after = live(&keys, &issued.secret);
+    assert!(!after.revoked().is_cancelled(), "its new requests go on");
+    keys.refresh().await.expect("read");
+    assert!(live(&keys, &issued.secret).revoked().clone().run_until_cancelled(async {}).await.is_some());
+    keys.revoke("anna").await.expect("revoked");
+    assert!(after.revoked().is_cancelled());
+}

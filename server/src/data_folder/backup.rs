@@ -171,7 +171,12 @@ fn copy_files(data: &Path, folder: &Path) -> Result<Vec<String>, DataFolderError
     for entry in fs::read_dir(data).map_err(DataFolderError::file("read", data))?.flatten() {
         let name = entry.file_name().to_string_lossy().into_owned();
         let is_small = entry.metadata().is_ok_and(|file| file.is_file() && file.len() <= MAX_FILE_BYTES);
-        if !is_small || name == "lock" || name.starts_with("farm.sqlite") || name.starts_with("backup") {
+        if !is_small
+            || name == "lock"
+            || name == "reserve"
+            || name.starts_with("farm.sqlite")
+            || name.starts_with("backup")
+        {
             continue;
         }
         fs::copy(entry.path(), folder.join(&name)).map_err(DataFolderError::file("copy", &entry.path()))?;

@@ -141,6 +141,8 @@ trait WriteOperation: Send {
     fn durability(&self) -> Durability;
     /// Runs it; if this returns false, it must be rolled back.
     fn run<'c>(&'c mut self, connection: &'c mut SqliteConnection) -> BoxFuture<'c, bool>;
+    /// Whether it failed because the disk is full.
+    fn has_found_disk_full(&self) -> bool;
     /// Sends the result to the caller, once the transaction has ended.
     fn reply(self: Box<Self>, committed: Result<(), DatabaseError>);
 }
@@ -172,6 +174,10 @@ where
             self.result = Some(result);
             keep
         })
+    }
+
+    fn has_found_disk_full(&self) -> bool {
+        matches!(&self.result, Some(Err(error)) if error.is_full())
     }
 
     fn reply(self: Box<Self>, committed: Result<(), DatabaseError>) {
@@ -295,6 +301,11 @@ impl WriterTask {
                 }
             }
             let (group, committed) = self.commit(&mut waiting).await;
+            let is_full = committed.as_ref().is_err_and(DatabaseError::is_full);
+            if is_full || group.iter().any(|operation| operation.has_found_disk_full()) {
+                // A shorter WAL leaves room for the operations that delete something.
+                self.checkpoint().await;
+            }
             self.bell.send_replace(());
             fail_point::trigger_infallible(FailPoint::GroupCommitted);
             for operation in group {

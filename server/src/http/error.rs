@@ -129,8 +129,12 @@ pub(crate) enum ApiError {
     WrongBytes(String),
     #[error("there is no blob {0}")]
     UnknownBlob(String),
-    #[error("the picture's file is missing in the store: submit the job again with Cache-Control: no-cache")]
+    #[error("the picture's file is missing: it is rendered again, retry when its job has succeeded")]
     LostPicture,
+    #[error("the picture's file is damaged: it is rendered again, retry when its job has succeeded")]
+    DamagedPicture,
+    #[error("there is no picture {0}: `picture` of a frame (GET /v1/jobs/{{id}}/frames) is its hash")]
+    UnknownPicture(String),
     #[error("the link has expired ({0}): request a new one")]
     LinkExpired(String),
     #[error("the signature does not match the link: use the link unchanged, or request a new one")]
@@ -141,6 +145,8 @@ pub(crate) enum ApiError {
         "the preview could not be drawn: retry in a few seconds; the server's log has the cause under this request id"
     )]
     PreviewFailed,
+    #[error(transparent)]
+    TooManyPreviews(HelperError),
     #[error("the server is shutting down: retry in a few seconds")]
     ShuttingDown,
     #[error("the disk is full: free space for the data folder, then retry")]
@@ -243,8 +249,15 @@ impl ApiError {
             }
             Self::UnknownBlob(_) => (StatusCode::NOT_FOUND, "unknown_blob", "There is no such blob"),
             Self::LostPicture => (StatusCode::INTERNAL_SERVER_ERROR, "lost_picture", "The picture's file is gone"),
+            Self::DamagedPicture => {
+                (StatusCode::INTERNAL_SERVER_ERROR, "damaged_picture", "The picture's file is damaged")
+            }
+            Self::UnknownPicture(_) => (StatusCode::NOT_FOUND, "unknown_picture", "There is no such picture"),
             Self::LinkExpired(_) => (StatusCode::GONE, "link_expired", "The link has expired"),
             Self::WrongSignature => (StatusCode::FORBIDDEN, "wrong_signature", "The signature is invalid"),
+            Self::TooManyPreviews(_) => {
+                (StatusCode::TOO_MANY_REQUESTS, "too_many_previews", "Too many previews are waiting")
+            }
             Self::PreviewDelayed(_) | Self::PreviewFailed => {
                 (StatusCode::SERVICE_UNAVAILABLE, "no_preview", "The preview failed")
             }
@@ -330,6 +343,7 @@ impl IntoResponse for ApiError {
             | Self::ResponseTimeout { .. }
             | Self::PreviewDelayed(_)
             | Self::PreviewFailed
+            | Self::TooManyPreviews(_)
             | Self::TooManyAtOnce { .. }
             | Self::Busy { .. } => {
                 response.headers_mut().insert(header::RETRY_AFTER, HeaderValue::from_static("5"));
@@ -421,7 +435,8 @@ impl From<HelperError> for ApiError {
         // The message may name files of the server.
         tracing::warn!(%error, "could not draw a preview");
         match error {
-            error @ (HelperError::Busy | HelperError::TimedOut) => Self::PreviewDelayed(error),
+            HelperError::Busy => Self::TooManyPreviews(error),
+            HelperError::TimedOut => Self::PreviewDelayed(error),
             HelperError::Start(_) | HelperError::Failed(_) => Self::PreviewFailed,
         }
     }

@@ -2,17 +2,19 @@
 
 use std::sync::Arc;
 
+use axum::Json;
 use axum::body::Body;
 use axum::extract::{Path, State};
 use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use proto::JobId;
+use proto::frame::ForgottenPicture;
 
 use super::error::ApiError;
 use super::jobs::job_id;
 use super::range::{self, ByteRange};
 use crate::content_store::{ContentHash, ContentKind};
-use crate::farm::Farm;
+use crate::farm::{Farm, PictureState};
 use crate::queue::StoredImage;
 
 /// Cache lifetime: a frame's picture never changes.
@@ -103,7 +105,7 @@ pub(super) async fn answer(farm: &Farm, job: JobId, frame: u32, headers: &Header
         ByteRange::Part(part) => (StatusCode::PARTIAL_CONTENT, Some(part)),
         ByteRange::Unsatisfiable => return Err(ApiError::WrongRange { size_bytes }),
     };
-    let name = ContentHash::parse(&hash).ok_or(ApiError::LostPicture)?;
+    let name = intact(farm, &hash, size_bytes).await?;
     let found = farm.content.get(ContentKind::Picture, &name, part.clone()).await?;
     let Some((length_bytes, bytes)) = found else { return Err(ApiError::LostPicture) };
     let mut response = set_cache_headers((status, Body::from_stream(bytes)).into_response(), &tag);
@@ -113,6 +115,36 @@ pub(super) async fn answer(farm: &Farm, job: JobId, frame: u32, headers: &Header
         set(&mut response, header::CONTENT_RANGE, &format!("bytes {}-{}/{size_bytes}", part.start, part.end - 1));
     }
     Ok(response)
+}
+
+/// Name of a picture whose file is intact; otherwise its frames are rendered again.
+pub(super) async fn intact(farm: &Farm, hash: &str, size_bytes: u64) -> Result<ContentHash, ApiError> {
+    match farm.check_picture(hash, size_bytes).await? {
+        PictureState::Intact(name) => Ok(name),
+        PictureState::Missing => Err(ApiError::LostPicture),
+        PictureState::Damaged => Err(ApiError::DamagedPicture),
+    }
+}
+
+/// Forget a picture everywhere.
+///
+/// Deletes the picture's file, removes it from the cache, and renders the frames that showed it again, in every job;
+/// the jobs run meanwhile. Frames of failed and cancelled jobs have no picture afterwards.
+#[utoipa::path(
+    delete, path = "/v1/pictures/{hash}", tag = "pictures", operation_id = "forget_picture",
+    params(("hash" = String, Path, description = "BLAKE3 of the picture's bytes, in hex: `picture` of a frame, and the image's ETag")),
+    responses(
+        (status = 200, description = "The picture is forgotten", body = ref("#/components/schemas/ForgottenPicture")),
+        (status = 404, description = "No such picture", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+        (status = 422, description = "Not a hash", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+    )
+)]
+pub(super) async fn forget(
+    State(farm): State<Arc<Farm>>,
+    Path(hash): Path<String>,
+) -> Result<Json<ForgottenPicture>, ApiError> {
+    let name = ContentHash::parse(&hash).ok_or_else(|| ApiError::WrongHash(hash.clone()))?;
+    farm.forget_picture(&name).await?.map(Json).ok_or(ApiError::UnknownPicture(hash))
 }
 
 fn set_cache_headers(mut response: Response, tag: &str) -> Response {

@@ -127,7 +127,11 @@ pub(super) async fn delete(
             None => Err(ApiError::UnknownJob(id)),
         };
     }
-    match farm.queue.delete(job).await? {
+    let deleted = match farm.queue.delete(job).await {
+        Err(error) if farm.has_made_room(&error) => farm.queue.delete(job).await,
+        done => done,
+    };
+    match deleted? {
         DeleteOutcome::Done(removed) => {
             farm.sweep_removed(removed);
             Ok(StatusCode::NO_CONTENT.into_response())

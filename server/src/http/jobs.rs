@@ -136,6 +136,9 @@ impl Submission {
         if farm.is_shutting_down.is_cancelled() && !query.dry_run {
             return Err(ApiError::ShuttingDown);
         }
+        if farm.reserve.is_released() && !query.dry_run {
+            return Err(ApiError::DiskFull);
+        }
         let is_known = submit_options::is_replay(farm, &caller, &headers).await?;
         if !query.dry_run && !is_known {
             quota::check_jobs(farm, &caller).await?;
@@ -286,7 +289,11 @@ pub(super) async fn view(farm: &Farm, id: JobId) -> Result<Json<JobView>, ApiErr
 )]
 pub(super) async fn cancel(State(farm): State<Arc<Farm>>, Path(id): Path<String>) -> Result<Json<JobView>, ApiError> {
     let job = job_id(&id)?;
-    match farm.queue.cancel(job).await? {
+    let cancelled = match farm.queue.cancel(job).await {
+        Err(error) if farm.has_made_room(&error) => farm.queue.cancel(job).await,
+        done => done,
+    };
+    match cancelled? {
         CancelOutcome::Done(removed) => farm.sweep_removed(removed),
         CancelOutcome::AlreadyFinished(state) => return Err(ApiError::Finished { job, state }),
         CancelOutcome::Unknown => return Err(ApiError::UnknownJob(id)),

@@ -18,6 +18,8 @@ use crate::farm::Farm;
 use crate::queue::StoredImage;
 use crate::signed_links::LinkClaims;
 
+/// Under this name, which no key has, previews of links wait for a helper.
+const LINK_READER: &str = " links";
 /// Maximum size of a request body.
 const MAX_BYTES: usize = 4 << 10;
 
@@ -93,6 +95,7 @@ pub(super) async fn sign(
         (status = 410, description = "The link has expired", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
         (status = 416, description = "The range is outside the picture", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
         (status = 422, description = "Invalid query parameters", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+        (status = 429, description = "Too many previews are waiting: see Retry-After", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
         (status = 503, description = "The preview could not be drawn", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
     )
 )]
@@ -116,7 +119,10 @@ pub(super) async fn follow(
     }
     let mut response = match content {
         LinkContent::Image => images::answer(&farm, job, frame, &headers).await?,
-        LinkContent::Preview => previews::answer(&farm, job, frame, None, &headers).await?,
+        LinkContent::Preview => {
+            let reader = previews::Reader { name: LINK_READER, headers: &headers };
+            previews::answer(&farm, reader, job, frame, None).await?
+        }
     };
     // A cached copy must be revalidated, or it would outlive the link.
     response.headers_mut().insert(header::CACHE_CONTROL, HeaderValue::from_static("private, no-cache"));

@@ -13,7 +13,7 @@ use proto::Problem;
 use proto::api_key::{ApiKeyList, IssuedApiKey, NewApiKey};
 use proto::audit::AuditPage;
 use proto::farm::{FarmView, StartView};
-use proto::frame::FramePage;
+use proto::frame::{ForgottenPicture, FramePage};
 use proto::job::{DeleteDryRun, JobPatch};
 use proto::job::{DryRun, JobPage, JobView};
 use proto::link::{LinkRequest, LinkView};
@@ -91,6 +91,7 @@ fn answers() -> Map<String, Value> {
     generator.subschema_for::<LinkView>();
     generator.subschema_for::<GcReport>();
     generator.subschema_for::<FramePage>();
+    generator.subschema_for::<ForgottenPicture>();
     generator.subschema_for::<DeliveryList>();
     generator.subschema_for::<WorkerList>();
     generator.subschema_for::<PoolView>();

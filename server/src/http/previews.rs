@@ -11,9 +11,10 @@ use proto::job::JobState;
 use proto::preview_helper::HelperRequest;
 use serde::Deserialize;
 
+use super::auth::Caller;
 use super::error::ApiError;
 use super::{body, images, range};
-use crate::content_store::{ContentHash, ContentKind};
+use crate::content_store::ContentKind;
 use crate::farm::Farm;
 use crate::queue::FrameContents;
 
@@ -60,18 +61,20 @@ impl WidthQuery {
         (status = 304, description = "The client has the current version"),
         (status = 404, description = "No such frame or job", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
         (status = 422, description = "Invalid query parameters", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+        (status = 429, description = "Too many previews are waiting: see Retry-After", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
         (status = 503, description = "The preview could not be drawn", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
     )
 )]
 pub(super) async fn preview(
     State(farm): State<Arc<Farm>>,
+    caller: Caller,
     Path((id, frame)): Path<(String, String)>,
     uri: Uri,
     headers: HeaderMap,
 ) -> Result<Response, ApiError> {
     let width = WidthQuery::read(&uri)?;
     let (job, frame) = images::frame_of(&farm, &id, &frame).await?;
-    answer(&farm, job, frame, width, &headers).await
+    answer(&farm, Reader { name: caller.name(), headers: &headers }, job, frame, width).await
 }
 
 /// Get a stored picture as a small PNG.
@@ -87,38 +90,54 @@ pub(super) async fn preview(
         (status = 304, description = "The client has the current version"),
         (status = 404, description = "Not stored yet, or no such frame or job", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
         (status = 422, description = "Invalid query parameters", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+        (status = 429, description = "Too many previews are waiting: see Retry-After", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
         (status = 503, description = "The preview could not be drawn", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
     )
 )]
 pub(super) async fn thumbnail(
     State(farm): State<Arc<Farm>>,
+    caller: Caller,
     Path((id, frame)): Path<(String, String)>,
     uri: Uri,
     headers: HeaderMap,
 ) -> Result<Response, ApiError> {
     let width_px = WidthQuery::read(&uri)?.unwrap_or(THUMBNAIL_PX);
     let (job, frame) = images::frame_of(&farm, &id, &frame).await?;
+    let reader = Reader { name: caller.name(), headers: &headers };
     match farm.queue.frame_contents(job, frame).await? {
-        FrameContents::Stored { hash } => scaled(&farm, &hash, width_px, images::IMMUTABLE, &headers).await,
+        FrameContents::Stored { hash, size_bytes } => {
+            scaled(&farm, reader, &hash, size_bytes, width_px, images::IMMUTABLE).await
+        }
         FrameContents::Unfinished { state, .. } => Err(ApiError::NotStored { job, frame, state }),
         FrameContents::NoFrame(frames) => Err(ApiError::UnknownFrame { job, frame: frame.to_string(), frames }),
         FrameContents::NoJob => Err(ApiError::UnknownJob(job.to_string())),
     }
 }
 
+/// Client that asks for a preview.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Reader<'a> {
+    /// Name under which it waits for a helper.
+    pub(super) name: &'a str,
+    /// Headers of its request.
+    pub(super) headers: &'a HeaderMap,
+}
+
 /// Draws a preview of a frame.
 pub(super) async fn answer(
     farm: &Farm,
+    reader: Reader<'_>,
     job: JobId,
     frame: u32,
     width_px: Option<u32>,
-    headers: &HeaderMap,
 ) -> Result<Response, ApiError> {
     let width_px = width_px.unwrap_or(PREVIEW_PX);
     match farm.queue.frame_contents(job, frame).await? {
-        FrameContents::Stored { hash } => scaled(farm, &hash, width_px, "no-cache", headers).await,
+        FrameContents::Stored { hash, size_bytes } => {
+            scaled(farm, reader, &hash, size_bytes, width_px, "no-cache").await
+        }
         FrameContents::Unfinished { state, blobs } => {
-            unfinished(farm, job, frame, width_px, state, blobs, headers).await
+            unfinished(farm, reader, job, frame, width_px, state, blobs).await
         }
         FrameContents::NoFrame(frames) => Err(ApiError::UnknownFrame { job, frame: frame.to_string(), frames }),
         FrameContents::NoJob => Err(ApiError::UnknownJob(job.to_string())),
@@ -127,36 +146,34 @@ pub(super) async fn answer(
 
 async fn scaled(
     farm: &Farm,
+    reader: Reader<'_>,
     hash: &str,
+    size_bytes: u64,
     width_px: u32,
     cache: &'static str,
-    headers: &HeaderMap,
 ) -> Result<Response, ApiError> {
     let tag = format!("\"{hash}-{width_px}\"");
-    if is_known(headers, &tag) {
+    if is_known(reader.headers, &tag) {
         return Ok(describe(StatusCode::NOT_MODIFIED.into_response(), &tag, cache));
     }
-    let name = ContentHash::parse(hash).ok_or(ApiError::LostPicture)?;
-    if farm.content.size_bytes(ContentKind::Picture, &name).await?.is_none() {
-        return Err(ApiError::LostPicture);
-    }
+    images::intact(farm, hash, size_bytes).await?;
     let sketch = HelperRequest::Thumbnail { file: ContentKind::Picture.file(&farm.config.data, hash), width_px };
-    let picture = farm.preview_helper.picture(&tag, &sketch).await?;
+    let picture = farm.preview_helper.picture(reader.name, &tag, &sketch).await?;
     Ok(png(picture, &tag, cache))
 }
 
 async fn unfinished(
     farm: &Farm,
+    reader: Reader<'_>,
     job: JobId,
     frame: u32,
     width_px: u32,
     state: JobState,
     blobs: Vec<String>,
-    headers: &HeaderMap,
 ) -> Result<Response, ApiError> {
     let shown = format!("{job} {frame} {width_px} {} {}", state.name(), blobs.join(" "));
     let tag = format!("\"{}\"", blake3::hash(shown.as_bytes()).to_hex());
-    if is_known(headers, &tag) {
+    if is_known(reader.headers, &tag) {
         return Ok(describe(StatusCode::NOT_MODIFIED.into_response(), &tag, "no-cache"));
     }
     let text = farm.queue.file(job).await?.ok_or_else(|| ApiError::UnknownJob(job.to_string()))?;
@@ -168,7 +185,7 @@ async fn unfinished(
         coarse: farm.preview_helper.coarse(job, frame),
         coarse_ms: COARSE_MS,
     };
-    let picture = farm.preview_helper.picture(&tag, &sketch).await?;
+    let picture = farm.preview_helper.picture(reader.name, &tag, &sketch).await?;
     Ok(png(picture, &tag, "no-cache"))
 }
 

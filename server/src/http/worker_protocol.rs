@@ -81,6 +81,7 @@ pub(super) async fn sync(
         rays_per_second: request.rays_per_second,
         held_leases: request.held_leases,
         reports: request.reports,
+        rejected: Vec::new(),
         wants_work: request.wants_work,
         shutting_down: request.shutting_down,
         opening: None,
@@ -93,7 +94,7 @@ pub(super) async fn sync(
         work.as_mut().enable();
         news.as_mut().enable();
         let prompt = turn.has_reports();
-        let again = SyncInput { reports: Vec::new(), ..turn.clone() };
+        let again = turn.without_reports();
         let begun = monotonic_now();
         let Some(turned) = farm.sync(turn).await? else { return Err(unknown_worker(&farm, again.worker).await?) };
         if let Some(metrics) = metrics.take() {
@@ -204,6 +205,9 @@ async fn put(
 ) -> Result<StatusCode, ApiError> {
     let name = ContentHash::parse(&hash).ok_or_else(|| ApiError::WrongHash(hash.clone()))?;
     check_lease(farm, caller, LeaseNeed::Upload).await?;
+    if farm.reserve.is_released() {
+        return Err(ApiError::DiskFull);
+    }
     let (bytes, _room) = request.into_stream(WRITE_CHUNK_BYTES)?;
     let bytes = bytes.map_err(std::io::Error::other);
     let span = tracing::info_span!("store", ?kind, %hash);

@@ -10,6 +10,7 @@ use proto::worker_protocol::{LeaseOutcome, LeaseReport};
 use proto::{LeaseId, WorkerId};
 
 use super::lease::{self, LeaseEnd, LiveLease};
+use super::verification::{self, Candidate};
 use super::{
     Connection, Result, TransitionContext, Wake, durations, expect_rows, fair_share, finish, picture, row_count, stitch,
 };
@@ -25,6 +26,8 @@ pub(super) struct DeliverResult {
     pub(super) ring: Wake,
     /// Blobs of frames that have been stored.
     pub(super) leftovers: Vec<String>,
+    /// Number of results that should be verified, but cannot be.
+    pub(super) unverified: u64,
 }
 
 /// A finished tile.
@@ -103,6 +106,10 @@ async fn accept_blobs(
         }
     }
     for ((job, frame), tiles) in frames {
+        let candidates: Vec<Candidate> = tiles.iter().map(|tile| Candidate::tile(&tile.held, tile.hash)).collect();
+        let (unverified, wake) = verification::choose(connection, &worker.to_string(), &candidates, moment).await?;
+        delivered.unverified += unverified;
+        delivered.ring.add(wake);
         delivered.ring.add(finish_tiles(connection, job, frame, &tiles, moment).await?);
     }
     Ok(())

@@ -3,6 +3,8 @@
 //!
 //! Both happen only if another worker can do the work, so that a single worker never stops the farm.
 
+use proto::WorkerId;
+
 use super::lease::LiveLease;
 use super::{Connection, Result, TransitionContext};
 
@@ -13,6 +15,8 @@ const EXCLUSION_MS: i64 = 3_600_000;
 /// Number of exclusions that quarantines a worker. Jobs that failed as a whole do not count, because they
 /// failed on every worker.
 const EXCLUSIONS_BEFORE_QUARANTINE: i64 = 3;
+/// Number of a worker's results with wrong bytes that quarantines it. A correct worker has none.
+const WRONG_RESULTS_BEFORE_QUARANTINE: i64 = 3;
 
 /// Records a worker's error in a job.
 pub(super) async fn record_error(
@@ -62,6 +66,44 @@ async fn quarantine(connection: &mut Connection, worker: &str, moment: Transitio
             code = "worker_quarantined",
             worker,
             "a worker failed in too many jobs and gets no more work: check its device, then restart it"
+        );
+    }
+    Ok(())
+}
+
+/// Counts results of a worker that were not what was asked for; after a few it is quarantined, also if it is the
+/// last ready worker, because a picture that is late is better than a wrong one. Returns whether it is now.
+pub(super) async fn record_wrong_results(connection: &mut Connection, worker: WorkerId, count: usize) -> Result<bool> {
+    if count == 0 {
+        return Ok(false);
+    }
+    let wrong: Option<i64> = sqlx::query_scalar(
+        "UPDATE worker SET wrong_results = wrong_results + ? WHERE id = ? AND state <> 'gone' RETURNING wrong_results",
+    )
+    .bind(super::row_count(count))
+    .bind(worker.to_string())
+    .fetch_optional(&mut *connection)
+    .await?;
+    if wrong.is_none_or(|wrong| wrong < WRONG_RESULTS_BEFORE_QUARANTINE) {
+        return Ok(false);
+    }
+    quarantine_at_once(connection, &worker.to_string(), "it delivered something else than was asked for").await?;
+    Ok(true)
+}
+
+/// Quarantines a worker, whatever other workers there are.
+pub(super) async fn quarantine_at_once(connection: &mut Connection, worker: &str, reason: &str) -> Result<()> {
+    let quarantined =
+        sqlx::query("UPDATE worker SET state = 'quarantined' WHERE id = ? AND state NOT IN ('gone', 'quarantined')")
+            .bind(worker)
+            .execute(connection)
+            .await?;
+    if quarantined.rows_affected() > 0 {
+        tracing::error!(
+            code = "worker_quarantined",
+            worker,
+            reason,
+            "a worker gets no more work: revoke its key, or check its device and restart it"
         );
     }
     Ok(())

@@ -29,6 +29,8 @@ pub(crate) enum LeaseEnd {
     Failed,
     /// The worker crashed: the tile may be the cause.
     Crashed,
+    /// The worker delivered something else than was asked for: its own fault, never the tile's.
+    Rejected,
     /// The worker vanished, was killed, or did not renew in time.
     Lost,
     /// The worker released the tile, or never received the lease.
@@ -38,7 +40,7 @@ pub(crate) enum LeaseEnd {
 impl LeaseEnd {
     fn name(self) -> &'static str {
         match self {
-            Self::Failed => "failed",
+            Self::Failed | Self::Rejected => "failed",
             Self::Crashed => "crashed",
             Self::Lost => "lost",
             Self::Released => "interrupted",
@@ -68,7 +70,7 @@ impl Counters {
             LeaseEnd::Failed => self.errors += 1,
             LeaseEnd::Crashed => self.crashes += 1,
             LeaseEnd::Lost => self.lost += 1,
-            LeaseEnd::Released => self.interrupts += 1,
+            LeaseEnd::Released | LeaseEnd::Rejected => self.interrupts += 1,
         }
         self
     }
@@ -83,7 +85,7 @@ impl Counters {
             LeaseEnd::Crashed => self.crashes,
             // Hosts vanish for reasons unrelated to the tile, so the first losses cause no delay.
             LeaseEnd::Lost => self.lost - LOSSES_BEFORE_ISOLATION,
-            LeaseEnd::Released => 0,
+            LeaseEnd::Released | LeaseEnd::Rejected => 0,
         };
         if steps <= 0 {
             return RetryDecision::Retry { delay_ms: 0 };
@@ -210,8 +212,11 @@ pub(super) async fn end_without_result(
     match counters.decide(cause, jitter()) {
         RetryDecision::Retry { delay_ms } => {
             let not_before_ms = if delay_ms == 0 { 0 } else { moment.now_ms + delay_ms };
-            let avoids =
-                cause == LeaseEnd::Failed && !exclusion::is_other_worker_excluded(connection, held, moment).await?;
+            let avoids = match cause {
+                LeaseEnd::Failed => !exclusion::is_other_worker_excluded(connection, held, moment).await?,
+                LeaseEnd::Rejected => true,
+                LeaseEnd::Crashed | LeaseEnd::Lost | LeaseEnd::Released => false,
+            };
             requeue(connection, held, counters, not_before_ms, avoids.then_some(held.worker.as_str())).await?;
             Ok(Wake::WORK)
         }

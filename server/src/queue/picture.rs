@@ -9,6 +9,7 @@ use sqlx::Row;
 
 use super::deliver::{DeliverResult, count_mismatches, record_durations};
 use super::lease::{self, LeaseEnd, LiveLease};
+use super::verification::{self, Candidate};
 use super::{Connection, Result, TransitionContext, Wake, expect_rows, finish, row_count};
 use crate::database::DatabaseError;
 
@@ -37,6 +38,10 @@ pub(super) async fn accept_picture(
         if stitched || is_every_tile(connection, job, frame, held.len()).await? {
             let picture = StoredPicture { job, frame, hash, size_bytes };
             store_frame(connection, &held, stitched, &picture, moment, delivered).await?;
+            let candidate: Vec<Candidate> = Candidate::picture(&held, hash).into_iter().collect();
+            let (unverified, wake) = verification::choose(connection, &worker.to_string(), &candidate, moment).await?;
+            delivered.unverified += unverified;
+            delivered.ring.add(wake);
             continue;
         }
         for held in held {
@@ -128,17 +133,22 @@ async fn finish_all(connection: &mut Connection, held: &[LiveLease]) -> Result<W
 const FIRST_PICTURE_SQL: &str = "SELECT frame.picture FROM lease JOIN tile ON tile.id = lease.tile
      JOIN frame ON frame.job = tile.job AND frame.number = tile.frame WHERE lease.id = ?";
 
-/// Adds a picture to the cache; the first one of a cache key is kept. Returns the number of pictures that
-/// differ from it.
+/// Adds a picture to the cache. The first one of a cache key is kept, unless the job was to bypass it: its
+/// picture replaces the first. Returns the number of pictures that differ from it.
 async fn cache_picture(
     connection: &mut Connection,
     picture: &StoredPicture<'_>,
     key: &str,
     moment: TransitionContext,
 ) -> Result<u64> {
+    let first: Option<String> =
+        sqlx::query_scalar("SELECT hash FROM picture WHERE key = ?").bind(key).fetch_optional(&mut *connection).await?;
     sqlx::query(
         "INSERT INTO picture (key, hash, size_bytes, media_type, stored_at_ms)
-         SELECT ?1, ?2, ?3, media_type, ?4 FROM job WHERE number = ?5 ON CONFLICT (key) DO NOTHING",
+         SELECT ?1, ?2, ?3, media_type, ?4 FROM job WHERE number = ?5
+         ON CONFLICT (key) DO UPDATE SET hash = excluded.hash, size_bytes = excluded.size_bytes,
+             stored_at_ms = excluded.stored_at_ms
+         WHERE (SELECT fresh FROM job WHERE number = ?5)",
     )
     .bind(key)
     .bind(picture.hash)
@@ -147,15 +157,11 @@ async fn cache_picture(
     .bind(picture.job)
     .execute(&mut *connection)
     .await?;
-    let first: String =
-        sqlx::query_scalar("SELECT hash FROM picture WHERE key = ?").bind(key).fetch_one(&mut *connection).await?;
-    if first == picture.hash {
-        return Ok(0);
-    }
+    let Some(first) = first.filter(|first| first != picture.hash) else { return Ok(0) };
     let job = super::job_id(connection, picture.job).await?;
     tracing::error!(
         code = "nondeterministic_picture", %job, frame = picture.frame, %first,
-        second = picture.hash, "one picture was rendered in two ways; later jobs get the first"
+        second = picture.hash, "one picture was rendered in two ways; later jobs get the first, unless this job bypasses the cache"
     );
     Ok(1)
 }

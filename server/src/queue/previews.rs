@@ -13,6 +13,8 @@ pub(crate) enum FrameContents {
     Stored {
         /// BLAKE3 of its bytes, in hex.
         hash: String,
+        /// Its size.
+        size_bytes: u64,
     },
     /// Some of its tiles may be finished.
     Unfinished {
@@ -42,7 +44,7 @@ impl Queue {
     /// Reads the content of a frame.
     pub(crate) async fn frame_contents(&self, id: JobId, frame: u32) -> Result<FrameContents> {
         let row = sqlx::query(
-            "SELECT job.number, job.state, job.frames_total, frame.picture
+            "SELECT job.number, job.state, job.frames_total, frame.picture, frame.size_bytes
              FROM job LEFT JOIN frame ON frame.job = job.number AND frame.number = ? WHERE job.id = ?",
         )
         .bind(frame)
@@ -55,7 +57,7 @@ impl Queue {
             return Ok(FrameContents::NoFrame(frames));
         }
         if let Some(hash) = row.try_get("picture")? {
-            return Ok(FrameContents::Stored { hash });
+            return Ok(FrameContents::Stored { hash, size_bytes: row.try_get("size_bytes")? });
         }
         let blobs = sqlx::query_scalar(
             "SELECT blob FROM tile WHERE job = ? AND frame = ? AND blob IS NOT NULL ORDER BY position",

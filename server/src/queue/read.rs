@@ -255,7 +255,9 @@ impl Queue {
         Ok(sqlx::query_scalar(
             "SELECT value FROM json_each(?) WHERE NOT EXISTS (
                  SELECT 1 FROM tile JOIN frame ON frame.job = tile.job AND frame.number = tile.frame
-                 WHERE tile.blob = value AND frame.state IN ('open', 'stitching'))",
+                 WHERE tile.blob = value AND (frame.state IN ('open', 'stitching')
+                     OR EXISTS (SELECT 1 FROM verification WHERE verification.job = frame.job
+                                AND verification.frame = frame.number AND verification.position = -1)))",
         )
         .bind(super::json_list(hashes))
         .fetch_all(self.readers())

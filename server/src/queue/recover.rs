@@ -2,7 +2,7 @@
 
 use sqlx::Row;
 
-use super::{Connection, Result, exclusion, fair_share, json_numbers, row_count, speeds};
+use super::{Connection, Result, exclusion, fair_share, json_numbers, row_count, speeds, verification};
 
 /// Retention of ended leases, to recognize late results.
 const LEASE_RETENTION_MS: u64 = 3_600_000;
@@ -53,6 +53,7 @@ pub(super) async fn recover(connection: &mut Connection, now_ms: i64, lease_ms: 
         .await?;
     exclusion::recover(connection, now_ms).await?;
     speeds::recover(connection, now_ms).await?;
+    verification::reset_after_restart(connection, now_ms).await?;
     let jobs =
         sqlx::query("SELECT count(*) AS jobs FROM job WHERE finished_at_ms IS NULL").fetch_one(connection).await?;
     Ok(Recovery { generation, jobs: jobs.try_get("jobs")?, leases: row_count(tiles.len()) })

@@ -5,7 +5,8 @@ use sqlx::Row;
 use sqlx::sqlite::SqliteRow;
 
 use super::finish::job_state;
-use super::{Connection, FrameOpening, Result, expect_rows, json_list, open_frame, row_count};
+use super::{Connection, FrameOpening, Queue, Result, Wake, expect_rows, json_list, open_frame, row_count};
+use crate::database::Durability;
 use crate::tile_plan::TilePlan;
 
 /// Most that a share can be ahead of the submitter served last, in microseconds of a worker: 100 days, more than
@@ -19,6 +20,38 @@ pub(crate) struct Reopened {
     pub(crate) frames: u64,
     /// Number of frames of cancelled or failed jobs, which stay without a picture.
     pub(crate) void: u64,
+}
+
+/// Result of forgetting a picture.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Forgotten {
+    /// Outcome for the frames that showed it.
+    pub(crate) reopened: Reopened,
+    /// Whether a row named it.
+    pub(crate) is_known: bool,
+}
+
+impl Queue {
+    /// Forgets a picture, and wakes workers for the frames that are rendered again.
+    pub(crate) async fn forget_picture(&self, hash: &str) -> Result<Forgotten> {
+        let hashes = vec![hash.to_owned()];
+        let forgotten = self
+            .database
+            .write(Durability::Full, move |connection| {
+                Box::pin(async move {
+                    let cached: Option<i64> = sqlx::query_scalar("SELECT 1 FROM picture WHERE hash = ? LIMIT 1")
+                        .bind(&hashes[0])
+                        .fetch_optional(&mut *connection)
+                        .await?;
+                    let reopened = forget_pictures(connection, &hashes).await?;
+                    let is_known = cached.is_some() || reopened != Reopened::default();
+                    Ok(Forgotten { reopened, is_known })
+                })
+            })
+            .await?;
+        self.wake(Wake::WORK);
+        Ok(forgotten)
+    }
 }
 
 /// Frame whose picture is missing.
@@ -104,6 +137,11 @@ pub(crate) async fn forget_pictures(connection: &mut Connection, hashes: &[Strin
 }
 
 async fn reopen(connection: &mut Connection, lost: &LostFrame) -> Result<()> {
+    sqlx::query("DELETE FROM verification WHERE job = ? AND frame = ?")
+        .bind(lost.job)
+        .bind(lost.frame)
+        .execute(&mut *connection)
+        .await?;
     sqlx::query("DELETE FROM tile WHERE job = ? AND frame = ?")
         .bind(lost.job)
         .bind(lost.frame)

@@ -10,6 +10,8 @@ use sqlx::Row;
 
 use super::claim::{self, ClaimOutcome, ClaimRequest};
 use super::lease::{self, LeaseEnd};
+use super::reported::{self, RejectedResult};
+use super::verification::{self, VerificationOutcome};
 use super::{Connection, FrameOpening, Result, TransitionContext, Wake, deliver, open_frame, parse_column, workers};
 use crate::tile_plan::TilePlan;
 
@@ -33,6 +35,8 @@ pub(crate) struct SyncInput {
     pub(crate) held_leases: Vec<LeaseId>,
     /// Results of leases that have finished.
     pub(crate) reports: Vec<LeaseReport>,
+    /// Results whose bytes are not what was asked for.
+    pub(crate) rejected: Vec<RejectedResult>,
     /// Whether the worker requests a batch.
     pub(crate) wants_work: bool,
     /// Whether the worker is shutting down.
@@ -44,7 +48,12 @@ pub(crate) struct SyncInput {
 impl SyncInput {
     /// Whether it contains results, so that its commit must be durable before the response.
     pub(crate) fn has_reports(&self) -> bool {
-        !self.reports.is_empty()
+        !self.reports.is_empty() || !self.rejected.is_empty()
+    }
+
+    /// The same sync after its results have been recorded.
+    pub(crate) fn without_reports(&self) -> Self {
+        Self { reports: Vec::new(), rejected: Vec::new(), ..self.clone() }
     }
 }
 
@@ -65,6 +74,10 @@ pub(crate) struct SyncOutcome {
     pub(crate) fenced: u64,
     /// Number of results that differ from the first result of the same tile.
     pub(crate) nondeterministic: u64,
+    /// Number of results that are not what was asked for.
+    pub(crate) rejected: u64,
+    /// Changes of verifications.
+    pub(crate) verification: VerificationOutcome,
     pub(super) ring: Wake,
 }
 
@@ -111,17 +124,36 @@ pub(super) async fn sync(
     // A pass with the opening that the previous pass asked for belongs to the same sync.
     let is_new = turn.opening.is_none();
     let (expired, mut ring) = if is_new { lease::rescue(connection, moment).await? } else { Default::default() };
-    let delivered = deliver::deliver(connection, turn.worker, &turn.reports, moment).await?;
+    // The leases of verifications are apart from those of tiles.
+    let id = turn.worker.to_string();
+    let verified = verification::live_lease_ids(connection, &id).await?;
+    let is_verified = |lease: &LeaseId| !verified.is_empty() && verified.contains(&lease.to_string());
+    let (verifications, reports): (Vec<_>, Vec<_>) =
+        turn.reports.iter().cloned().partition(|report| is_verified(&report.lease));
+    let delivered = deliver::deliver(connection, turn.worker, &reports, moment).await?;
     ring.add(delivered.ring);
+    let (mut verification, verdict_wake) =
+        verification::deliver(connection, turn.worker, &verifications, moment).await?;
+    ring.add(verdict_wake);
+    verification.skipped += delivered.unverified;
     let (fenced, nondeterministic) = (delivered.lost.len() as u64, delivered.nondeterministic);
     let mut lost = delivered.lost;
+    let (late, is_quarantined, rejection_wake) =
+        reported::reject(connection, turn.worker, &turn.rejected, moment).await?;
+    lost.extend(late);
+    ring.add(rejection_wake);
     if is_new {
-        ring.add(renew_leases(connection, &turn, moment, &mut lost).await?);
+        let (held, tiles): (Vec<LeaseId>, Vec<LeaseId>) = turn.held_leases.iter().partition(|lease| is_verified(lease));
+        if !verified.is_empty() {
+            let held: Vec<String> = held.iter().map(ToString::to_string).collect();
+            ring.add(verification::renew(connection, &id, &held, moment).await?);
+        }
+        ring.add(renew_leases(connection, turn.worker, &tiles, moment, &mut lost).await?);
     }
     if turn.shutting_down {
         ring.add(workers::deregister(connection, turn.worker, moment).await?);
     }
-    let next = if turn.wants_work && !turn.shutting_down && worker.state == SyncState::Ready {
+    let next = if turn.wants_work && !turn.shutting_down && worker.state == SyncState::Ready && !is_quarantined {
         claim_or_nothing(connection, &turn, worker.max_nodes, moment).await?
     } else {
         NextWork::Nothing(None)
@@ -135,6 +167,8 @@ pub(super) async fn sync(
         expired,
         fenced,
         nondeterministic,
+        rejected: turn.rejected.len() as u64,
+        verification,
         ring,
     }))
 }
@@ -183,21 +217,22 @@ async fn touch_worker(
 /// received.
 async fn renew_leases(
     connection: &mut Connection,
-    turn: &SyncInput,
+    worker: WorkerId,
+    held_leases: &[LeaseId],
     moment: TransitionContext,
     lost: &mut Vec<LeaseId>,
 ) -> Result<Wake> {
-    let live = lease::live_leases(connection, &turn.worker.to_string()).await?;
-    let mut holding: HashSet<String> = turn.held_leases.iter().map(ToString::to_string).collect();
+    let live = lease::live_leases(connection, &worker.to_string()).await?;
+    let mut holding: HashSet<String> = held_leases.iter().map(ToString::to_string).collect();
     let (held, unknown): (Vec<_>, Vec<_>) = live.iter().partition(|live| holding.remove(&live.lease));
-    lost.extend(turn.held_leases.iter().filter(|lease| holding.contains(&lease.to_string())));
+    lost.extend(held_leases.iter().filter(|lease| holding.contains(&lease.to_string())));
     let held: Vec<&str> = held.into_iter().map(|live| live.lease.as_str()).collect();
     lease::renew(connection, &held, moment).await?;
     let mut ring = Wake::default();
     for unheard in unknown.into_iter().filter(|live| live.granted_ms <= moment.now_ms - UNHEARD_LEASE_MS) {
         // The failure of a job, earlier in this loop, may have ended more of these leases.
         let Some(held) = lease::live_lease(connection, &unheard.lease).await? else { continue };
-        tracing::warn!(lease = %held.lease, worker = %turn.worker, "a worker never received its lease");
+        tracing::warn!(lease = %held.lease, %worker, "a worker never received its lease");
         ring.add(
             lease::end_without_result(
                 connection,
@@ -247,6 +282,9 @@ async fn claim_work(
         open_frame::open(connection, opening, moment).await?;
     }
     let claimant = ClaimRequest { worker: turn.worker, rays_per_second: turn.rays_per_second, max_nodes };
+    if let Some(batch) = verification::claim(connection, claimant, moment).await? {
+        return Ok(NextWork::Run(batch));
+    }
     Ok(match claim::claim(connection, claimant, moment).await? {
         ClaimOutcome::Run(run) => NextWork::Run(run),
         ClaimOutcome::NeedsFrame { job, frame, plan } => NextWork::OpenFrame { job, frame, plan },

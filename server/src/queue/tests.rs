@@ -167,6 +167,7 @@ fn turn(worker: WorkerId) -> SyncInput {
         rays_per_second: None,
         held_leases: Vec::new(),
         reports: Vec::new(),
+        rejected: Vec::new(),
         wants_work: false,
         shutting_down: false,
         opening: None,

@@ -5,7 +5,7 @@ use proto::{JobId, WorkerId};
 use sqlx::Row;
 
 use super::lease::{self, LeaseEnd};
-use super::{Connection, Queue, Result, TransitionContext, Wake, expect_rows, parse_column};
+use super::{Connection, Queue, Result, TransitionContext, Wake, expect_rows, parse_column, verification};
 
 /// Worker that registers.
 #[derive(Clone, Debug)]
@@ -35,8 +35,8 @@ pub(super) async fn register(
 ) -> Result<Registration> {
     let worker = WorkerId::new();
     let made = sqlx::query(
-        "INSERT INTO worker (id, name, device, state, pool, process, max_nodes, generation, seen_ms, owner)
-         VALUES (?, ?, ?, 'ready', ?, ?, ?, ?, ?, ?)",
+        "INSERT INTO worker (id, name, device, state, pool, process, max_nodes, generation, seen_ms, registered_ms, owner)
+         VALUES (?1, ?2, ?3, 'ready', ?4, ?5, ?6, ?7, ?8, ?8, ?9)",
     )
     .bind(worker.to_string())
     .bind(new.name)
@@ -149,14 +149,15 @@ pub(super) async fn deregister(
     end_leases(connection, &id, LeaseEnd::Released, "its worker shut down", moment).await
 }
 
-async fn end_leases(
+/// Ends all leases of a worker.
+pub(super) async fn end_leases(
     connection: &mut Connection,
     worker: &str,
     cause: LeaseEnd,
     message: &str,
     moment: TransitionContext,
 ) -> Result<Wake> {
-    let mut ring = Wake::default();
+    let mut ring = verification::release_of(connection, worker).await?;
     for lease in lease::live_lease_ids(connection, worker).await? {
         if let Some(held) = lease::live_lease(connection, &lease).await? {
             ring.add(lease::end_without_result(connection, &held, cause, message, moment).await?);

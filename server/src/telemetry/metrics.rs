@@ -56,6 +56,10 @@ pub(crate) struct Metrics {
     pub(super) expired: Counter,
     pub(super) fenced: Counter,
     pub(super) nondeterministic: Counter,
+    pub(super) rejected: Counter,
+    pub(super) verified: Counter,
+    pub(super) refuted: Counter,
+    pub(super) unverified: Counter,
     pub(super) webhook_failures: Counter,
     pub(super) database_bytes: FloatGauge,
     pub(super) wal_bytes: FloatGauge,
@@ -133,6 +137,11 @@ impl Metrics {
             fenced: book.counter("sdfarm_results_fenced", "Results without effect because their lease had ended"),
             nondeterministic: book
                 .counter("sdfarm_nondeterministic_tiles", "Tiles that two workers rendered differently"),
+            rejected: book.counter("sdfarm_results_rejected", "Results that were not what was asked for"),
+            verified: book.counter("sdfarm_results_verified", "Results that another worker rendered again identically"),
+            refuted: book.counter("sdfarm_results_refuted", "Results that another worker rendered again differently"),
+            unverified: book
+                .counter("sdfarm_results_unverified", "Results chosen for verification that no other worker rendered"),
             webhook_failures: book.counter("sdfarm_webhook_failures", "Failed attempts to deliver a webhook"),
             database_bytes: book.gauge("sdfarm_database_bytes", "Size of the database's file"),
             wal_bytes: book.gauge("sdfarm_wal_bytes", "Size of the database's write-ahead log"),

@@ -8,6 +8,7 @@ use serde_json::{Value, json};
 
 use crate::skip::skip;
 
+use super::fake_pictures::text_of;
 use super::harness::{Farm, in_time, read, refused, small_job};
 
 fn animation(frames: u32) -> Value {
@@ -66,19 +67,19 @@ async fn an_archive_has_every_picture_in_order_and_identical_bytes() {
     let members = members(&farm, &path).await;
     let names: Vec<&str> = members.iter().map(|(name, _)| name.as_str()).collect();
     assert_eq!(names, (0..12).map(|frame| format!("two_words.{frame:04}.png")).collect::<Vec<_>>());
-    for (frame, (_, text)) in members.iter().enumerate() {
-        assert_eq!(*text, format!("picture of frame {frame} of {}", posted.id));
+    for (frame, (_, picture)) in members.iter().enumerate() {
+        assert_eq!(text_of(picture), format!("picture of frame {frame} of {}", posted.id));
     }
     farm.stop().await;
 }
 
-/// Names and texts in an archive, as read by Python; without Python, as read by the library.
-async fn members(farm: &Farm, path: &str) -> Vec<(String, String)> {
+/// Names and contents in an archive, as read by Python; without Python, as read by the library.
+async fn members(farm: &Farm, path: &str) -> Vec<(String, Vec<u8>)> {
     const READER: &str = "import json, sys, zipfile
 z = zipfile.ZipFile(sys.argv[1])
 assert z.testzip() is None
 assert all(i.compress_type == 0 and i.date_time == (1980, 1, 1, 0, 0, 0) for i in z.infolist())
-print(json.dumps([[i.filename, z.read(i).decode()] for i in z.infolist()]))";
+print(json.dumps([[i.filename, list(z.read(i))] for i in z.infolist()]))";
     let bytes = in_time(farm.get(path).await.bytes()).await.expect("bytes");
     let folder = tempfile::tempdir().expect("a temporary folder");
     let file = folder.path().join("frames.zip");
@@ -88,19 +89,19 @@ print(json.dumps([[i.filename, z.read(i).decode()] for i in z.infolist()]))";
         return own_members(&bytes);
     };
     assert!(read.status.success(), "{}", String::from_utf8_lossy(&read.stderr));
-    let members: Vec<(String, String)> = serde_json::from_slice(&read.stdout).expect("a list");
+    let members: Vec<(String, Vec<u8>)> = serde_json::from_slice(&read.stdout).expect("a list");
     assert_eq!(members, own_members(&bytes));
     members
 }
 
-fn own_members(bytes: &[u8]) -> Vec<(String, String)> {
+fn own_members(bytes: &[u8]) -> Vec<(String, Vec<u8>)> {
     let mut archive = zip::ZipArchive::new(std::io::Cursor::new(bytes)).expect("an archive");
     (0..archive.len())
         .map(|index| {
             let mut member = archive.by_index(index).expect("a member");
-            let mut text = String::new();
-            std::io::Read::read_to_string(&mut member, &mut text).expect("text");
-            (member.name().expect("a plain name").to_string(), text)
+            let mut picture = Vec::new();
+            std::io::Read::read_to_end(&mut member, &mut picture).expect("bytes");
+            (member.name().expect("a plain name").to_string(), picture)
         })
         .collect()
 }

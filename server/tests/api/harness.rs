@@ -1,7 +1,9 @@
 //! Test harness: a server on a free port with its own folder, and a worker that pretends to render.
 
+use std::collections::HashMap;
 use std::net::SocketAddr;
 use std::path::Path;
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use proto::client_auth::client_builder;
@@ -10,13 +12,15 @@ use proto::worker_protocol::{
     self, Batch, BatchWork, LeaseOutcome, LeaseReport, RegisterRequest, RegisterResponse, SyncRequest, SyncResponse,
     WorkerMetrics,
 };
-use proto::{JobId, LeaseId, Problem, WorkerId};
+use proto::{JobId, LeaseId, Problem, Rect, WorkerId};
 use reqwest::{Client, Response, StatusCode};
 use serde_json::{Value, json};
 use server::{Clock, Config, ManualClock, Server};
 use tempfile::TempDir;
 use tokio::task::JoinHandle;
 use tokio_util::sync::CancellationToken;
+
+use super::fake_pictures;
 
 /// Timeout of every operation; an operation that takes longer has failed.
 const DEADLINE: Duration = Duration::from_mins(1);
@@ -45,6 +49,8 @@ pub(crate) fn config(data: &Path) -> Config {
         data: data.to_owned(),
         workers: Some(0),
         lease: LEASE,
+        verify_share: 0.0,
+        verify_new: Duration::ZERO,
         worker_program: "/nonexistent/sdfarm".into(),
         ..Config::default()
     }
@@ -142,9 +148,19 @@ pub(crate) fn small_job(seed: u32) -> Value {
     job
 }
 
+/// Tile or frame of a lease.
+#[derive(Clone)]
+struct Place {
+    job: Arc<scene::Job>,
+    frame: u32,
+    rect: Rect,
+}
+
 /// A worker that pretends to render.
 pub(crate) struct Worker<'a> {
     farm: &'a Farm,
+    jobs: Mutex<HashMap<JobId, Arc<scene::Job>>>,
+    places: Mutex<HashMap<LeaseId, Place>>,
     pub(crate) id: WorkerId,
     pub(crate) rays_per_second: Option<f64>,
 }
@@ -174,7 +190,8 @@ impl<'a> Worker<'a> {
         )
         .await;
         assert_eq!(welcome.lease_ms, LEASE.as_millis() as u64);
-        Self { farm, id: welcome.worker, rays_per_second: None }
+        let (jobs, places) = Default::default();
+        Self { farm, jobs, places, id: welcome.worker, rays_per_second: None }
     }
 
     pub(crate) async fn try_sync(&self, said: Said) -> Response {
@@ -192,7 +209,37 @@ impl<'a> Worker<'a> {
     }
 
     pub(crate) async fn sync(&self, said: Said) -> SyncResponse {
-        read(self.try_sync(said).await, StatusCode::OK).await
+        let reply: SyncResponse = read(self.try_sync(said).await, StatusCode::OK).await;
+        if let Some(run) = &reply.batch {
+            self.remember(run).await;
+        }
+        reply
+    }
+
+    /// Remembers what the leases of a batch ask for.
+    async fn remember(&self, run: &Batch) {
+        let known = self.jobs.lock().expect("no holder panics").get(&run.job).cloned();
+        let job = if let Some(job) = known {
+            job
+        } else {
+            let text = in_time(self.farm.get(&worker_protocol::job_path(run.job)).await.bytes()).await;
+            let Ok(job) = scene::parse(&text.expect("a body")) else { return };
+            let job = Arc::new(job);
+            self.jobs.lock().expect("no holder panics").insert(run.job, Arc::clone(&job));
+            job
+        };
+        let rect = Rect::full(job.image.width, job.image.height);
+        let rects: Vec<(LeaseId, Rect)> = match &run.work {
+            BatchWork::Render { tiles, .. } => tiles.iter().map(|tile| (tile.lease, tile.rect)).collect(),
+            BatchWork::Stitch { lease, .. } => vec![(*lease, rect)],
+        };
+        let places =
+            rects.into_iter().map(|(lease, rect)| (lease, Place { job: Arc::clone(&job), frame: run.frame, rect }));
+        self.places.lock().expect("no holder panics").extend(places);
+    }
+
+    fn place(&self, lease: LeaseId) -> Option<Place> {
+        self.places.lock().expect("no holder panics").get(&lease).cloned()
     }
 
     /// Claims a batch, if one is ready at once.
@@ -213,8 +260,15 @@ impl<'a> Worker<'a> {
         in_time(self.farm.client.put(self.farm.url(path)).body(bytes).send()).await.expect("the server responds")
     }
 
-    /// Stores a picture and reports it for these leases.
-    pub(crate) async fn picture(&self, leases: &[LeaseId], bytes: &[u8]) -> Vec<LeaseReport> {
+    /// Stores a picture with this text and reports it for these leases.
+    pub(crate) async fn picture(&self, leases: &[LeaseId], text: &[u8]) -> Vec<LeaseReport> {
+        let place = leases.first().and_then(|lease| self.place(*lease));
+        let place = place.expect("this worker claimed the lease");
+        self.raw_picture(leases, &fake_pictures::picture(&place.job, place.frame, text)).await
+    }
+
+    /// Stores any bytes as a picture and reports it for these leases.
+    pub(crate) async fn raw_picture(&self, leases: &[LeaseId], bytes: &[u8]) -> Vec<LeaseReport> {
         let hash = blake3::hash(bytes).to_hex().to_string();
         let put = self.put(&worker_protocol::picture_path(&hash), bytes.to_vec()).await;
         assert_eq!(put.status(), StatusCode::NO_CONTENT);
@@ -225,8 +279,14 @@ impl<'a> Worker<'a> {
             .collect()
     }
 
-    /// Stores a blob and reports it.
-    pub(crate) async fn blob(&self, lease: LeaseId, bytes: &[u8]) -> LeaseReport {
+    /// Stores a blob with this text and reports it.
+    pub(crate) async fn blob(&self, lease: LeaseId, text: &[u8]) -> LeaseReport {
+        let place = self.place(lease).expect("this worker claimed the lease");
+        self.raw_blob(lease, &fake_pictures::blob(&place.job, place.rect, text)).await
+    }
+
+    /// Stores any bytes as a blob and reports it.
+    pub(crate) async fn raw_blob(&self, lease: LeaseId, bytes: &[u8]) -> LeaseReport {
         let hash = blake3::hash(bytes).to_hex().to_string();
         let put = self.put(&worker_protocol::blob_path(&hash), bytes.to_vec()).await;
         assert_eq!(put.status(), StatusCode::NO_CONTENT);
@@ -244,6 +304,7 @@ impl<'a> Worker<'a> {
 
     /// Reports of a correct worker for a batch.
     pub(crate) async fn results(&self, run: &Batch) -> Vec<LeaseReport> {
+        self.remember(run).await;
         let picture = format!("picture of frame {} of {}", run.frame, run.job);
         match &run.work {
             BatchWork::Render { whole_frame: true, .. } | BatchWork::Stitch { .. } => {

@@ -7,6 +7,7 @@ use proto::pool::WorkerList;
 use proto::worker_protocol::{BatchWork, LeaseOutcome, LeaseReport, SyncResponse};
 use reqwest::StatusCode;
 
+use super::fake_pictures::text_of;
 use super::harness::{Farm, LEASE, Said, assert_state, in_time, job, leases, read, refused, small_job};
 
 fn failed(lease: proto::LeaseId, message: &str) -> LeaseReport {
@@ -27,7 +28,8 @@ async fn a_result_under_an_expired_lease_has_no_effect() {
     assert_state(&farm, posted.id, JobState::Running).await;
     quick.report(quick.results(&again).await).await;
     let image = farm.get(&format!("/v1/jobs/{}/image", posted.id)).await;
-    assert_eq!(in_time(image.text()).await.expect("text"), format!("picture of frame 0 of {}", posted.id));
+    let image = in_time(image.bytes()).await.expect("bytes");
+    assert_eq!(text_of(&image), format!("picture of frame 0 of {}", posted.id));
     farm.stop().await;
 }
 

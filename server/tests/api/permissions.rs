@@ -68,6 +68,7 @@ const ROWS: &[(&str, Row)] = &[
     ("GET /v1/jobs/{id}/frames/{frame}/thumbnail", ReadOrOwn),
     ("POST /v1/jobs/{id}/frames/{frame}/link", ReadOrOwn),
     ("GET /v1/pictures/{id}/{frame}/{content}", Open),
+    ("DELETE /v1/pictures/{hash}", Admin),
     ("POST /v1/gc", Admin),
     ("GET /v1/workers", Read),
     ("GET /v1/pool", Read),

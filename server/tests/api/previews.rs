@@ -2,7 +2,7 @@
 
 use reqwest::StatusCode;
 
-use super::harness::{Farm, read, refused, small_job};
+use super::harness::{Farm, in_time, read, refused, small_job};
 
 #[tokio::test]
 async fn previews_of_missing_jobs_and_frames_are_rejected() {
@@ -38,4 +38,31 @@ async fn a_failing_helper_affects_only_the_preview() {
         assert_eq!(farm.get(&format!("/v1/jobs/{job}/image")).await.status(), StatusCode::OK);
         farm.stop().await;
     }
+}
+
+#[tokio::test]
+async fn previews_that_wait_are_bounded() {
+    use std::os::unix::fs::PermissionsExt;
+    // A helper that never responds.
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let program = folder.path().join("helper");
+    std::fs::write(&program, "#!/bin/sh\nexec cat > /dev/null\n").expect("written");
+    std::fs::set_permissions(&program, std::fs::Permissions::from_mode(0o755)).expect("executable");
+    let farm = Farm::start_in(folder, |config| config.worker_program = program).await;
+    let url = farm.url(&format!("/v1/jobs/{}/frames/0/preview", farm.submit(&small_job(1)).await.id));
+    let (sender, mut refusals) = tokio::sync::mpsc::unbounded_channel();
+    let mut asking = tokio::task::JoinSet::new();
+    for _ in 0..40 {
+        let (request, sender) = (farm.client.get(&url), sender.clone());
+        asking.spawn(async move { drop(sender.send(request.send().await.expect("a response"))) });
+    }
+    // Two are drawn, and sixteen of one submitter wait.
+    for _ in 0..22 {
+        let refusal = in_time(refusals.recv()).await.expect("a response");
+        assert_eq!(refusal.headers()["retry-after"], "5");
+        refused(refusal, 429, "too_many_previews").await;
+    }
+    assert!(refusals.try_recv().is_err(), "the others wait");
+    asking.shutdown().await;
+    farm.stop().await;
 }

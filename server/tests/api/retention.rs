@@ -58,7 +58,7 @@ async fn jobs_are_deleted_after_their_own_or_the_default_retention() {
     let mut jobs = Vec::new();
     for (seed, keep) in ["", "?keep=2d", "?keep=30d", "?keep=forever", "?keep=0s"].into_iter().enumerate() {
         jobs.push(submit(&farm, &small_job(seed as u32), keep).await);
-        store(&worker, seed as u8, 100).await;
+        store(&worker, seed as u8, 400).await;
     }
     let waiting = submit(&farm, &small_job(99), "?keep=0s").await;
     for (days, gone) in
@@ -73,7 +73,7 @@ async fn jobs_are_deleted_after_their_own_or_the_default_retention() {
         }
         let done = collect(&farm, false).await;
         assert_eq!((ids(&done), done.freed_bytes), (gone.clone(), told.freed_bytes));
-        assert!(done.jobs.iter().all(|job| job.reason == RemovalReason::Age && job.freed_bytes == 100), "{done:?}");
+        assert!(done.jobs.iter().all(|job| job.reason == RemovalReason::Age && job.freed_bytes == 400), "{done:?}");
         for id in gone {
             refused(farm.get(&format!("/v1/jobs/{id}")).await, 404, "unknown_job").await;
         }

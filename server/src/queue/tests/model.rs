@@ -247,7 +247,7 @@ impl Model {
             LeaseEnd::Failed => tile.errors += 1,
             LeaseEnd::Crashed => tile.crashes += 1,
             LeaseEnd::Lost => tile.lost += 1,
-            LeaseEnd::Released => {}
+            LeaseEnd::Released | LeaseEnd::Rejected => {}
         }
         if !is_leased && (tile.errors >= 3 || tile.crashes >= 3 || tile.lost >= 50) {
             self.jobs.get_mut(&key.0).expect("the job").dead = true;

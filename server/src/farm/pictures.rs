@@ -1,0 +1,60 @@
+//! Stored pictures: checked before they are served, and forgotten if they are damaged or an administrator says so.
+
+use proto::frame::ForgottenPicture;
+
+use super::{Farm, SyncError};
+use crate::content_store::{ContentHash, ContentKind, FileState};
+
+/// Whether a stored picture may be served.
+#[derive(Clone, Debug)]
+pub(crate) enum PictureState {
+    /// Its file has the size and the hash that were recorded.
+    Intact(ContentHash),
+    /// Its file is missing: the frames that show it are rendered again.
+    Missing,
+    /// Its file is damaged: the frames that show it are rendered again.
+    Damaged,
+}
+
+impl Farm {
+    /// Checks the file of a picture with this recorded size. If it is missing or damaged, the picture is forgotten.
+    pub(crate) async fn check_picture(&self, hash: &str, size_bytes: u64) -> Result<PictureState, SyncError> {
+        let Some(name) = ContentHash::parse(hash) else { return Ok(PictureState::Missing) };
+        let (state, code) = match self.content.file_state(ContentKind::Picture, &name, size_bytes).await? {
+            FileState::Intact => return Ok(PictureState::Intact(name)),
+            FileState::Missing => (PictureState::Missing, "lost_picture"),
+            FileState::Damaged => (PictureState::Damaged, "damaged_picture"),
+        };
+        tracing::error!(code, hash, "a stored picture is missing or damaged; its frames are rendered again");
+        self.forget_picture(&name).await?;
+        Ok(state)
+    }
+
+    /// Forgets a picture: its rows, its file, and what was drawn from it. The frames that show it are rendered again,
+    /// unless their job has failed or was cancelled.
+    pub(crate) async fn forget_picture(&self, name: &ContentHash) -> Result<Option<ForgottenPicture>, SyncError> {
+        let forgotten = match self.queue.forget_picture(name.as_str()).await {
+            Err(error) if self.has_made_room(&error) => self.queue.forget_picture(name.as_str()).await,
+            done => done,
+        }?;
+        self.preview_helper.forget(name.as_str());
+        let queue = &self.queue;
+        let is_unused = async |name: String| Ok::<_, SyncError>(!queue.orphan_pictures(&[name]).await?.is_empty());
+        let is_deleted = self.content.delete_if(ContentKind::Picture, name, is_unused).await?;
+        if !forgotten.is_known && !is_deleted {
+            return Ok(None);
+        }
+        let (again, without) = (forgotten.reopened.frames, forgotten.reopened.void);
+        tracing::warn!(
+            hash = name.as_str(),
+            frames_rendered_again = again,
+            frames_without_picture = without,
+            "forgot a picture"
+        );
+        Ok(Some(ForgottenPicture {
+            picture: name.as_str().to_owned(),
+            frames_rendered_again: again,
+            frames_without_picture: without,
+        }))
+    }
+}

@@ -1,0 +1,119 @@
+//! Checks the results of a sync against the store and their jobs, before they reach the queue.
+
+use std::collections::HashMap;
+
+use proto::LeaseId;
+use proto::worker_protocol::LeaseOutcome;
+
+use super::{Farm, SyncError};
+use crate::content_store::{ContentHash, ContentKind};
+use crate::delivery_check::check_blob;
+use crate::job_cache::{JobLoadError, Reader};
+use crate::queue::{RejectedResult, ReportedTile, SyncInput};
+
+/// Number of characters that are kept of the name of a rejected result.
+const MAX_LOGGED_CHARACTERS: usize = 80;
+
+/// Verdict about the bytes of a result.
+#[derive(Clone, Debug, PartialEq)]
+enum Verdict {
+    /// They are what was asked for, as far as their header tells.
+    Right,
+    /// They are not in the store, for example because a sweep was faster than the report.
+    Missing,
+    /// They are something else; a correct worker never sends them.
+    Wrong(String),
+}
+
+/// Bytes of a result, and what they are for.
+#[derive(Clone, Debug, PartialEq)]
+struct Delivered {
+    kind: ContentKind,
+    hash: String,
+    size_bytes: u64,
+    /// `None` for a lease that has ended: then the result has no effect.
+    tile: Option<ReportedTile>,
+}
+
+impl Farm {
+    /// Takes out the results whose bytes are wrong or missing; their tiles are requeued.
+    pub(super) async fn check_reports(&self, turn: &mut SyncInput) -> Result<(), SyncError> {
+        let delivers =
+            |outcome: &LeaseOutcome| matches!(outcome, LeaseOutcome::Blob { .. } | LeaseOutcome::Picture { .. });
+        let leases: Vec<LeaseId> =
+            turn.reports.iter().filter(|report| delivers(&report.outcome)).map(|report| report.lease).collect();
+        if leases.is_empty() {
+            return Ok(());
+        }
+        let tiles: HashMap<LeaseId, ReportedTile> = self.queue.reported_tiles(turn.worker, &leases).await?;
+        // The leases of a whole frame have one picture, which is checked once.
+        let mut last: Option<(Delivered, Verdict)> = None;
+        let mut kept = Vec::with_capacity(turn.reports.len());
+        for report in std::mem::take(&mut turn.reports) {
+            let (kind, hash, size_bytes) = match &report.outcome {
+                LeaseOutcome::Blob { hash, size_bytes } => (ContentKind::Blob, hash, *size_bytes),
+                LeaseOutcome::Picture { hash, size_bytes } => (ContentKind::Picture, hash, *size_bytes),
+                LeaseOutcome::BadBlobs { .. } | LeaseOutcome::Failed { .. } | LeaseOutcome::Released => {
+                    kept.push(report);
+                    continue;
+                }
+            };
+            let tile = tiles.get(&report.lease).map(|tile| tile.as_delivered(kind));
+            let delivered = Delivered { kind, hash: hash.clone(), size_bytes, tile };
+            let verdict = match &last {
+                Some((same, verdict)) if *same == delivered => verdict.clone(),
+                _ => self.check_bytes(&delivered).await?,
+            };
+            let (is_wrong, reason) = match &verdict {
+                Verdict::Right => {
+                    kept.push(report);
+                    last = Some((delivered, verdict));
+                    continue;
+                }
+                Verdict::Missing => (false, "its bytes are not in the store".to_owned()),
+                Verdict::Wrong(reason) => (true, reason.clone()),
+            };
+            let hash = delivered.hash.chars().take(MAX_LOGGED_CHARACTERS).collect();
+            turn.rejected.push(RejectedResult { lease: report.lease, hash, reason, is_wrong });
+            last = Some((delivered, verdict));
+        }
+        turn.reports = kept;
+        Ok(())
+    }
+
+    async fn check_bytes(&self, delivered: &Delivered) -> Result<Verdict, SyncError> {
+        let Some(name) = ContentHash::parse(&delivered.hash) else {
+            return Ok(Verdict::Wrong("the result's name is not a hash".to_owned()));
+        };
+        let Some(file) = self.content.ends(delivered.kind, &name).await? else { return Ok(Verdict::Missing) };
+        if file.size_bytes != delivered.size_bytes {
+            let (claimed, found) = (delivered.size_bytes, file.size_bytes);
+            return Ok(Verdict::Wrong(format!("the result has {found} bytes instead of the reported {claimed}")));
+        }
+        let Some(tile) = &delivered.tile else { return Ok(Verdict::Right) };
+        let checked = match delivered.kind {
+            ContentKind::Blob => check_blob(&file, tile.rect, tile.pixel_bytes),
+            ContentKind::Picture => {
+                let expected = match self.jobs.get(&self.queue, tile.job).await {
+                    Ok(job) => self.jobs.expected_picture(Reader::Claim(tile.job), &job, tile.frame).await,
+                    Err(error) => Err(error),
+                };
+                match expected {
+                    Ok(Ok(expected)) => expected.check(&file),
+                    Ok(Err(error)) => Err(format!("its frame cannot be rendered: {error}")),
+                    Err(JobLoadError::Store(error)) => return Err(error.into()),
+                    Err(
+                        error @ (JobLoadError::Gone
+                        | JobLoadError::Refused(_)
+                        | JobLoadError::Thread
+                        | JobLoadError::TooManyWaiting { .. }),
+                    ) => {
+                        tracing::warn!(job = tile.job, %error, "could not check a picture; its tile is requeued");
+                        return Ok(Verdict::Missing);
+                    }
+                }
+            }
+        };
+        Ok(checked.map_or_else(Verdict::Wrong, |()| Verdict::Right))
+    }
+}

@@ -1,0 +1,158 @@
+//! Leases of verifications: granted, renewed, released. None of them changes a tile.
+
+use std::collections::HashSet;
+
+use proto::LeaseId;
+use sqlx::Row;
+
+use super::super::{Connection, Result, TransitionContext, Wake, expect_rows, json_list, json_numbers};
+
+/// A lease granted in a response that the worker never received is released after this time.
+const UNHEARD_LEASE_MS: i64 = 2000;
+/// A result that no worker could verify for this long is given up, for example because no third worker decides.
+const MAX_AGE_MS: i64 = 600_000;
+
+/// Leases results to a verifier: number of the verification, lease, and position of the tile.
+pub(super) async fn grant(
+    connection: &mut Connection,
+    worker: &str,
+    granted: &[(i64, LeaseId, i64)],
+    moment: TransitionContext,
+) -> Result<()> {
+    sqlx::query(
+        "UPDATE verification SET verifier = ?, granted_ms = ?, expires_ms = ?
+         WHERE verifier IS NULL AND number IN (SELECT value FROM json_each(?))",
+    )
+    .bind(worker)
+    .bind(moment.now_ms)
+    .bind(moment.now_ms + moment.lease_ms)
+    .bind(json_numbers(granted.iter().map(|(number, _, _)| *number)))
+    .execute(&mut *connection)
+    .await?;
+    let rows: Vec<_> = granted.iter().map(|(number, lease, position)| (lease.to_string(), number, position)).collect();
+    let made = sqlx::query(
+        "INSERT INTO verification_lease (id, verification, position)
+         SELECT value ->> 0, value ->> 1, value ->> 2 FROM json_each(?)",
+    )
+    .bind(serde_json::json!(rows).to_string())
+    .execute(connection)
+    .await?;
+    expect_rows("verification: leased", granted.len() as u64, &made)
+}
+
+/// Live leases of a worker on verifications.
+pub(in super::super) async fn live_lease_ids(connection: &mut Connection, worker: &str) -> Result<HashSet<String>> {
+    let ids: Vec<String> = sqlx::query_scalar(
+        "SELECT id FROM verification JOIN verification_lease ON verification = number WHERE verifier = ?",
+    )
+    .bind(worker)
+    .fetch_all(connection)
+    .await?;
+    Ok(ids.into_iter().collect())
+}
+
+/// Renews the verifications of the leases that a worker lists, and releases those that it never received.
+pub(in super::super) async fn renew(
+    connection: &mut Connection,
+    worker: &str,
+    held: &[String],
+    moment: TransitionContext,
+) -> Result<Wake> {
+    sqlx::query(
+        "UPDATE verification SET expires_ms = ?1 WHERE verifier = ?2 AND EXISTS (
+             SELECT 1 FROM verification_lease
+             WHERE verification = number AND id IN (SELECT value FROM json_each(?3)))",
+    )
+    .bind(moment.now_ms + moment.lease_ms)
+    .bind(worker)
+    .bind(json_list(held))
+    .execute(&mut *connection)
+    .await?;
+    let unheard: Vec<i64> = sqlx::query_scalar(
+        "SELECT number FROM verification WHERE verifier = ?1 AND granted_ms <= ?2 AND NOT EXISTS (
+             SELECT 1 FROM verification_lease
+             WHERE verification = number AND id IN (SELECT value FROM json_each(?3)))",
+    )
+    .bind(worker)
+    .bind(moment.now_ms - UNHEARD_LEASE_MS)
+    .bind(json_list(held))
+    .fetch_all(&mut *connection)
+    .await?;
+    release(connection, &unheard).await
+}
+
+/// Makes verifications wait for another worker.
+pub(super) async fn release(connection: &mut Connection, numbers: &[i64]) -> Result<Wake> {
+    if numbers.is_empty() {
+        return Ok(Wake::default());
+    }
+    for statement in [
+        "DELETE FROM verification_lease WHERE verification IN (SELECT value FROM json_each(?))",
+        "UPDATE verification SET verifier = NULL, granted_ms = NULL, expires_ms = NULL
+         WHERE number IN (SELECT value FROM json_each(?))",
+    ] {
+        sqlx::query(statement).bind(json_numbers(numbers.iter().copied())).execute(&mut *connection).await?;
+    }
+    Ok(Wake::WORK)
+}
+
+/// Releases all verifications of a worker that is leaving.
+pub(in super::super) async fn release_of(connection: &mut Connection, worker: &str) -> Result<Wake> {
+    let numbers: Vec<i64> = sqlx::query_scalar("SELECT number FROM verification WHERE verifier = ?")
+        .bind(worker)
+        .fetch_all(&mut *connection)
+        .await?;
+    release(connection, &numbers).await
+}
+
+/// Releases the verification of each of these leases.
+pub(super) async fn release_all(connection: &mut Connection, leases: &[String]) -> Result<Wake> {
+    let numbers: Vec<i64> = sqlx::query_scalar(
+        "SELECT DISTINCT verification FROM verification_lease WHERE id IN (SELECT value FROM json_each(?))",
+    )
+    .bind(json_list(leases))
+    .fetch_all(&mut *connection)
+    .await?;
+    release(connection, &numbers).await
+}
+
+/// Releases overdue verifications, and gives up those that no worker could verify for long; returns their number.
+pub(in super::super) async fn discard_expired(
+    connection: &mut Connection,
+    moment: TransitionContext,
+) -> Result<(u64, Wake)> {
+    let rows = sqlx::query(
+        "SELECT number, verifier IS NULL AS old FROM verification
+         WHERE expires_ms <= ? OR (verifier IS NULL AND created_ms <= ?)",
+    )
+    .bind(moment.now_ms)
+    .bind(moment.now_ms - MAX_AGE_MS)
+    .fetch_all(&mut *connection)
+    .await?;
+    let (mut expired, mut old) = (Vec::new(), Vec::new());
+    for row in &rows {
+        let list = if row.try_get("old")? { &mut old } else { &mut expired };
+        list.push(row.try_get("number")?);
+    }
+    if !old.is_empty() {
+        tracing::warn!(count = old.len(), "results could not be verified: no other worker rendered them again in time");
+        sqlx::query("DELETE FROM verification WHERE number IN (SELECT value FROM json_each(?))")
+            .bind(json_numbers(old.iter().copied()))
+            .execute(&mut *connection)
+            .await?;
+    }
+    Ok((old.len() as u64, release(connection, &expired).await?))
+}
+
+/// Releases all verifications at startup, because the clock starts at zero; every remote worker counts as new.
+pub(in super::super) async fn reset_after_restart(connection: &mut Connection, now_ms: i64) -> Result<()> {
+    sqlx::query("DELETE FROM verification_lease WHERE verification IN (SELECT number FROM verification)")
+        .execute(&mut *connection)
+        .await?;
+    sqlx::query("UPDATE verification SET verifier = NULL, granted_ms = NULL, expires_ms = NULL, created_ms = ?")
+        .bind(now_ms)
+        .execute(&mut *connection)
+        .await?;
+    sqlx::query("UPDATE worker SET registered_ms = ? WHERE state <> 'gone'").bind(now_ms).execute(connection).await?;
+    Ok(())
+}

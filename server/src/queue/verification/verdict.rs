@@ -1,0 +1,263 @@
+//! Verdicts: compares the hash of a second rendering with the first, and decides who was wrong.
+
+use std::collections::BTreeMap;
+
+use proto::worker_protocol::{LeaseOutcome, LeaseReport};
+use proto::{LeaseId, WorkerId};
+use sqlx::Row;
+use sqlx::sqlite::SqliteRow;
+
+use super::super::reported::RejectedResult;
+use super::super::{Connection, LeaseEnd, Result, TransitionContext, Wake, exclusion, json_list, undo, workers};
+use super::{VerificationOutcome, leases};
+
+/// A result, and what the second worker rendered, if it differs.
+struct Case {
+    number: i64,
+    job: i64,
+    frame: u32,
+    position: i64,
+    first: Testimony,
+    lease: String,
+    second: Option<Testimony>,
+}
+
+/// A worker, and the hash that it delivered.
+#[derive(Clone, Debug, PartialEq, Eq)]
+struct Testimony {
+    worker: String,
+    hash: String,
+}
+
+/// Decision about a case.
+#[derive(Debug, PartialEq, Eq)]
+enum Verdict {
+    /// The first result was confirmed; this worker was wrong about it, if any.
+    Confirmed { wrong: Option<String> },
+    /// The first result is wrong; these workers were.
+    Refuted { wrong: Vec<String> },
+    /// Another worker must decide.
+    Open,
+    /// Three workers rendered three different things.
+    Undecided,
+}
+
+impl Case {
+    fn read(row: &SqliteRow) -> Result<Self> {
+        let second: Option<String> = row.try_get("second_worker")?;
+        let second = match second {
+            Some(worker) => Some(Testimony { worker, hash: row.try_get("second_hash")? }),
+            None => None,
+        };
+        Ok(Self {
+            number: row.try_get("number")?,
+            job: row.try_get("job")?,
+            frame: row.try_get("frame")?,
+            position: row.try_get("position")?,
+            first: Testimony { worker: row.try_get("worker")?, hash: row.try_get("hash")? },
+            lease: row.try_get("lease")?,
+            second,
+        })
+    }
+
+    /// Decides after another rendering; a worker of the pool is always right.
+    fn decide(&self, hash: &str, is_pool: bool) -> Verdict {
+        let first = || self.first.worker.clone();
+        match &self.second {
+            None if hash == self.first.hash => Verdict::Confirmed { wrong: None },
+            None if is_pool => Verdict::Refuted { wrong: vec![first()] },
+            None => Verdict::Open,
+            Some(second) if hash == self.first.hash => Verdict::Confirmed { wrong: Some(second.worker.clone()) },
+            Some(second) if hash == second.hash => Verdict::Refuted { wrong: vec![first()] },
+            Some(second) if is_pool => Verdict::Refuted { wrong: vec![first(), second.worker.clone()] },
+            Some(_) => Verdict::Undecided,
+        }
+    }
+}
+
+/// Cases of those leases that are a worker's live ones, each with its first report.
+async fn cases<'a>(
+    connection: &mut Connection,
+    worker: &str,
+    reports: &'a [LeaseReport],
+) -> Result<BTreeMap<i64, (Case, &'a LeaseOutcome)>> {
+    let rows = sqlx::query(
+        "SELECT verification_lease.id, verification.* FROM verification_lease JOIN verification ON number = verification
+         WHERE verifier = ? AND verification_lease.id IN (SELECT value FROM json_each(?))",
+    )
+    .bind(worker)
+    .bind(json_list(reports.iter().map(|report| report.lease)))
+    .fetch_all(connection)
+    .await?;
+    let mut cases = BTreeMap::new();
+    for row in &rows {
+        let id: String = row.try_get("id")?;
+        let report = reports.iter().find(|report| report.lease.to_string() == id);
+        if let Some(report) = report {
+            let case = Case::read(row)?;
+            cases.insert(case.number, (case, &report.outcome));
+        }
+    }
+    Ok(cases)
+}
+
+/// Records the results of verifications.
+pub(in super::super) async fn deliver(
+    connection: &mut Connection,
+    worker: WorkerId,
+    reports: &[LeaseReport],
+    moment: TransitionContext,
+) -> Result<(VerificationOutcome, Wake)> {
+    let (mut outcome, mut ring) = (VerificationOutcome::default(), Wake::default());
+    if reports.is_empty() {
+        return Ok((outcome, ring));
+    }
+    let worker = worker.to_string();
+    let is_pool: bool =
+        sqlx::query_scalar("SELECT pool FROM worker WHERE id = ?").bind(&worker).fetch_one(&mut *connection).await?;
+    for (number, (case, told)) in cases(connection, &worker, reports).await? {
+        let hash = match told {
+            LeaseOutcome::Blob { hash, .. } if case.position >= 0 => hash,
+            LeaseOutcome::Picture { hash, .. } if case.position < 0 => hash,
+            LeaseOutcome::Released => {
+                ring.add(leases::release(connection, &[number]).await?);
+                continue;
+            }
+            LeaseOutcome::Blob { .. }
+            | LeaseOutcome::Picture { .. }
+            | LeaseOutcome::BadBlobs { .. }
+            | LeaseOutcome::Failed { .. } => {
+                // Nothing can be said about the result: its blobs may be gone, or the verifier fails.
+                drop_case(connection, number).await?;
+                outcome.skipped += 1;
+                continue;
+            }
+        };
+        ring.add(conclude(connection, &case, &worker, hash, is_pool, moment, &mut outcome).await?);
+    }
+    Ok((outcome, ring))
+}
+
+async fn conclude(
+    connection: &mut Connection,
+    case: &Case,
+    worker: &str,
+    hash: &str,
+    is_pool: bool,
+    moment: TransitionContext,
+    outcome: &mut VerificationOutcome,
+) -> Result<Wake> {
+    let verdict = case.decide(hash, is_pool);
+    if verdict == (Verdict::Confirmed { wrong: None }) {
+        outcome.agreed += 1;
+    } else {
+        outcome.differed += 1;
+        let job = super::super::job_id(connection, case.job).await?;
+        tracing::error!(
+            code = "result_differs", %job, frame = case.frame, position = case.position, first = ?case.first,
+            second = ?case.second, verifier = worker, %hash, ?verdict, "a result was rendered again differently"
+        );
+    }
+    let wrong = match verdict {
+        Verdict::Open => {
+            let mut ring = leases::release(connection, &[case.number]).await?;
+            sqlx::query("UPDATE verification SET second_worker = ?, second_hash = ? WHERE number = ?")
+                .bind(worker)
+                .bind(hash)
+                .bind(case.number)
+                .execute(&mut *connection)
+                .await?;
+            ring.add(Wake::WORK);
+            return Ok(ring);
+        }
+        Verdict::Confirmed { wrong } => {
+            sqlx::query("UPDATE worker SET verified_lease = max(coalesce(verified_lease, ''), ?) WHERE id = ?")
+                .bind(&case.lease)
+                .bind(&case.first.worker)
+                .execute(&mut *connection)
+                .await?;
+            wrong.into_iter().collect()
+        }
+        Verdict::Refuted { wrong } => wrong,
+        Verdict::Undecided => Vec::new(),
+    };
+    drop_case(connection, case.number).await?;
+    let mut ring = Wake::default();
+    for wrong in wrong {
+        ring.add(condemn(connection, &wrong, moment, outcome).await?);
+    }
+    Ok(ring)
+}
+
+/// Quarantines a worker whose result was wrong, and undoes what it delivered since its last confirmed result.
+async fn condemn(
+    connection: &mut Connection,
+    worker: &str,
+    moment: TransitionContext,
+    outcome: &mut VerificationOutcome,
+) -> Result<Wake> {
+    exclusion::quarantine_at_once(connection, worker, "another worker rendered a result of it differently").await?;
+    let reason = "its worker is quarantined";
+    let mut ring = workers::end_leases(connection, worker, LeaseEnd::Released, reason, moment).await?;
+    for statement in [
+        "DELETE FROM verification WHERE worker = ?",
+        "UPDATE verification SET second_worker = NULL, second_hash = NULL WHERE second_worker = ?",
+    ] {
+        sqlx::query(statement).bind(worker).execute(&mut *connection).await?;
+    }
+    let undone = undo::undo_unconfirmed(connection, worker).await?;
+    ring.add(Wake { work: true, news: true });
+    outcome.forgotten.extend(undone);
+    Ok(ring)
+}
+
+/// Releases the verifications whose results were rejected; returns the other rejected results.
+pub(in super::super) async fn reject(
+    connection: &mut Connection,
+    worker: &str,
+    rejected: &[RejectedResult],
+) -> Result<(Vec<LeaseId>, Wake)> {
+    if rejected.is_empty() {
+        return Ok((Vec::new(), Wake::default()));
+    }
+    let live = leases::live_lease_ids(connection, worker).await?;
+    let own: Vec<LeaseId> =
+        rejected.iter().map(|result| result.lease).filter(|lease| live.contains(&lease.to_string())).collect();
+    let ids: Vec<String> = own.iter().map(ToString::to_string).collect();
+    let ring = leases::release_all(connection, &ids).await?;
+    Ok((own, ring))
+}
+
+async fn drop_case(connection: &mut Connection, number: i64) -> Result<()> {
+    sqlx::query("DELETE FROM verification WHERE number = ?").bind(number).execute(connection).await?;
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn said(worker: &str, hash: &str) -> Testimony {
+        Testimony { worker: worker.to_owned(), hash: hash.to_owned() }
+    }
+
+    fn decide(second: Option<&str>, hash: &str, is_pool: bool) -> Verdict {
+        let second = second.map(|hash| said("second", hash));
+        let first = said("first", "a");
+        Case { number: 1, job: 1, frame: 0, position: 0, first, lease: String::new(), second }.decide(hash, is_pool)
+    }
+
+    #[test]
+    fn the_pool_or_a_majority_decides() {
+        let refuted = |wrong: &[&str]| Verdict::Refuted { wrong: wrong.iter().map(ToString::to_string).collect() };
+        for is_pool in [false, true] {
+            assert_eq!(decide(None, "a", is_pool), Verdict::Confirmed { wrong: None });
+            assert_eq!(decide(Some("b"), "a", is_pool), Verdict::Confirmed { wrong: Some("second".to_owned()) });
+            assert_eq!(decide(Some("b"), "b", is_pool), refuted(&["first"]));
+        }
+        assert_eq!(decide(None, "b", false), Verdict::Open, "a third worker decides");
+        assert_eq!(decide(None, "b", true), refuted(&["first"]));
+        assert_eq!(decide(Some("b"), "c", true), refuted(&["first", "second"]));
+        assert_eq!(decide(Some("b"), "c", false), Verdict::Undecided);
+    }
+}
