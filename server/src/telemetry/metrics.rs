@@ -57,6 +57,8 @@ pub(crate) struct Metrics {
     pub(super) fenced: Counter,
     pub(super) nondeterministic: Counter,
     pub(super) webhook_failures: Counter,
+    pub(super) requests: GaugeFamily,
+    pub(super) body_bytes: FloatGauge,
     pub(super) database_bytes: FloatGauge,
     pub(super) wal_bytes: FloatGauge,
     pub(super) store_bytes: GaugeFamily,
@@ -132,6 +134,11 @@ impl Metrics {
             nondeterministic: book
                 .counter("sdfarm_nondeterministic_tiles", "Tiles that two workers rendered differently"),
             webhook_failures: book.counter("sdfarm_webhook_failures", "Failed attempts to deliver a webhook"),
+            requests: book.gauges(
+                "sdfarm_requests_in_progress",
+                "Requests in progress, with unread responses, by class of caller",
+            ),
+            body_bytes: book.gauge("sdfarm_body_bytes", "Bytes of request bodies in memory"),
             database_bytes: book.gauge("sdfarm_database_bytes", "Size of the database's file"),
             wal_bytes: book.gauge("sdfarm_wal_bytes", "Size of the database's write-ahead log"),
             store_bytes: book.gauges("sdfarm_store_bytes", "Stored bytes, by kind"),
