@@ -55,7 +55,6 @@ impl Budget {
     }
 
     /// Amount that is taken.
-    #[cfg(test)]
     pub(crate) fn taken(&self) -> usize {
         self.used.lock().expect("no holder panics").total
     }

@@ -16,6 +16,7 @@ use proto::worker_protocol::{DeviceMemory, MAX_TIMINGS, WorkerMetrics};
 use proto::{JobId, WorkerId};
 use tokio::time::Instant;
 
+use crate::admission::Shares;
 use crate::clock::monotonic_now;
 use crate::database::{Database, DatabaseError};
 use crate::farm::{Farm, ServerCounters};
@@ -174,6 +175,7 @@ impl Telemetry {
         let sizes = self.sizes().await;
         self.set_queue(&counts, farm.pool.target_size());
         self.set_totals(&farm.totals);
+        self.set_shares(&farm.admission.shares);
         self.set_machine(sizes, host::process());
         self.set_devices();
         Ok(self.metrics.text())
@@ -225,6 +227,13 @@ impl Telemetry {
         ] {
             counter.inner().store(total.load(Ordering::Relaxed), Ordering::Relaxed);
         }
+    }
+
+    fn set_shares(&self, shares: &Shares) {
+        let class = |name: &str| vec![("class", name.to_owned())];
+        let requests = shares.requests_in_progress();
+        replace(&self.metrics.requests, requests.map(|(name, count)| (class(name), count as f64)));
+        self.metrics.body_bytes.set(shares.body_bytes() as f64);
     }
 
     fn set_machine(&self, sizes: FolderSizes, process: Process) {

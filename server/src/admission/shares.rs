@@ -95,6 +95,17 @@ impl Shares {
         }
     }
 
+    /// Requests in progress of each class.
+    pub(crate) fn requests_in_progress(&self) -> [(&'static str, usize); 3] {
+        [("user", &self.user_requests), ("worker", &self.worker_requests), ("reserved", &self.reserved_requests)]
+            .map(|(name, requests)| (name, requests.taken()))
+    }
+
+    /// Counted bytes of request bodies in memory.
+    pub(crate) fn body_bytes(&self) -> usize {
+        self.user_bodies.taken() + self.worker_bodies.taken()
+    }
+
     /// Place for a request until its response is sent.
     pub(crate) fn request(&self, holder: &Holder) -> Result<Share, Exhausted> {
         let requests = match holder.class {

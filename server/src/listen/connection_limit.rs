@@ -21,10 +21,14 @@ use tokio_util::sync::CancellationToken;
 use crate::admission::{ResponseShares, address_name};
 use crate::budget::{Budget, Share};
 
+/// One slot of this many is kept free while there are idle connections to evict.
+const SPARE_FRACTION: usize = 64;
+
 /// Open connections of a listener.
 #[derive(Debug)]
 pub(crate) struct ConnectionLimit {
     slots: Arc<Semaphore>,
+    spare_slots: usize,
     waiting: AtomicUsize,
     idle: Mutex<Idle>,
     by_address: Arc<Budget>,
@@ -61,6 +65,7 @@ impl ConnectionLimit {
         let places = connections.clamp(1, Semaphore::MAX_PERMITS);
         Arc::new(Self {
             slots: Arc::new(Semaphore::new(places)),
+            spare_slots: places / SPARE_FRACTION,
             waiting: AtomicUsize::new(0),
             idle: Mutex::default(),
             by_address: Budget::new(usize::MAX, of_address),
@@ -80,6 +85,10 @@ impl ConnectionLimit {
             let permit = Arc::clone(&self.slots).acquire_owned().await;
             permit.expect("the semaphore is never closed")
         };
+        // Closing takes a moment; with slots to spare, the next connections need not wait for it.
+        if self.slots.available_permits() < self.spare_slots {
+            self.evict_idle();
+        }
         let place = ConnectionSlot(Arc::new(SlotState {
             crowd: Arc::clone(self),
             evicted: CancellationToken::new(),
@@ -236,6 +245,18 @@ mod tests {
 
     async fn acquire(crowd: &Arc<ConnectionLimit>) -> ConnectionSlot {
         crowd.acquire(Ipv4Addr::LOCALHOST.into()).await.expect("loopback has no limit")
+    }
+
+    #[tokio::test]
+    async fn slots_are_freed_before_they_are_needed() {
+        let crowd = ConnectionLimit::new(2 * SPARE_FRACTION, 1);
+        let mut open = Vec::new();
+        for _ in 0..2 * SPARE_FRACTION - 2 {
+            open.push(acquire(&crowd).await);
+        }
+        assert!(open.iter().all(|slot| !slot.0.evicted.is_cancelled()), "two slots are free");
+        open.push(acquire(&crowd).await);
+        assert!(open[0].0.evicted.is_cancelled() && !open[1].0.evicted.is_cancelled());
     }
 
     #[tokio::test]

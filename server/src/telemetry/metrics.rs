@@ -61,6 +61,8 @@ pub(crate) struct Metrics {
     pub(super) refuted: Counter,
     pub(super) unverified: Counter,
     pub(super) webhook_failures: Counter,
+    pub(super) requests: GaugeFamily,
+    pub(super) body_bytes: FloatGauge,
     pub(super) database_bytes: FloatGauge,
     pub(super) wal_bytes: FloatGauge,
     pub(super) store_bytes: GaugeFamily,
@@ -143,6 +145,11 @@ impl Metrics {
             unverified: book
                 .counter("sdfarm_results_unverified", "Results chosen for verification that no other worker rendered"),
             webhook_failures: book.counter("sdfarm_webhook_failures", "Failed attempts to deliver a webhook"),
+            requests: book.gauges(
+                "sdfarm_requests_in_progress",
+                "Requests in progress, with unread responses, by class of caller",
+            ),
+            body_bytes: book.gauge("sdfarm_body_bytes", "Bytes of request bodies in memory"),
             database_bytes: book.gauge("sdfarm_database_bytes", "Size of the database's file"),
             wal_bytes: book.gauge("sdfarm_wal_bytes", "Size of the database's write-ahead log"),
             store_bytes: book.gauges("sdfarm_store_bytes", "Stored bytes, by kind"),
