@@ -108,7 +108,7 @@ impl AuditRecord {
 #[derive(Debug)]
 pub(crate) struct PendingEntry {
     at_ms: i64,
-    /// What is known of the request so far.
+    /// The request, as far as it is known.
     record: Mutex<AuditRecord>,
     /// Number of the entry, once it is committed.
     number: OnceLock<i64>,

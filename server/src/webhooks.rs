@@ -153,7 +153,7 @@ async fn start_due(farm: &Farm, under_way: &mut UnderWay) -> Vec<Delivery> {
 #[derive(Debug, Default)]
 struct UnderWay(HashMap<i64, Origin>);
 
-/// Whose an attempt is, and where it goes.
+/// Submitter and receiver of an attempt.
 #[derive(Debug)]
 struct Origin {
     submitter: String,

@@ -27,9 +27,11 @@ mod api {
     mod pool;
     mod previews;
     mod queue;
+    mod quotas;
     mod retention;
     mod start_page;
     mod startup;
     mod verification;
     mod webhooks;
+    mod worker_keys;
 }

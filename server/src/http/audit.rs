@@ -71,15 +71,18 @@ enum Effect {
 /// Effect of a request that was allowed to change something; `is_written` is true if it wrote to the database.
 fn effect_of(status: StatusCode, is_written: bool, route: &str) -> Effect {
     let is_submission = route == "/v1/jobs" || route.ends_with("/resubmit");
-    match (status.is_client_error(), is_written) {
-        // The key was revoked while its request was handled: what is written stays.
-        (true, true) if status == StatusCode::UNAUTHORIZED => Effect::Change,
-        (true, _) => Effect::Refusal,
-        (false, true) => Effect::Change,
-        (false, false) if status.is_server_error() => Effect::Refusal,
+    // If the key was revoked while its request was handled, a written change stays.
+    let is_kept = is_written && (!status.is_client_error() || status == StatusCode::UNAUTHORIZED);
+    if is_kept {
+        Effect::Change
+    } else if status.is_client_error() || status.is_server_error() {
+        Effect::Refusal
+    } else if is_submission {
         // A dry run.
-        (false, false) if is_submission => Effect::None,
-        (false, false) => Effect::Change,
+        Effect::None
+    } else {
+        // A change outside the database, such as the pool's size.
+        Effect::Change
     }
 }
 

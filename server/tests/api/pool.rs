@@ -121,7 +121,7 @@ async fn the_pool_resizes_replaces_exited_workers_and_leaves_no_orphan() {
     let mut child = farm.worker("helper").await;
     let helper = child.id;
     child.id = welcome.worker;
-    // Without the pool's token, nobody speaks for its worker.
+    // Without the pool's token, no client speaks for its worker.
     refused(child.try_sync(Said::default()).await, 403, "foreign_worker").await;
     child.id = helper;
     let held = leases(&claim(&farm, welcome.worker, &said).await.expect("work"));
