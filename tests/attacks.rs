@@ -37,13 +37,13 @@ const PAUSE: Duration = Duration::from_millis(50);
 
 /// One attack.
 struct Attack {
-    /// What it does.
+    /// Name, for the table.
     name: &'static str,
     /// Does it until the time is over.
     run: fn(&Attacker<'_>),
 }
 
-/// What an attacker knows and may do.
+/// An attacker: its knowledge and its keys.
 struct Attacker<'a> {
     farm: &'a Farm,
     /// `Authorization` of a key that may submit and read.
@@ -122,7 +122,7 @@ impl Attacker<'_> {
     }
 }
 
-/// What the second user and the operator met during one attack.
+/// Times of the second user and the operator during one attack.
 #[derive(Debug, Default)]
 struct Witness {
     starts: Vec<Duration>,

@@ -5,7 +5,7 @@ use std::io;
 use std::os::unix::fs::{DirBuilderExt, MetadataExt, OpenOptionsExt, PermissionsExt};
 use std::path::{Path, PathBuf};
 
-use crate::{signed_links, webhooks};
+use crate::{signed_links, space_reserve, webhooks};
 
 /// Mode of files: their owner can read and write them.
 pub(crate) const FILE_MODE: u32 = 0o600;
@@ -70,7 +70,7 @@ pub(crate) fn restrict(data: &Path) -> Result<(), ExposedFile> {
 fn is_private(name: &str) -> bool {
     name.starts_with("farm.sqlite")
         || name.starts_with("farm-")
-        || ["lock", signed_links::FILE, webhooks::SECRET_FILE].contains(&name)
+        || ["lock", signed_links::FILE, webhooks::SECRET_FILE, space_reserve::FILE].contains(&name)
 }
 
 fn restrict_one(path: &Path, wanted: u32) -> Result<(), ExposedFile> {

@@ -14,11 +14,11 @@ use rustix::fs::FallocateFlags;
 use crate::telemetry::host::disk;
 
 /// Name of the file in the data folder.
-const FILE: &str = "reserve";
+pub(crate) const FILE: &str = "reserve";
 /// Size of the file.
 const MAX_BYTES: u64 = 16 << 20;
 /// On a small disk the file takes at most this part of it.
-const DISK_PART: u64 = 16;
+const DISK_PART: u64 = 8;
 
 /// Space set aside on the data folder's disk.
 #[derive(Debug)]

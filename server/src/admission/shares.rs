@@ -183,7 +183,7 @@ mod tests {
 
     #[test]
     fn unfinished_bodies_are_bounded_together() {
-        assert!(USER_BODY_BYTES + WORKER_BODY_BYTES <= 256 << 20);
+        const { assert!(USER_BODY_BYTES + WORKER_BODY_BYTES <= 256 << 20) }
         let shares = Shares::new(100, 100);
         let mut bodies: Vec<_> =
             ["anna", "bert", "carl"].map(|name| shares.body(&holder(CallerClass::User, name))).into();

@@ -5,6 +5,7 @@ use proto::worker_protocol;
 use reqwest::{Method, Response, StatusCode};
 use serde_json::{Value, json};
 
+use super::fake_pictures;
 use super::harness::{Farm, read, refused, small_job};
 use super::keys::{locked_farm, make, new_key, send};
 
@@ -37,7 +38,8 @@ async fn a_worker_belongs_to_the_key_that_registered_it() {
     let job = job["id"].as_str().expect("an id");
     let worker = register(&farm, &owner).await;
     let stranger = register(&farm, &other).await;
-    let picture = b"a picture".to_vec();
+    let picture =
+        fake_pictures::picture(&scene::parse(small_job(1).to_string().as_bytes()).expect("a job"), 0, b"a picture");
     let hash = blake3::hash(&picture).to_hex().to_string();
     let (upload, file) = (worker_protocol::picture_path(&hash), format!("/v1/worker/jobs/{job}"));
 

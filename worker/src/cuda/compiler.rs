@@ -103,7 +103,7 @@ pub(super) fn compile_until_cancelled(
     std::thread::spawn(move || {
         let _compiling = COMPILING.lock().unwrap_or_else(PoisonError::into_inner);
         if !flag.is_cancelled() {
-            // After a cancel, nobody receives the result.
+            // After a cancel, the result is dropped.
             let _ = sender.send(compiler.compile(&text, architecture));
         }
     });
