@@ -7,8 +7,13 @@ use std::path::{Path, PathBuf};
 
 use sqlx::sqlite::SqliteConnection;
 
+use crate::telemetry::host::disk;
+
 /// A WAL of this size is checkpointed between two commits, and restarted.
 pub(super) const LIMIT_BYTES: u64 = 64 << 20;
+/// So is one that is larger than this part of the free disk: on a full disk a checkpoint fails, since it may make the
+/// database larger before it frees the WAL.
+const FREE_PART: u64 = 4;
 /// If a reader prevents that, the next attempt follows after this many commits.
 const RETRY_AFTER_COMMITS: u32 = 64;
 /// Timeouts of writes for readers during a restart, and otherwise.
@@ -35,9 +40,16 @@ impl Wal {
         std::fs::metadata(&self.file).map_or(0, |metadata| metadata.len())
     }
 
+    /// Size above which the WAL is large.
+    fn limit_bytes(&self) -> u64 {
+        let disk = self.file.parent().map(disk).unwrap_or_default();
+        // A disk of unknown size has none.
+        if disk.total_bytes == 0 { self.limit_bytes } else { self.limit_bytes.min(disk.free_bytes / FREE_PART).max(1) }
+    }
+
     /// Checkpoints the WAL if it is large; must be called outside a transaction.
     pub(super) async fn checkpoint_if_large(&mut self, connection: &mut SqliteConnection) {
-        if self.size_bytes() < self.limit_bytes {
+        if self.size_bytes() < self.limit_bytes() {
             return;
         }
         if self.commits_until_retry > 0 {
@@ -50,7 +62,7 @@ impl Wal {
             }
         }
         let size_bytes = self.size_bytes();
-        if size_bytes >= self.limit_bytes {
+        if size_bytes >= self.limit_bytes() {
             self.commits_until_retry = RETRY_AFTER_COMMITS;
             tracing::warn!(size_bytes, "the database's WAL stays large: a reader uses an old state");
         }
