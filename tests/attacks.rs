@@ -151,7 +151,9 @@ impl Siege {
         let (anna, mallory, worker) =
             (key("anna", "submit,read"), key("mallory", "submit,read"), key("node", "worker"));
         let lease = LEASE.as_secs().to_string();
-        let farm = Farm::start_on(folder.path(), &["--workers", "2", "--threads", "2", "--lease-seconds", &lease]);
+        let flags =
+            ["--workers", "2", "--threads", "2", "--lease-seconds", &lease, "--allow-webhook-to", "127.0.0.0/8"];
+        let farm = Farm::start_on(folder.path(), &flags);
         Self { farm, folder, anna, mallory, worker }
     }
 
