@@ -375,6 +375,18 @@ pub(crate) fn send(address: &str, method: &str, path: &str, headers: &[(&str, &s
     try_send(address, method, path, headers, body).unwrap_or_else(|error| panic!("{path}: {error:?}"))
 }
 
+/// Sends a request over connections that no other request of these tests uses.
+pub(crate) fn try_send_apart(
+    address: &str,
+    method: &str,
+    path: &str,
+    headers: &[(&str, &str)],
+    body: Vec<u8>,
+) -> Option<Answer> {
+    static CLIENT: OnceLock<Client> = OnceLock::new();
+    try_send_by(&CLIENT, address, method, path, headers, body).ok()
+}
+
 pub(crate) fn try_send(
     address: &str,
     method: &str,
@@ -382,8 +394,22 @@ pub(crate) fn try_send(
     headers: &[(&str, &str)],
     body: Vec<u8>,
 ) -> reqwest::Result<Answer> {
-    static RUNTIME: OnceLock<(tokio::runtime::Runtime, reqwest::Client)> = OnceLock::new();
-    let (runtime, client) = RUNTIME.get_or_init(|| {
+    static CLIENT: OnceLock<Client> = OnceLock::new();
+    try_send_by(&CLIENT, address, method, path, headers, body)
+}
+
+/// Client with its own connections.
+type Client = (tokio::runtime::Runtime, reqwest::Client);
+
+fn try_send_by(
+    client: &'static OnceLock<Client>,
+    address: &str,
+    method: &str,
+    path: &str,
+    headers: &[(&str, &str)],
+    body: Vec<u8>,
+) -> reqwest::Result<Answer> {
+    let (runtime, client) = client.get_or_init(|| {
         let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build();
         (runtime.expect("threads"), proto::client_auth::client_builder().build().expect("a client"))
     });
