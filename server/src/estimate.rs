@@ -7,7 +7,7 @@ use std::time::Duration;
 use proto::preview_helper::{CostSample, Estimate, HelperRequest};
 use proto::rounding;
 
-use crate::fair_queue::FairQueue;
+use crate::fair_queue::{FairQueue, WaitingLimits};
 use crate::farm::Farm;
 use crate::queue::ReadyWorker;
 use crate::tile_plan::TilePlan;
@@ -25,7 +25,7 @@ const JOB_OVERHEAD_SECONDS: f64 = 0.01;
 
 /// Turns of submitters for estimates.
 pub(crate) fn turns() -> Arc<FairQueue> {
-    FairQueue::new(MAX_CONCURRENT, MAX_WAITING)
+    FairQueue::new(MAX_CONCURRENT, WaitingLimits::of_one(MAX_WAITING))
 }
 
 /// Estimates a job file; `None` if no sample could be rendered, which is logged.

@@ -9,8 +9,17 @@ use tokio::sync::oneshot;
 /// Places, and the holders that wait for one.
 #[derive(Debug)]
 pub(crate) struct FairQueue {
-    max_waiting: usize,
+    limits: WaitingLimits,
     state: Mutex<State>,
+}
+
+/// Maximum numbers of waiters.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct WaitingLimits {
+    /// Of one holder.
+    pub(crate) of_one: usize,
+    /// Of all holders together.
+    pub(crate) of_all: usize,
 }
 
 #[derive(Debug)]
@@ -32,15 +41,22 @@ struct Waiting {
 #[derive(Debug)]
 pub(crate) struct Place(Option<(Arc<FairQueue>, String)>);
 
-/// Error returned when a holder has this many waiters already.
+/// Error returned when this many wait already.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct TooManyWaiting(pub(crate) usize);
 
+impl WaitingLimits {
+    /// Limits of each holder alone.
+    pub(crate) fn of_one(of_one: usize) -> Self {
+        Self { of_one, of_all: usize::MAX }
+    }
+}
+
 impl FairQueue {
-    /// Queue for this many places, in which each holder may wait `max_waiting` times.
-    pub(crate) fn new(places: usize, max_waiting: usize) -> Arc<Self> {
+    /// Queue for this many places.
+    pub(crate) fn new(places: usize, limits: WaitingLimits) -> Arc<Self> {
         let state = State { free: places.max(1), waiting: VecDeque::new(), busy: HashMap::new() };
-        Arc::new(Self { max_waiting, state: Mutex::new(state) })
+        Arc::new(Self { limits, state: Mutex::new(state) })
     }
 
     /// Waits for a place.
@@ -51,7 +67,7 @@ impl FairQueue {
                 state.free -= 1;
                 return Ok(self.place(&mut state, holder.to_owned()));
             }
-            state.wait(holder, self.max_waiting)?
+            state.wait(holder, self.limits)?
         };
         // The queue outlives this call, and passes every place on.
         receiver.await.map_err(|_| TooManyWaiting(0))
@@ -89,21 +105,34 @@ impl FairQueue {
 }
 
 impl State {
-    fn wait(&mut self, holder: &str, max_waiting: usize) -> Result<oneshot::Receiver<Place>, TooManyWaiting> {
-        let (sender, receiver) = oneshot::channel();
-        if let Some(waiting) = self.waiting.iter_mut().find(|waiting| waiting.holder == holder) {
-            if waiting.waiters.len() >= max_waiting {
-                // Those whose client has gone do not count.
+    fn wait(&mut self, holder: &str, limits: WaitingLimits) -> Result<oneshot::Receiver<Place>, TooManyWaiting> {
+        if self.exceeded(holder, limits).is_some() {
+            // Those whose client has gone do not count.
+            for waiting in &mut self.waiting {
                 waiting.waiters.retain(|waiter| !waiter.is_closed());
             }
-            if waiting.waiters.len() >= max_waiting {
-                return Err(TooManyWaiting(max_waiting));
-            }
-            waiting.waiters.push_back(sender);
-        } else {
-            self.waiting.push_back(Waiting { holder: holder.to_owned(), waiters: [sender].into() });
+            self.waiting.retain(|waiting| !waiting.waiters.is_empty());
+        }
+        if let Some(limit) = self.exceeded(holder, limits) {
+            return Err(TooManyWaiting(limit));
+        }
+        let (sender, receiver) = oneshot::channel();
+        match self.waiting.iter_mut().find(|waiting| waiting.holder == holder) {
+            Some(waiting) => waiting.waiters.push_back(sender),
+            None => self.waiting.push_back(Waiting { holder: holder.to_owned(), waiters: [sender].into() }),
         }
         Ok(receiver)
+    }
+
+    /// The limit that another waiter of this holder would exceed.
+    fn exceeded(&self, holder: &str, limits: WaitingLimits) -> Option<usize> {
+        let of = |counted: &dyn Fn(&Waiting) -> bool| {
+            self.waiting.iter().filter(|waiting| counted(waiting)).map(|waiting| waiting.waiters.len()).sum::<usize>()
+        };
+        if of(&|waiting| waiting.holder == holder) >= limits.of_one {
+            return Some(limits.of_one);
+        }
+        (of(&|_| true) >= limits.of_all).then_some(limits.of_all)
     }
 
     fn leave(&mut self, holder: &str) {
@@ -147,7 +176,7 @@ mod tests {
 
     /// Names of the holders in the order in which they get the only place.
     async fn order(wanted: &[&'static str], max_waiting: usize) -> Vec<&'static str> {
-        let queue = FairQueue::new(1, max_waiting);
+        let queue = FairQueue::new(1, WaitingLimits::of_one(max_waiting));
         let first = queue.enter("first").await.expect("a free place");
         let (sender, mut receiver) = tokio::sync::mpsc::unbounded_channel();
         for (number, &holder) in wanted.iter().enumerate() {
@@ -191,7 +220,7 @@ mod tests {
 
     #[tokio::test]
     async fn a_place_goes_first_to_a_holder_that_has_none() {
-        let queue = FairQueue::new(2, 9);
+        let queue = FairQueue::new(2, WaitingLimits::of_one(9));
         let [one, _two] = [queue.enter("a").await.expect("free"), queue.enter("a").await.expect("free")];
         let more = tokio::spawn({
             let queue = Arc::clone(&queue);
@@ -213,8 +242,31 @@ mod tests {
     }
 
     #[tokio::test]
+    async fn waiters_are_bounded_by_holder_and_together() {
+        let queue = FairQueue::new(1, WaitingLimits { of_one: 16, of_all: 64 });
+        let held = queue.enter("anna").await.expect("free");
+        let (mut waiting, mut refused) = (Vec::new(), Vec::new());
+        for number in 0..100 {
+            let (queue, name) = (Arc::clone(&queue), format!("user {}", number / 20));
+            let mut wait = Box::pin(async move { queue.enter(&name).await });
+            match futures_util::poll!(&mut wait) {
+                std::task::Poll::Ready(Err(TooManyWaiting(limit))) => refused.push(limit),
+                std::task::Poll::Ready(Ok(_)) => panic!("there is no free place"),
+                std::task::Poll::Pending => waiting.push(wait),
+            }
+        }
+        assert_eq!(waiting.len(), 64, "four users with 16 each");
+        assert_eq!(refused, [[16; 16].as_slice(), &[64; 20]].concat());
+        waiting.clear();
+        let mut next = Box::pin(queue.enter("user 4"));
+        assert!(futures_util::poll!(&mut next).is_pending(), "those that are gone leave room");
+        drop(held);
+        drop(next.await.expect("those that are gone take no places"));
+    }
+
+    #[tokio::test]
     async fn a_waiter_that_is_gone_is_passed_over() {
-        let queue = FairQueue::new(1, 1);
+        let queue = FairQueue::new(1, WaitingLimits::of_one(1));
         let first = queue.enter("a").await.expect("free");
         for _ in 0..3 {
             let mut gone = Box::pin(queue.enter("a"));

@@ -4,15 +4,19 @@
 //! one file, and no claim. The cache is bounded: waiting jobs are stored in the database only.
 
 use std::collections::VecDeque;
-use std::sync::{Arc, Mutex};
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::{Arc, Mutex, mpsc};
 
 use tokio::sync::oneshot;
 
 use crate::database::DatabaseError;
 use crate::delivery_check::ExpectedPicture;
-use crate::fair_queue::{FairQueue, Place, TooManyWaiting};
+use crate::fair_queue::{FairQueue, Place, TooManyWaiting, WaitingLimits};
 use crate::queue::Queue;
 
+/// A submitted file above this size is large. Parsing takes about a hundred times the size of the file in memory, so
+/// large ones are parsed one after another, on one thread: the allocator keeps memory by thread.
+const LARGE_FILE_BYTES: usize = 256 << 10;
 /// Stack size of a parsing thread.
 const STACK_BYTES: usize = 16 << 20;
 /// Maximum number of cached jobs.
@@ -57,11 +61,17 @@ pub(crate) enum JobLoadError {
     Thread,
 }
 
+/// Work of a thread.
+type Task = Box<dyn FnOnce() + Send>;
+
 /// Parses and caches jobs.
 #[derive(Debug)]
 pub(crate) struct JobCache {
     kept: Mutex<VecDeque<CachedJob>>,
     submitters: Arc<FairQueue>,
+    /// One place for all large files of submitters, whatever the number of cores.
+    large: Arc<FairQueue>,
+    large_thread: Mutex<mpsc::Sender<Task>>,
     claims: Arc<FairQueue>,
 }
 
@@ -73,13 +83,15 @@ struct CachedJob {
 }
 
 impl JobCache {
-    /// Parsing threads: one for each core for submissions, and as many for claims.
+    /// Parsing threads: one for each core for submissions, as many for claims, and one for large files.
     pub(crate) fn new() -> Self {
         let cores = std::thread::available_parallelism().map_or(1, usize::from);
         Self {
             kept: Mutex::default(),
-            submitters: FairQueue::new(cores, MAX_WAITING),
-            claims: FairQueue::new(cores, usize::MAX),
+            submitters: FairQueue::new(cores, WaitingLimits::of_one(MAX_WAITING)),
+            large: FairQueue::new(1, WaitingLimits::of_one(MAX_WAITING)),
+            large_thread: Mutex::new(start_large_thread()),
+            claims: FairQueue::new(cores, WaitingLimits::of_one(usize::MAX)),
         }
     }
 
@@ -90,7 +102,28 @@ impl JobCache {
         text: bytes::Bytes,
         work: impl FnOnce(Result<scene::Job, scene::ParseError>) -> T + Send + 'static,
     ) -> Result<T, JobLoadError> {
-        self.run(reader, move || work(scene::parse(&text))).await
+        let is_large = text.len() > LARGE_FILE_BYTES;
+        let work = move || work(scene::parse(&text));
+        match reader {
+            Reader::Submitter(name) if is_large => {
+                let place = enter(&self.large, name).await?;
+                run_on(place, work, |task| self.start_large(task)).await
+            }
+            Reader::Submitter(_) | Reader::Claim(_) => self.run(reader, work).await,
+        }
+    }
+
+    fn start_large(&self, mut task: Task) -> Result<(), JobLoadError> {
+        let mut thread = self.large_thread.lock().expect("no holder panics");
+        // A thread that could not be started, or has ended, is started again.
+        for _ in 0..2 {
+            match thread.send(task) {
+                Ok(()) => return Ok(()),
+                Err(mpsc::SendError(unsent)) => task = unsent,
+            }
+            *thread = start_large_thread();
+        }
+        Err(JobLoadError::Thread)
     }
 
     /// Cache key of a frame's picture; for an animated job this copies the scene.
@@ -128,11 +161,10 @@ impl JobCache {
     }
 
     async fn turn(&self, reader: Reader<'_>) -> Result<Place, JobLoadError> {
-        let (queue, name) = match reader {
-            Reader::Submitter(name) => (&self.submitters, name.to_owned()),
-            Reader::Claim(job) => (&self.claims, job.to_string()),
-        };
-        queue.enter(&name).await.map_err(|TooManyWaiting(limit)| JobLoadError::TooManyWaiting { name, limit })
+        match reader {
+            Reader::Submitter(name) => enter(&self.submitters, name).await,
+            Reader::Claim(job) => enter(&self.claims, &job.to_string()).await,
+        }
     }
 
     /// Caches a job; the ones cached longest are dropped.
@@ -171,22 +203,52 @@ impl JobCache {
     }
 }
 
+async fn enter(queue: &Arc<FairQueue>, name: &str) -> Result<Place, JobLoadError> {
+    let entered = queue.enter(name).await;
+    entered.map_err(|TooManyWaiting(limit)| JobLoadError::TooManyWaiting { name: name.to_owned(), limit })
+}
+
 /// Runs `work` on a thread of its own, which has the place until it has finished, even if its caller is gone.
 async fn run_on_thread<T: Send + 'static>(
     place: Place,
     work: impl FnOnce() -> T + Send + 'static,
 ) -> Result<T, JobLoadError> {
+    let start = |task| parsing_thread().spawn(task).map(drop).map_err(|_| JobLoadError::Thread);
+    run_on(place, work, start).await
+}
+
+/// Runs `work` on a thread that `start` gives it to.
+async fn run_on<T: Send + 'static>(
+    place: Place,
+    work: impl FnOnce() -> T + Send + 'static,
+    start: impl FnOnce(Task) -> Result<(), JobLoadError>,
+) -> Result<T, JobLoadError> {
     let (reply, answer) = oneshot::channel();
-    std::thread::Builder::new()
-        .name("parse".to_owned())
-        .stack_size(STACK_BYTES)
-        .spawn(move || {
-            let done = work();
-            drop(place);
-            drop(reply.send(done));
-        })
-        .map_err(|_| JobLoadError::Thread)?;
+    start(Box::new(move || {
+        let done = work();
+        drop(place);
+        drop(reply.send(done));
+    }))?;
     answer.await.map_err(|_| JobLoadError::Thread)
+}
+
+fn parsing_thread() -> std::thread::Builder {
+    std::thread::Builder::new().name("parse".to_owned()).stack_size(STACK_BYTES)
+}
+
+/// Starts the thread for large files; if it can't be started, the sender has no receiver.
+fn start_large_thread() -> mpsc::Sender<Task> {
+    let (sender, tasks) = mpsc::channel::<Task>();
+    let run = move || {
+        for task in tasks {
+            // A panic is logged, and drops the reply: its caller gets an error.
+            drop(catch_unwind(AssertUnwindSafe(task)));
+        }
+    };
+    if let Err(error) = parsing_thread().spawn(run) {
+        tracing::warn!(%error, "no thread for large job files could be started");
+    }
+    sender
 }
 
 #[cfg(test)]
@@ -213,12 +275,31 @@ mod tests {
     }
 
     #[tokio::test]
+    async fn large_files_are_parsed_one_at_a_time_and_delay_no_small_ones() {
+        let cache = JobCache::new();
+        let large = bytes::Bytes::from(vec![b' '; LARGE_FILE_BYTES + 1]);
+        let (end, ended) = mpsc::channel::<()>();
+        let hold = move |_| assert!(ended.recv().is_err(), "it ends with the test");
+        let mut first = Box::pin(cache.parse(Reader::Submitter("anna"), large.clone(), hold));
+        assert!(futures_util::poll!(&mut first).is_pending());
+        let mut second = Box::pin(cache.parse(Reader::Submitter("bert"), large.clone(), |_| 2));
+        assert!(futures_util::poll!(&mut second).is_pending());
+        let waits = cache.large.enter("carl");
+        let mut waits = Box::pin(waits);
+        assert!(futures_util::poll!(&mut waits).is_pending(), "its place is taken");
+        assert_eq!(cache.parse(Reader::Claim(7), large, |_| 7).await.expect("a thread"), 7, "a claim needs no place");
+        drop((end, waits));
+        first.await.expect("a thread");
+        assert_eq!(second.await.expect("a thread"), 2);
+    }
+
+    #[tokio::test]
     async fn claims_do_not_wait_behind_submissions() {
         let cache = Arc::new(JobCache::new());
         let cores = std::thread::available_parallelism().map_or(1, usize::from);
         let mut ends = Vec::new();
         for _ in 0..=cores {
-            let (end, ended) = std::sync::mpsc::channel::<()>();
+            let (end, ended) = mpsc::channel::<()>();
             ends.push(end);
             let work = move || assert!(ended.recv().is_err(), "it ends with the test");
             let mut running = Box::pin(cache.run(Reader::Submitter("anna"), work));

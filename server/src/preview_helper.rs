@@ -4,13 +4,11 @@
 //! A helper process is started on demand, a few at a time, with a time limit; it exits when its standard
 //! input closes, so a killed server leaves none behind.
 
-mod turns;
-
 use std::collections::VecDeque;
 use std::io;
 use std::path::{Path, PathBuf};
 use std::process::Stdio;
-use std::sync::Mutex;
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, SystemTime};
 
 use bytes::Bytes;
@@ -19,10 +17,14 @@ use proto::preview_helper::{self, CostSample, HelperRequest};
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::process::{Child, Command};
 
-use self::turns::{Turn, Turns};
+use crate::fair_queue::{FairQueue, Place, WaitingLimits};
 
 /// Maximum number of helper processes.
 const MAX_CHILDREN: usize = 2;
+/// Requests that may wait for a helper.
+const WAITING: WaitingLimits = WaitingLimits { of_one: 16, of_all: 64 };
+/// Maximum wait for a helper.
+const MAX_WAIT: Duration = Duration::from_secs(10);
 /// Estimates wait in turn with the submitters of previews, under a name that no key has.
 const ESTIMATES: &str = " estimates";
 /// Time limit of a helper process.
@@ -62,7 +64,7 @@ pub(crate) enum HelperError {
 pub(crate) struct PreviewHelper {
     program: PathBuf,
     folder: PathBuf,
-    turns: Turns,
+    turns: Arc<FairQueue>,
     kept: Mutex<VecDeque<(String, Bytes)>>,
 }
 
@@ -75,7 +77,7 @@ impl PreviewHelper {
             Ok(()) | Err(_) => {}
         }
         std::fs::create_dir_all(&folder)?;
-        let turns = Turns::new(MAX_CHILDREN);
+        let turns = FairQueue::new(MAX_CHILDREN, WAITING);
         Ok(Self { program: program.to_owned(), folder, turns, kept: Mutex::default() })
     }
 
@@ -112,8 +114,11 @@ impl PreviewHelper {
         serde_json::from_slice(&answer).map_err(|error| HelperError::Failed(error.to_string()))
     }
 
-    async fn turn(&self, submitter: &str) -> Result<Turn, HelperError> {
-        self.turns.wait(submitter).await.ok_or(HelperError::Busy)
+    async fn turn(&self, submitter: &str) -> Result<Place, HelperError> {
+        match tokio::time::timeout(MAX_WAIT, self.turns.enter(submitter)).await {
+            Ok(Ok(place)) => Ok(place),
+            Ok(Err(_)) | Err(_) => Err(HelperError::Busy),
+        }
     }
 
     /// Runs a helper; it is killed if the caller is dropped or the time is up.

@@ -212,7 +212,9 @@ fn resubmissions(attacker: &Attacker<'_>) {
 }
 
 fn previews(attacker: &Attacker<'_>) {
+    // Paused, so that only its previews compete with the other user's job.
     let Some(id) = attacker.submit(&jobs::endless()) else { return };
+    attacker.send("POST", &format!("/v1/jobs/{id}/pause"), "");
     attacker.flood(40, |number| {
         let kind = if number % 4 == 0 { "thumbnail" } else { "preview" };
         attacker.send("GET", &format!("/v1/jobs/{id}/frames/0/{kind}?width={}", 16 + number % 1000), "");

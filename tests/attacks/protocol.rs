@@ -51,7 +51,7 @@ pub(super) fn attacks() -> Vec<Attack> {
         Attack { name: "a worker that delivers something else than pictures", run: liar },
         Attack { name: "a worker that speaks for others", run: impostor },
         Attack { name: "thousands of blobs that no tile asked for", run: blobs },
-        Attack { name: "syncs of four megabytes", run: large_syncs },
+        Attack { name: "syncs of the largest size", run: large_syncs },
     ]
 }
 
@@ -246,6 +246,6 @@ fn blobs(attacker: &Attacker<'_>) {
 fn large_syncs(attacker: &Attacker<'_>) {
     let Some(worker) = register(attacker, "large") else { return };
     attacker.submit(&jobs::seeded(&ball(), 1));
-    let held: Vec<LeaseId> = (0..90_000).map(|_| LeaseId::new()).collect();
+    let held: Vec<LeaseId> = (0..9_500).map(|_| LeaseId::new()).collect();
     attacker.flood(4, |_| drop(sync(attacker, &asking(worker, held.clone(), Vec::new()))));
 }

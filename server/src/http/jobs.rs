@@ -164,16 +164,21 @@ impl Submission {
         let reader = Reader::Submitter(&submitter);
         let limits = quota::limits(farm, &caller);
         let wish = submit_options::read(&uri, &headers, &text, &farm.webhooks.guard, limits)?;
-        let parsed = farm.jobs.parse(reader, text.clone(), |parsed| parsed.map(|job| (job.warnings(), job))).await?;
-        let (warnings, job) = parsed?;
-        quota::check_priority(&caller, job.priority)?;
-        let plan = TilePlan::new(&job, farm.config.tile_edge_px);
-        if query.dry_run {
+        let (dry_run, edge_px) = (query.dry_run, farm.config.tile_edge_px);
+        let read = move |job: scene::Job| {
+            let (plan, priority, warnings) = (TilePlan::new(&job, edge_px), job.priority, job.warnings());
+            // A large job takes hundreds of megabytes: a dry run drops it here, before another one is parsed.
+            (plan, priority, warnings, (!dry_run).then_some(job))
+        };
+        let parsed = farm.jobs.parse(reader, text.clone(), move |parsed| parsed.map(read)).await?;
+        let (plan, priority, warnings, job) = parsed?;
+        quota::check_priority(&caller, priority)?;
+        let Some(job) = job else {
             let (tiles, rays) = (plan.tiles_total(), plan.rays_total());
             let estimate = estimate::estimate(farm, &submitter, into_utf8(text)?, plan).await;
             let frames = plan.frames.into();
             return Ok(Json(DryRun { valid: true, tiles, frames, rays, estimate, warnings }).into_response());
-        }
+        };
         let id = JobId::new();
         audit_log::describe(|record| record.job = Some(id));
         let new = NewJob {

@@ -28,7 +28,7 @@ use crate::queue::{LeaseNeed, NewWorker, NextWork, SyncInput, SyncOutcome};
 /// Maximum size of a registration; valid ones are smaller.
 const MAX_REGISTER_BYTES: usize = 16 << 10;
 /// Maximum size of a sync; the results of the largest frame fit.
-const MAX_SYNC_BYTES: usize = 4 << 20;
+const MAX_SYNC_BYTES: usize = 384 << 10;
 /// Maximum time that a sync waits for work.
 const MAX_WAIT: Duration = Duration::from_secs(30);
 /// Maximum wait of a draining worker that still has leases.

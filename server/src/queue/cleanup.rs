@@ -11,7 +11,7 @@ use super::{
 use crate::database::{DatabaseError, Durability};
 
 /// Maximum number of tiles, frames or events that one piece changes; a frame's tiles are requeued together.
-pub(super) const PIECE_ROWS: i64 = 200;
+pub(super) const PIECE_ROWS: i64 = 100;
 
 /// Hashes that may be orphans after a change.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]

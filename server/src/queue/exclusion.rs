@@ -1,9 +1,12 @@
 //! Failing workers: a worker with repeated errors in one job is excluded from it for 1 h; a worker excluded
 //! from three jobs is quarantined. This module decides about workers, never about tiles.
 //!
-//! Both happen only if another worker can do the work, so that a single worker never stops the farm.
+//! Both happen only if another worker can do the work, so that a single worker never stops the farm. A worker that
+//! delivers something else than was asked for is quarantined whatever others there are.
 
 use proto::WorkerId;
+
+use sqlx::sqlite::SqliteQueryResult;
 
 use super::lease::LiveLease;
 use super::{Connection, Result, TransitionContext};
@@ -61,13 +64,7 @@ async fn quarantine(connection: &mut Connection, worker: &str, moment: Transitio
     .bind(EXCLUSIONS_BEFORE_QUARANTINE)
     .execute(connection)
     .await?;
-    if quarantined.rows_affected() > 0 {
-        tracing::error!(
-            code = "worker_quarantined",
-            worker,
-            "a worker failed in too many jobs and gets no more work: check its device, then restart it"
-        );
-    }
+    log_quarantine(&quarantined, worker, "it failed in too many jobs");
     Ok(())
 }
 
@@ -98,15 +95,19 @@ pub(super) async fn quarantine_at_once(connection: &mut Connection, worker: &str
             .bind(worker)
             .execute(connection)
             .await?;
+    log_quarantine(&quarantined, worker, reason);
+    Ok(())
+}
+
+fn log_quarantine(quarantined: &SqliteQueryResult, worker: &str, reason: &str) {
     if quarantined.rows_affected() > 0 {
         tracing::error!(
             code = "worker_quarantined",
             worker,
             reason,
-            "a worker gets no more work: revoke its key, or check its device and restart it"
+            "a worker gets no more work: check its device and restart it, or revoke its key"
         );
     }
-    Ok(())
 }
 
 /// Whether a worker other than the lease's is excluded from its job: then the tile must not avoid this worker.
