@@ -158,6 +158,6 @@ impl RendererArguments {
 
 /// Parser of `--simd`.
 pub(crate) fn simd_parser() -> impl TypedValueParser<Value = Simd> {
-    PossibleValuesParser::new(["auto", "avx512", "avx2", "sse4.2", "scalar"])
+    PossibleValuesParser::new(["auto", "avx512", "avx2", "portable", "sse4.2", "scalar"])
         .map(|name| name.parse().expect("the list above holds the levels' names"))
 }

@@ -43,7 +43,6 @@ impl AmbientOcclusion {
 
     /// Ambient visibility of a point, 0 (occluded) to 1. `distance` returns the distance from a point to the nearest
     /// surface.
-    #[inline(always)]
     pub fn visibility<R: Real>(&self, p: Vec3<R>, normal: Vec3<R>, distance: impl Fn(Vec3<R>) -> R) -> R {
         let (right, up) = frame_of_dome(normal);
         let (sine, cosine) = ASIDE;
@@ -56,7 +55,6 @@ impl AmbientOcclusion {
     }
 
     /// Unoccluded fraction of a cone. Its balls have centers `height` above the surface for each unit along the cone.
-    #[inline(always)]
     fn cone<R: Real>(&self, p: Vec3<R>, axis: Vec3<R>, height: f32, distance: impl Fn(Vec3<R>) -> R) -> R {
         let mut open = p.x.constant(1.0);
         let mut sum = p.x.constant(0.0);
@@ -76,7 +74,6 @@ impl AmbientOcclusion {
 /// Two directions at right angles to a normal and to each other. They vary continuously with the normal, except where
 /// it points straight down; every such frame has an exception. Jeppe Revall Frisvad, "Building an orthonormal basis
 /// from a 3D unit vector without normalization", Journal of Graphics Tools 16(3), 2012.
-#[inline(always)]
 fn frame_of_dome<R: Real>(n: Vec3<R>) -> (Vec3<R>, Vec3<R>) {
     let one = n.x.constant(1.0);
     let a = one / (n.y + 1.0).at_least(1e-4);

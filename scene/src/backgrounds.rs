@@ -67,7 +67,6 @@ macro_rules! backgrounds {
         }
 
         impl Backdrop for Background {
-            #[inline(always)]
             fn radiance<R: Real>(&self, direction: Vec3<R>) -> Vec3<R> {
                 match self {
                     $($(#[$attribute])* Self::$Kind(background) => background.radiance(direction),)*
@@ -75,7 +74,6 @@ macro_rules! backgrounds {
                 }
             }
 
-            #[inline(always)]
             fn cosine_mean<R: Real>(&self, normal: Vec3<R>) -> Option<Vec3<R>> {
                 match self {
                     $($(#[$attribute])* Self::$Kind(background) => background.cosine_mean(normal),)*

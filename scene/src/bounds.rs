@@ -112,7 +112,6 @@ impl Bounds {
 
     /// Lower bound of the distance from `p` to any point of the box: the largest coordinate difference along an axis,
     /// less a hundredth of the box's size.
-    #[inline(always)]
     pub fn distance_lower_bound<R: Real>(&self, p: Vec3<R>) -> R {
         let half = zip(self.max, self.min, |high, low| (high - low) * 0.5);
         let middle = zip(self.max, self.min, |high, low| (high + low) * 0.5);
@@ -123,7 +122,6 @@ impl Bounds {
 
     /// Interval of the ray inside the box, clamped to 0..`farthest`. For a ray that misses the box, the end is less
     /// than the start.
-    #[inline(always)]
     pub fn intersect_ray<R: Real>(&self, ray: &Ray<R>, farthest: R) -> (R, R) {
         let (low, high) = (Vec3::uniform(farthest, self.min), Vec3::uniform(farthest, self.max));
         let zero = farthest.constant(0.0);
@@ -135,7 +133,6 @@ impl Bounds {
 }
 
 /// Interval of t in which `origin + slope · t` is between `low` and `high`.
-#[inline(always)]
 fn slab_interval<R: Real>(low: R, high: R, origin: R, slope: R) -> (R, R) {
     // Replaces a slope of 0, so that the quotient exists.
     const PARALLEL_EPSILON: f32 = 1e-12;

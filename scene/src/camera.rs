@@ -79,7 +79,6 @@ bundle!(Ray { origin, direction });
 
 impl<R: Real> Ray<R> {
     /// Point at a distance along the ray.
-    #[inline(always)]
     pub fn at(&self, distance: R) -> Vec3<R> {
         self.direction.mul_add(distance, self.origin)
     }
@@ -148,7 +147,6 @@ impl Camera {
 
 impl View {
     /// The ray through the point (`x`, `y`) of the picture, in pixels from its top left.
-    #[inline(always)]
     pub fn ray<R: Real>(&self, x: R, y: R) -> Ray<R> {
         let across = x.mul_add(x.uniform(self.scale.0), x.constant(-1.0));
         let upwards = y.mul_add(y.uniform(self.scale.1), y.constant(1.0));

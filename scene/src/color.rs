@@ -18,7 +18,6 @@ impl DisplayTransform {
     }
 
     /// Display value of a channel's linear light.
-    #[inline(always)]
     pub fn apply<R: Real>(self, linear: R) -> R {
         let exposed = linear * linear.uniform(self.exposure);
         match self.tone_map {
@@ -39,7 +38,6 @@ fn power_of_two(power: f32) -> f32 {
 ///
 /// Krzysztof Narkowicz, "ACES Filmic Tone Mapping Curve", 2016, a fit to the Academy's curve:
 /// <https://knarkowicz.wordpress.com/2016/01/06/aces-filmic-tone-mapping-curve/>.
-#[inline(always)]
 pub fn filmic<R: Real>(linear: R) -> R {
     // Far above the input at which the curve reaches 1, and low enough that no square overflows.
     const MAX_INPUT: f32 = 1e4;
@@ -50,7 +48,6 @@ pub fn filmic<R: Real>(linear: R) -> R {
 }
 
 /// sRGB value, 0 to 1, of linear light, which is first clamped to 0 to 1.
-#[inline(always)]
 pub fn srgb_from_linear<R: Real>(linear: R) -> R {
     let linear = linear.at_least(0.0).at_most(1.0);
     let curve = linear.powf(linear.constant(1.0 / 2.4)).mul_add(linear.constant(1.055), linear.constant(-0.055));
@@ -61,7 +58,6 @@ pub fn srgb_from_linear<R: Real>(linear: R) -> R {
 /// differs from pixel to pixel, so that slow gradients show no bands.
 ///
 /// A value within rounding error of a level gets that level at every pixel, so that a constant color stays constant.
-#[inline(always)]
 pub fn level_of_256<R: Real>(srgb: R, threshold: R) -> R {
     /// Maximum distance from a level that counts as rounding error, in levels.
     const NEAR: f32 = 1.0 / 32.0;
@@ -71,7 +67,6 @@ pub fn level_of_256<R: Real>(srgb: R, threshold: R) -> R {
 }
 
 /// Linear light from an sRGB value, 0 to 1.
-#[inline(always)]
 pub fn linear_from_srgb<R: Real>(srgb: R) -> R {
     let curve = ((srgb + 0.055) / 1.055).powf(srgb.constant(2.4));
     R::select(srgb.below(0.040_45), srgb / 12.92, curve)

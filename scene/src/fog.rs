@@ -33,14 +33,12 @@ impl HasExamples for Fog {
 
 impl Fog {
     /// Direction in which the background is evaluated for fog without a color of its own.
-    #[inline(always)]
     pub fn direction_of_color<R: Real>(direction: Vec3<R>) -> Vec3<R> {
         let level = vec3(direction.x, direction.y.at_least(0.0), direction.z);
         level * (direction.x.constant(1.0) / level.length().at_least(1e-3))
     }
 
     /// Transmittance along `length` of the ray.
-    #[inline(always)]
     pub fn transmittance<R: Real>(&self, ray: &Ray<R>, length: R) -> R {
         let density = length.uniform(self.density.get());
         if self.falloff.is_zero() {

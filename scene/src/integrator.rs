@@ -103,7 +103,6 @@ bundle!(Radiance { color, alpha, evaluations });
 bundle!(Hit { t, position, normal, is_inside });
 
 impl<R: Real> ShadingPoint<R> {
-    #[inline(always)]
     fn new(hit: &Hit<R>, ray: &Ray<R>, footprint: [Vec3<R>; 2]) -> Self {
         Self {
             footprint,
@@ -154,7 +153,6 @@ impl<'a> Integrator<'a> {
     }
 
     /// Color of the pixel in column `x` and row `y`, both integers.
-    #[inline(always)]
     pub fn pixel<R: Real>(&self, x: R, y: R) -> Radiance<R> {
         let zero = x.constant(0.0);
         let nothing = Radiance { color: vec3(zero, zero, zero), alpha: zero, evaluations: zero };
@@ -164,38 +162,27 @@ impl<'a> Integrator<'a> {
     /// Adds samples of a pixel to `sum`: from `first` up to but excluding `end`, which is greater than `first`. Adding
     /// in parts, in order, gives bit-identical sums.
     pub fn accumulate<R: Real>(&self, x: R, y: R, first: R, end: R, sum: Radiance<R>) -> Radiance<R> {
-        x.vectorize(
-            #[inline(always)]
-            || {
-                let add = |sum: Radiance<R>, seen: Radiance<R>| Radiance {
-                    color: sum.color + seen.color,
-                    alpha: sum.alpha + seen.alpha,
-                    evaluations: sum.evaluations + seen.evaluations,
-                };
-                let zero = x.constant(0.0);
-                let dice = Sampler { x, y, sample: zero, bounce: zero, frame_key: self.frame_key };
-                if self.samples == 1 {
-                    return add(sum, self.radiance(x + 0.5, y + 0.5, &dice));
-                }
-                let jitter = PixelJitter::new(x, y, self.frame_key);
-                let (_, sum) = R::repeat(
-                    MAX_SAMPLES,
-                    (first, sum),
-                    #[inline(always)]
-                    |(sample, sum)| {
-                        let (jx, jy) = jitter.offset(sample);
-                        let next = sample + 1.0;
-                        let seen = self.radiance(x + jx, y + jy, &Sampler { sample, ..dice });
-                        (next.lt(end), (next, add(sum, seen)))
-                    },
-                );
-                sum
-            },
-        )
+        let add = |sum: Radiance<R>, seen: Radiance<R>| Radiance {
+            color: sum.color + seen.color,
+            alpha: sum.alpha + seen.alpha,
+            evaluations: sum.evaluations + seen.evaluations,
+        };
+        let zero = x.constant(0.0);
+        let dice = Sampler { x, y, sample: zero, bounce: zero, frame_key: self.frame_key };
+        if self.samples == 1 {
+            return add(sum, self.radiance(x + 0.5, y + 0.5, &dice));
+        }
+        let jitter = PixelJitter::new(x, y, self.frame_key);
+        let (_, sum) = R::repeat(MAX_SAMPLES, (first, sum), |(sample, sum)| {
+            let (jx, jy) = jitter.offset(sample);
+            let next = sample + 1.0;
+            let seen = self.radiance(x + jx, y + jy, &Sampler { sample, ..dice });
+            (next.lt(end), (next, add(sum, seen)))
+        });
+        sum
     }
 
     /// Color of a pixel whose samples have all been added to `sum`.
-    #[inline(always)]
     pub fn mean<R: Real>(&self, sum: Radiance<R>) -> Radiance<R> {
         if self.samples == 1 {
             return sum;
@@ -206,90 +193,58 @@ impl<'a> Integrator<'a> {
 
     /// Layer (AOV) values of the ray through the center of the pixel in column `x` and row `y`.
     pub fn aovs<R: Real>(&self, x: R, y: R) -> Aovs<R> {
-        x.vectorize(
-            #[inline(always)]
-            || {
-                let ray = self.view.ray(x + 0.5, y + 0.5);
-                let marched = if self.fine.is_empty() { self.march(&ray) } else { self.march_to_depth(&ray) };
-                let zero = x.constant(0.0);
-                let nothing = vec3(zero, zero, zero);
-                let missed = (x.constant(f32::INFINITY), nothing, nothing, nothing, zero.constant(-1.0));
-                let (depth, normal, position, albedo, object) = R::when(
-                    marched.hit.0,
-                    missed,
-                    #[inline(always)]
-                    || {
-                        let hit = self.hit(&ray, &marched);
-                        let object = self.nearest_object(hit.position).1;
-                        let albedo = self.albedo(&hit, &ray, object);
-                        (hit.t, hit.normal, ray.at(hit.t), albedo, object)
-                    },
-                );
-                Aovs { depth, normal, position, albedo, object, steps: marched.steps }
-            },
-        )
+        let ray = self.view.ray(x + 0.5, y + 0.5);
+        let marched = if self.fine.is_empty() { self.march(&ray) } else { self.march_to_depth(&ray) };
+        let zero = x.constant(0.0);
+        let nothing = vec3(zero, zero, zero);
+        let missed = (x.constant(f32::INFINITY), nothing, nothing, nothing, zero.constant(-1.0));
+        let (depth, normal, position, albedo, object) = R::when(marched.hit.0, missed, || {
+            let hit = self.hit(&ray, &marched);
+            let object = self.nearest_object(hit.position).1;
+            let albedo = self.albedo(&hit, &ray, object);
+            (hit.t, hit.normal, ray.at(hit.t), albedo, object)
+        });
+        Aovs { depth, normal, position, albedo, object, steps: marched.steps }
     }
 
     /// Radiance along the ray through a point of the picture, in pixels from its top left.
     fn radiance<R: Real>(&self, x: R, y: R, dice: &Sampler<R>) -> Radiance<R> {
-        x.vectorize(
-            #[inline(always)]
-            || {
-                let ray = self.view.ray(x, y);
-                if self.sends_on || self.media.is_some() || self.scene.fog.is_some() {
-                    return self.path(&ray, dice);
-                }
-                let marched = self.march(&ray);
-                let (background, alpha) = self.background(ray.direction);
-                let (color, alpha, evaluations) = R::when(
-                    marched.hit.0,
-                    (background, alpha, marched.steps),
-                    #[inline(always)]
-                    || {
-                        let (color, evaluations) = self.surface(&ray, &marched, dice);
-                        (color, x.constant(1.0), marched.steps + evaluations)
-                    },
-                );
-                Radiance { color, alpha, evaluations }
-            },
-        )
+        let ray = self.view.ray(x, y);
+        if self.sends_on || self.media.is_some() || self.scene.fog.is_some() {
+            return self.path(&ray, dice);
+        }
+        let marched = self.march(&ray);
+        let (background, alpha) = self.background(ray.direction);
+        let (color, alpha, evaluations) = R::when(marched.hit.0, (background, alpha, marched.steps), || {
+            let (color, evaluations) = self.surface(&ray, &marched, dice);
+            (color, x.constant(1.0), marched.steps + evaluations)
+        });
+        Radiance { color, alpha, evaluations }
     }
 
     /// Radiance of the background along a ray, and its alpha.
-    #[inline(always)]
     fn background<R: Real>(&self, direction: Vec3<R>) -> (Vec3<R>, R) {
         let alpha = if self.scene.background.is_transparent() { 0.0 } else { 1.0 };
         (self.scene.background.radiance(direction), direction.x.constant(alpha))
     }
 
     fn march<R: Real>(&self, ray: &Ray<R>) -> MarchResult<R> {
-        ray.direction.x.call(
-            "march",
-            *ray,
-            #[inline(always)]
-            |ray| {
-                let Tolerance { slope, floor } = self.tolerance;
-                self.march_in_bounds(&ray, ray.direction.x.uniform(slope), ray.direction.x.uniform(floor), false)
-            },
-        )
+        ray.direction.x.call("march", *ray, |ray| {
+            let Tolerance { slope, floor } = self.tolerance;
+            self.march_in_bounds(&ray, ray.direction.x.uniform(slope), ray.direction.x.uniform(floor), false)
+        })
     }
 
     /// Like `march`, but to an exact root also on surfaces with fine detail. Only the depth layer is worth its cost.
     fn march_to_depth<R: Real>(&self, ray: &Ray<R>) -> MarchResult<R> {
-        ray.direction.x.call(
-            "march_to_depth",
-            *ray,
-            #[inline(always)]
-            |ray| {
-                let Tolerance { slope, floor } = self.tolerance;
-                self.march_in_bounds(&ray, ray.direction.x.uniform(slope), ray.direction.x.uniform(floor), true)
-            },
-        )
+        ray.direction.x.call("march_to_depth", *ray, |ray| {
+            let Tolerance { slope, floor } = self.tolerance;
+            self.march_in_bounds(&ray, ray.direction.x.uniform(slope), ray.direction.x.uniform(floor), true)
+        })
     }
 
     /// Marches within the scene's bounds, with a tolerance that grows by `slope` from `near`. On surfaces with fine
     /// detail, a point within the tolerance is a hit, unless `depth` is requested.
-    #[inline(always)]
     fn march_in_bounds<R: Real>(&self, ray: &Ray<R>, slope: R, near: R, depth: bool) -> MarchResult<R> {
         let approach = self.approach(slope, near, depth);
         let zero = ray.direction.x.constant(0.0);
@@ -302,85 +257,51 @@ impl<'a> Integrator<'a> {
             steps: zero,
             hit: MaskValue(zero.below(0.0)),
         };
-        R::when(
-            nearest.lt(farthest),
-            missed,
-            #[inline(always)]
-            || {
-                // Depth on fine detail takes many steps, because the distance is close to 0.
-                let (times, relaxation) = if depth { (16, 1.0) } else { (1, RELAXATION) };
-                let max_steps = self.scene.march.max_steps * times;
-                let reach = MarchRange { t_min: nearest, t_max: farthest, max_steps, relaxation };
-                let marched = march_to_root(
-                    ray,
-                    reach,
-                    approach,
-                    #[inline(always)]
-                    |p| self.distance(p),
-                    #[inline(always)]
-                    |p| self.is_fine(p),
-                );
-                // Out of steps: a hit if the surface is within the pixel's footprint.
-                let seen = self.view.footprint().at(marched.t);
-                let touches = !marched.hit.0 & marched.distance.lt(seen) & marched.t.lt(farthest);
-                if !self.fine.is_empty() {
-                    return MarchResult { hit: MaskValue(marched.hit.0 | touches), ..marched };
-                }
-                // A root must exist, too: a ray along a surface has none.
-                let wide = Approach { slope: zero, near: seen, ..approach };
-                R::when(
-                    touches,
-                    marched,
-                    #[inline(always)]
-                    || {
-                        find_root(
-                            ray,
-                            &marched,
-                            wide,
-                            None,
-                            #[inline(always)]
-                            |p| self.distance(p),
-                        )
-                    },
-                )
-            },
-        )
+        R::when(nearest.lt(farthest), missed, || {
+            // Depth on fine detail takes many steps, because the distance is close to 0.
+            let (times, relaxation) = if depth { (16, 1.0) } else { (1, RELAXATION) };
+            let max_steps = self.scene.march.max_steps * times;
+            let reach = MarchRange { t_min: nearest, t_max: farthest, max_steps, relaxation };
+            let marched = march_to_root(ray, reach, approach, |p| self.distance(p), |p| self.is_fine(p));
+            // Out of steps: a hit if the surface is within the pixel's footprint.
+            let seen = self.view.footprint().at(marched.t);
+            let touches = !marched.hit.0 & marched.distance.lt(seen) & marched.t.lt(farthest);
+            if !self.fine.is_empty() {
+                return MarchResult { hit: MaskValue(marched.hit.0 | touches), ..marched };
+            }
+            // A root must exist, too: a ray along a surface has none.
+            let wide = Approach { slope: zero, near: seen, ..approach };
+            R::when(touches, marched, || find_root(ray, &marched, wide, None, |p| self.distance(p)))
+        })
     }
 
-    #[inline(always)]
     fn approach<R>(&self, slope: R, near: R, among_details: bool) -> Approach<R> {
         Approach { slope, near, resolution: self.resolution, both_sides: self.lets_through, among_details }
     }
 
     /// Refines a march that came near the surface to the exact intersection, and computes the normal there.
     fn hit<R: Real>(&self, ray: &Ray<R>, marched: &MarchResult<R>) -> Hit<R> {
-        marched.t.call(
-            "hit",
-            (*ray, *marched),
-            #[inline(always)]
-            |(ray, marched)| {
-                let MarchResult { t: root, near, distance: gap, .. } = marched;
-                let fine = self.is_fine(ray.at(near));
-                let from = fine.map_or(root, |fine| R::select(fine, near, root));
-                let p = ray.at(from);
-                let normal = self.normal(p, self.normal_epsilon(p, from, fine));
-                let facing = -normal.dot(ray.direction);
-                let steepness = if self.lets_through { facing.abs() } else { facing };
-                // One step of Newton's method along the ray, limited at grazing angles.
-                let about = (near + gap / steepness.at_least(0.25)).at_least(0.0);
-                // There is no root where the march ran out of steps.
-                let distance = R::select(near.lt(root) | root.lt(near), root, about);
-                let position = ray.at(fine.map_or(distance, |fine| R::select(fine, about, distance)));
-                let inside = facing.below(0.0);
-                let normal = Vec3::select(inside, -normal, normal);
-                Hit { t: distance, position, normal, is_inside: MaskValue(inside) }
-            },
-        )
+        marched.t.call("hit", (*ray, *marched), |(ray, marched)| {
+            let MarchResult { t: root, near, distance: gap, .. } = marched;
+            let fine = self.is_fine(ray.at(near));
+            let from = fine.map_or(root, |fine| R::select(fine, near, root));
+            let p = ray.at(from);
+            let normal = self.normal(p, self.normal_epsilon(p, from, fine));
+            let facing = -normal.dot(ray.direction);
+            let steepness = if self.lets_through { facing.abs() } else { facing };
+            // One step of Newton's method along the ray, limited at grazing angles.
+            let about = (near + gap / steepness.at_least(0.25)).at_least(0.0);
+            // There is no root where the march ran out of steps.
+            let distance = R::select(near.lt(root) | root.lt(near), root, about);
+            let position = ray.at(fine.map_or(distance, |fine| R::select(fine, about, distance)));
+            let inside = facing.below(0.0);
+            let normal = Vec3::select(inside, -normal, normal);
+            Hit { t: distance, position, normal, is_inside: MaskValue(inside) }
+        })
     }
 
     /// Whether the surface at `p` has fine detail at every scale; `None` if no surface does. There a ray has many
     /// roots, so the visible surface is the one at the march's tolerance, and its normal is averaged over a pixel.
-    #[inline(always)]
     fn is_fine<R: Real>(&self, p: Vec3<R>) -> Option<R::Mask> {
         let zero = p.x.constant(0.0);
         if self.fine.is_empty() || self.fine.len() == self.surfaces.len() {
@@ -388,16 +309,11 @@ impl<'a> Integrator<'a> {
         }
         let object = self.nearest_object(p).1;
         let nowhere = zero.above(1.0);
-        Some(self.fine.iter().fold(
-            nowhere,
-            #[inline(always)]
-            |mask, &index| mask | (object - index as f32).abs().below(0.5),
-        ))
+        Some(self.fine.iter().fold(nowhere, |mask, &index| mask | (object - index as f32).abs().below(0.5)))
     }
 
     /// Distance from a hit at which its normal is measured: as small as `f32` allows, so that nearby edges have no
     /// effect; a quarter of a pixel if the surface has finer detail.
-    #[inline(always)]
     fn normal_epsilon<R: Real>(&self, p: Vec3<R>, distance: R, fine: Option<R::Mask>) -> R {
         /// Multiple of the coordinate: about a thousand times its rounding error.
         const OF_COORDINATE: f32 = 2.5e-4;
@@ -411,11 +327,6 @@ impl<'a> Integrator<'a> {
     }
 
     /// Direction of the gradient, from four evaluations at the corners of a tetrahedron.
-    #[inline(always)]
-    #[expect(
-        clippy::redundant_closure_for_method_calls,
-        reason = "closures can always be inlined, named methods cannot"
-    )]
     fn normal<R: Real>(&self, p: Vec3<R>, size: R) -> Vec3<R> {
         let a = self.distance(p + vec3(size, -size, -size));
         let b = self.distance(p + vec3(-size, -size, size));
@@ -425,13 +336,7 @@ impl<'a> Integrator<'a> {
         let (ca, db) = (c - a, d - b);
         // Scaled up, so that the squares of small differences do not vanish.
         let gradient = vec3(ad - bc, ca + db, (d - c) + (b - a));
-        let largest = gradient
-            .map(
-                #[inline(always)]
-                |c| c.abs(),
-            )
-            .max_element()
-            .at_least(1e-20);
+        let largest = gradient.map(Real::abs).max_element().at_least(1e-20);
         (gradient * (size.constant(1.0) / largest)).normalize()
     }
 }

@@ -97,7 +97,6 @@ macro_rules! lights {
         }
 
         impl LightSource for Light {
-            #[inline(always)]
             fn sample<R: Real>(
                 &self,
                 p: Vec3<R>,
@@ -160,7 +159,6 @@ lights![
 ];
 
 /// Direction inside a cone of this full angle, with uniform probability.
-#[inline(always)]
 fn sample_cone<R: Real>(like: R, axis: Vec3<f32>, angle: &FullAngle, pair: impl FnOnce() -> (R, R)) -> Vec3<R> {
     if angle.is_zero() {
         return Vec3::uniform(like, axis);
@@ -174,7 +172,6 @@ fn sample_cone<R: Real>(like: R, axis: Vec3<f32>, angle: &FullAngle, pair: impl 
 }
 
 /// Direction from a versine (1 − cosine) to an axis, and an angle around it as a fraction of a revolution.
-#[inline(always)]
 pub(crate) fn direction_around<R: Real>(axis: Vec3<R>, right: Vec3<R>, up: Vec3<R>, versine: R, turn: R) -> Vec3<R> {
     let (sine, cosine) = (turn * std::f32::consts::TAU).sin_cos();
     let away = (versine * (versine.constant(2.0) - versine)).sqrt();

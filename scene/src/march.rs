@@ -71,14 +71,12 @@ impl Tolerance {
     }
 
     /// Tolerance at a distance along the ray.
-    #[inline(always)]
     pub fn at<R: Real>(self, distance: R) -> R {
         distance.mul_add(distance.uniform(self.slope), distance.uniform(self.floor))
     }
 }
 
 impl<R: Real> Approach<R> {
-    #[inline(always)]
     fn tolerance(&self, distance: R) -> R {
         distance.mul_add(self.slope, self.near)
     }
@@ -95,7 +93,6 @@ const NO_OVERSTEP: f32 = -1e30;
 ///
 /// A ray that only passes near a surface continues. The tolerance decides where the search for the root begins.
 /// `is_fine` returns whether a point's surface has fine detail at every scale; `None` if no surface does.
-#[inline(always)]
 pub fn march_to_root<R: Real>(
     ray: &Ray<R>,
     reach: MarchRange<R>,
@@ -106,46 +103,29 @@ pub fn march_to_root<R: Real>(
     let zero = reach.t_max.constant(0.0);
     let start =
         MarchResult { t: reach.t_min, near: reach.t_min, distance: zero, steps: zero, hit: MaskValue(zero.below(0.0)) };
-    R::repeat(
-        reach.max_steps,
-        start,
-        #[inline(always)]
-        |so_far| {
-            let reach = MarchRange { t_min: so_far.t, ..reach };
-            let near = march(
-                ray,
-                reach,
-                #[inline(always)]
-                |t| approach.tolerance(t),
-                #[inline(always)]
-                |p| {
-                    let value = field(p);
-                    if approach.both_sides { value.abs() } else { value }
-                },
-            );
-            let near = MarchResult { steps: so_far.steps + near.steps, ..near };
-            let found = R::when(
-                near.hit.0,
-                near,
-                #[inline(always)]
-                || {
-                    let is_fine = is_fine(ray.at(near.t));
-                    let Some(is_met) = is_fine.filter(|_| !approach.among_details) else {
-                        return find_root(ray, &near, approach, is_fine, &field);
-                    };
-                    R::when(
-                        !is_met,
-                        near,
-                        #[inline(always)]
-                        || find_root(ray, &near, approach, None, &field),
-                    )
-                },
-            );
-            let passes = near.hit.0 & !found.hit.0;
-            let goes_on = passes & found.t.lt(reach.t_max) & found.steps.below(reach.max_steps as f32);
-            (goes_on, found)
-        },
-    )
+    R::repeat(reach.max_steps, start, |so_far| {
+        let reach = MarchRange { t_min: so_far.t, ..reach };
+        let near = march(
+            ray,
+            reach,
+            |t| approach.tolerance(t),
+            |p| {
+                let value = field(p);
+                if approach.both_sides { value.abs() } else { value }
+            },
+        );
+        let near = MarchResult { steps: so_far.steps + near.steps, ..near };
+        let found = R::when(near.hit.0, near, || {
+            let is_fine = is_fine(ray.at(near.t));
+            let Some(is_met) = is_fine.filter(|_| !approach.among_details) else {
+                return find_root(ray, &near, approach, is_fine, &field);
+            };
+            R::when(!is_met, near, || find_root(ray, &near, approach, None, &field))
+        });
+        let passes = near.hit.0 & !found.hit.0;
+        let goes_on = passes & found.t.lt(reach.t_max) & found.steps.below(reach.max_steps as f32);
+        (goes_on, found)
+    })
 }
 
 /// Two points of a ray and the field's values there; the nearer point is outside the surface.
@@ -177,7 +157,6 @@ const EXACTNESS: f32 = 0.125;
 ///
 /// The secant method until the root is bracketed, then the Illinois variant of regula falsi: M. Dowell, P. Jarratt, "A
 /// modified regula falsi method for computing the root of an equation", BIT 11, 1971.
-#[inline(always)]
 pub fn find_root<R: Real>(
     ray: &Ray<R>,
     near: &MarchResult<R>,
@@ -198,19 +177,9 @@ pub fn find_root<R: Real>(
         steps: near.steps,
         met: MaskValue(is_inside),
     };
-    let found = R::when(
-        !is_inside,
-        start,
-        #[inline(always)]
-        || {
-            R::repeat(
-                MAX_SEARCH_STEPS,
-                start,
-                #[inline(always)]
-                |search| search.step(ray, side, approach, is_fine, &field),
-            )
-        },
-    );
+    let found = R::when(!is_inside, start, || {
+        R::repeat(MAX_SEARCH_STEPS, start, |search| search.step(ray, side, approach, is_fine, &field))
+    });
     MarchResult {
         t: found.after,
         near: R::select(found.met.0, near.t, found.after),
@@ -222,7 +191,6 @@ pub fn find_root<R: Real>(
 
 impl<R: Real> Search<R> {
     /// Whether the search continues, and its two points.
-    #[inline(always)]
     fn step(
         self,
         ray: &Ray<R>,
@@ -283,7 +251,6 @@ impl<R: Real> Search<R> {
 /// Steps are longer than the radius of the sphere around their start. If the sphere around a step's end does not
 /// overlap the one around its start, the step is taken back to the first sphere: Benjamin Keinert et al., "Enhanced
 /// sphere tracing", Smart Tools and Apps for Graphics, 2014.
-#[inline(always)]
 pub fn march<R: Real>(
     ray: &Ray<R>,
     reach: MarchRange<R>,
@@ -293,22 +260,17 @@ pub fn march<R: Real>(
     let zero = reach.t_max.constant(0.0);
     let not_past = zero.constant(NO_OVERSTEP);
     let start = (reach.t_min, not_past, zero, zero, MaskValue(zero.below(0.0)));
-    let (distance, _, gap, steps, hit) = R::repeat(
-        reach.max_steps,
-        start,
-        #[inline(always)]
-        |(t, past, _, steps, _)| {
-            let gap = field(ray.at(t));
-            let is_torn = gap.lt(past);
-            let hit = gap.lt(tolerance(t)) & !is_torn;
-            let (end, further) = (t + gap, gap * (reach.relaxation - 1.0));
-            // The last step must cover the rest of the ray.
-            let goes_past = (end + further).lt(reach.t_max) & !is_torn;
-            let ahead = R::select(goes_past, end + further, R::select(is_torn, t - past, end));
-            let next = R::select(hit, t, ahead);
-            let past = R::select(goes_past, further, not_past);
-            (!hit & next.lt(reach.t_max), (next, past, gap, steps + 1.0, MaskValue(hit)))
-        },
-    );
+    let (distance, _, gap, steps, hit) = R::repeat(reach.max_steps, start, |(t, past, _, steps, _)| {
+        let gap = field(ray.at(t));
+        let is_torn = gap.lt(past);
+        let hit = gap.lt(tolerance(t)) & !is_torn;
+        let (end, further) = (t + gap, gap * (reach.relaxation - 1.0));
+        // The last step must cover the rest of the ray.
+        let goes_past = (end + further).lt(reach.t_max) & !is_torn;
+        let ahead = R::select(goes_past, end + further, R::select(is_torn, t - past, end));
+        let next = R::select(hit, t, ahead);
+        let past = R::select(goes_past, further, not_past);
+        (!hit & next.lt(reach.t_max), (next, past, gap, steps + 1.0, MaskValue(hit)))
+    });
     MarchResult { t: distance, near: distance, distance: gap, steps, hit }
 }

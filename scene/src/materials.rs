@@ -53,7 +53,6 @@ pub struct ShadingPoint<R: Real> {
 
 impl<R: Real> ShadingPoint<R> {
     /// Width of the footprint along a direction of length 1.
-    #[inline(always)]
     pub fn width_along(&self, direction: Vec3<f32>) -> R {
         let [across, along] = self.footprint;
         let squared = across.dot_uniform(direction).square() + along.dot_uniform(direction).square();
@@ -61,7 +60,6 @@ impl<R: Real> ShadingPoint<R> {
     }
 
     /// Width of the footprint along its longer axis.
-    #[inline(always)]
     pub fn width(&self) -> R {
         let [across, along] = self.footprint;
         across.length_squared().max(along.length_squared()).sqrt() * 2.0
@@ -172,12 +170,10 @@ macro_rules! materials {
         }
 
         impl Shade for Material {
-            #[inline(always)]
             fn shade<R: Real>(&self, place: &ShadingPoint<R>, light: &IncidentLight<R>) -> Vec3<R> {
                 match self { $($(#[$attribute])* Self::$Kind(material) => material.shade(place, light)),* }
             }
 
-            #[inline(always)]
             fn albedo<R: Real>(&self, place: &ShadingPoint<R>) -> Vec3<R> {
                 match self { $($(#[$attribute])* Self::$Kind(material) => material.albedo(place)),* }
             }
@@ -186,7 +182,6 @@ macro_rules! materials {
                 match self { $($(#[$attribute])* Self::$Kind(material) => material.is_lit()),* }
             }
 
-            #[inline(always)]
             fn specular<R: Real>(&self, place: &ShadingPoint<R>) -> Option<SpecularBsdf<R>> {
                 match self { $($(#[$attribute])* Self::$Kind(material) => material.specular(place)),* }
             }

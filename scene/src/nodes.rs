@@ -62,16 +62,9 @@ use crate::values::Rotation;
 /// A node inside another.
 pub type Child = std::boxed::Box<Node>;
 
-/// The registry: nodes that are `inlined` into their callers, because a call would cost as much as they do,
-/// and nodes that are `called`.
+/// The registry.
 macro_rules! nodes {
-    (inlined: [$($Inlined:ident),* $(,)?], called: [$($(#[$called:meta])* $Called:ident),* $(,)?]) => {
-        nodes!(@ [$($Inlined),*] [$($(#[$called])* $Called),*] $($Inlined,)* $($(#[$called])* $Called),*);
-    };
-    (
-        @ [$($Inlined:ident),*] [$($(#[$called:meta])* $Called:ident),*]
-        $($(#[$attribute:meta])* $Kind:ident),* $(,)?
-    ) => {
+    ($($(#[$attribute:meta])* $Kind:ident),* $(,)?) => {
         /// A shape: one node of an object's tree; an object whose member is the node's name.
         #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
         #[serde(rename_all = "snake_case")]
@@ -85,13 +78,8 @@ macro_rules! nodes {
             pub fn sample<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>) -> V {
                 p.x.labeled(
                     self.kind(),
-                    #[inline(always)]
                     || match self {
-                        $(Self::$Inlined(node) => node.eval(p),)*
-                        $($(#[$called])* Self::$Called(node) => p.x.vectorize(
-                            #[inline(always)]
-                            || node.eval(p),
-                        ),)*
+                        $($(#[$attribute])* Self::$Kind(node) => node.eval(p)),*
                     },
                 )
             }
@@ -169,7 +157,6 @@ macro_rules! nodes {
             }
 
             /// Its type.
-            #[inline(always)]
             fn kind(&self) -> &'static str {
                 match self {
                     $($(#[$attribute])* Self::$Kind(_) => stringify!($Kind)),*
@@ -255,89 +242,85 @@ macro_rules! nodes {
 }
 
 nodes![
-    inlined: [
-        Sphere,
-        Box,
-        Plane,
-        Cylinder,
-        InfiniteCylinder,
-        TriangularPrism,
-        Pyramid,
-        Torus,
-        Capsule,
-        Mandelbulb,
-        Union,
-        Intersection,
-        Difference,
-        Translate,
-        Rotate,
-        Scale,
-        Paint,
-    ],
-    called: [
-        CappedTorus,
-        Link,
-        Cone,
-        InfiniteCone,
-        CappedCone,
-        RoundCone,
-        RoundedCylinder,
-        CutSphere,
-        CutHollowSphere,
-        DeathStar,
-        Ellipsoid,
-        Vesica,
-        SolidAngle,
-        Horseshoe,
-        U,
-        Triangle,
-        Quad,
-        BezierTube,
-        BoxFrame,
-        Rhombus,
-        HexagonalPrism,
-        OctagonalPrism,
-        RegularPyramid,
-        Tetrahedron,
-        Octahedron,
-        Dodecahedron,
-        Icosahedron,
-        Gyroid,
-        SchwarzP,
-        Diamond,
-        Extrude,
-        Revolve,
-        HeightField,
-        Xor,
-        Chamfer,
-        Stairs,
-        Columns,
-        Engrave,
-        Groove,
-        Tongue,
-        Morph,
-        Round,
-        Onion,
-        Elongate,
-        Stretch,
-        Repeat,
-        PolarRepeat,
-        Mirror,
-        Twist,
-        Bend,
-        Taper,
-        Displace,
-        Warp,
-        ApollonianGasket,
-        KaleidoscopicIfs,
-        Mandelbox,
-        MandelbrotRelief,
-        MengerSponge,
-        QuaternionJulia,
-        Sierpinski,
-        #[cfg(test)]
-        AddedNode,
-    ]
+    Sphere,
+    Box,
+    Plane,
+    Cylinder,
+    InfiniteCylinder,
+    TriangularPrism,
+    Pyramid,
+    Torus,
+    Capsule,
+    Mandelbulb,
+    Union,
+    Intersection,
+    Difference,
+    Translate,
+    Rotate,
+    Scale,
+    Paint,
+    CappedTorus,
+    Link,
+    Cone,
+    InfiniteCone,
+    CappedCone,
+    RoundCone,
+    RoundedCylinder,
+    CutSphere,
+    CutHollowSphere,
+    DeathStar,
+    Ellipsoid,
+    Vesica,
+    SolidAngle,
+    Horseshoe,
+    U,
+    Triangle,
+    Quad,
+    BezierTube,
+    BoxFrame,
+    Rhombus,
+    HexagonalPrism,
+    OctagonalPrism,
+    RegularPyramid,
+    Tetrahedron,
+    Octahedron,
+    Dodecahedron,
+    Icosahedron,
+    Gyroid,
+    SchwarzP,
+    Diamond,
+    Extrude,
+    Revolve,
+    HeightField,
+    Xor,
+    Chamfer,
+    Stairs,
+    Columns,
+    Engrave,
+    Groove,
+    Tongue,
+    Morph,
+    Round,
+    Onion,
+    Elongate,
+    Stretch,
+    Repeat,
+    PolarRepeat,
+    Mirror,
+    Twist,
+    Bend,
+    Taper,
+    Displace,
+    Warp,
+    ApollonianGasket,
+    KaleidoscopicIfs,
+    Mandelbox,
+    MandelbrotRelief,
+    MengerSponge,
+    QuaternionJulia,
+    Sierpinski,
+    #[cfg(test)]
+    AddedNode,
 ];
 
 /// Node for documentation and tests.
@@ -379,7 +362,6 @@ impl Node {
     }
 
     /// The signed distance at `p`.
-    #[inline(always)]
     pub fn distance<R: Real>(&self, p: Vec3<R>) -> R {
         self.sample::<R, Distance<R>>(p).0
     }

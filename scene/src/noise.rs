@@ -31,13 +31,11 @@ trait Basis {
 
 impl Noise {
     /// The noise at `p`.
-    #[inline(always)]
     pub fn value<R: Real>(&self, p: Vec3<R>) -> R {
         self.with_salt(p, 0)
     }
 
     /// Three noises at `p` that differ only in their seed; each is in the noise's range.
-    #[inline(always)]
     pub fn vector<R: Real>(&self, p: Vec3<R>) -> Vec3<R> {
         vec3(self.with_salt(p, 1), self.with_salt(p, 2), self.with_salt(p, 3))
     }

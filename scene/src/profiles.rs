@@ -41,7 +41,6 @@ pub struct Point2(pub Coordinate, pub Coordinate);
 
 impl Point2 {
     /// Its coordinates.
-    #[inline(always)]
     pub fn get(&self) -> [f32; 2] {
         [self.0.get(), self.1.get()]
     }
@@ -127,7 +126,6 @@ macro_rules! profiles {
             pub fn distance<R: Real>(&self, x: R, y: R) -> R {
                 x.labeled(
                     self.kind(),
-                    #[inline(always)]
                     || match self {
                         $($(#[$attribute])* Self::$Kind(profile) => profile.distance(x, y)),*
                     },
@@ -135,7 +133,6 @@ macro_rules! profiles {
             }
 
             /// Its type.
-            #[inline(always)]
             fn kind(&self) -> &'static str {
                 match self {
                     $($(#[$attribute])* Self::$Kind(_) => stringify!($Kind)),*

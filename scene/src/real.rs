@@ -70,13 +70,11 @@ pub trait Real:
 
     /// `value`, a number of the scene, in every lane. It is an input of a compiled formula, whereas a `constant` is
     /// part of its code.
-    #[inline(always)]
     fn uniform(self, value: f32) -> Self {
         self.constant(value)
     }
 
     /// `word`, an input like [`Real::uniform`].
-    #[inline(always)]
     #[expect(clippy::erasing_op, reason = "lanes of 0 are made of other lanes")]
     fn uniform_bits(self, word: u32) -> Self::Bits {
         (self.to_bits() & 0) ^ word
@@ -112,118 +110,91 @@ pub trait Real:
     /// state is true.
     fn repeat<T: Bundle<Self>>(limit: u32, state: T, step: impl FnMut(T) -> (Self::Mask, T)) -> T;
 
-    /// Runs `f` with this number's instruction set enabled. A function that is not inlined into its caller starts with
-    /// this; the functions that it calls must be `#[inline(always)]`.
-    #[inline(always)]
-    fn vectorize<T>(self, f: impl FnOnce() -> T) -> T {
-        f()
-    }
-
     /// Calls a named function that a formula uses in several places. A name identifies one function: all numbers that
     /// differ from call to call are in `arguments`, and `step` captures only the scene.
-    #[inline(always)]
     fn call<A: Bundle<Self>, T: Bundle<Self>>(self, name: &'static str, arguments: A, step: impl FnOnce(A) -> T) -> T {
         let _ = name;
-        self.vectorize(
-            #[inline(always)]
-            || step(arguments),
-        )
+        step(arguments)
     }
 
     /// Runs `f`, the formula of a node of this name.
-    #[inline(always)]
     fn labeled<T>(self, name: &'static str, f: impl FnOnce() -> T) -> T {
         let _ = name;
-        self.vectorize(f)
+        f()
     }
 
     /// The number multiplied by itself.
-    #[inline(always)]
     fn square(self) -> Self {
         self * self
     }
 
     /// The square of this plus `term`, rounded once.
-    #[inline(always)]
     fn square_add(self, term: Self) -> Self {
         self.mul_add(self, term)
     }
 
     /// The greater of this and a constant.
-    #[inline(always)]
     fn at_least(self, low: f32) -> Self {
         self.max(self.constant(low))
     }
 
     /// The lesser of this and a constant.
-    #[inline(always)]
     fn at_most(self, high: f32) -> Self {
         self.min(self.constant(high))
     }
 
     /// Mask of lanes in which this is less than a constant.
-    #[inline(always)]
     fn below(self, bound: f32) -> Self::Mask {
         self.lt(self.constant(bound))
     }
 
     /// Mask of lanes in which this is greater than a constant.
-    #[inline(always)]
     fn above(self, bound: f32) -> Self::Mask {
         self.constant(bound).lt(self)
     }
 
     /// Sine of an angle in radians, for |x| ≤ 10⁵. Largest error measured for |x| ≤ 10⁴: 1.6 ulp of 1.
-    #[inline(always)]
     fn sin(self) -> Self {
         functions::sin_cos(self).0
     }
 
     /// Cosine of an angle in radians, for |x| ≤ 10⁵. Largest error measured for |x| ≤ 10⁴: 1.6 ulp of 1.
-    #[inline(always)]
     fn cos(self) -> Self {
         functions::sin_cos(self).1
     }
 
     /// Sine and cosine of one angle, cheaper than both separately.
-    #[inline(always)]
     fn sin_cos(self) -> (Self, Self) {
         functions::sin_cos(self)
     }
 
     /// Sine and cosine of an angle in full turns, of any size, so that periodic functions stay accurate far from the
     /// origin. Largest error measured: 0.9 ulp of 1.
-    #[inline(always)]
     fn sin_cos_turns(self) -> (Self, Self) {
         functions::sin_cos_turns(self)
     }
 
     /// Arc cosine in radians, for x in −1..1; x is clamped to that range.
-    #[inline(always)]
     fn acos(self) -> Self {
         functions::acos(self)
     }
 
     /// The angle in radians, −π..π, of the point (`x`, self); 0 at the origin.
-    #[inline(always)]
     fn atan2(self, x: Self) -> Self {
         functions::atan2(self, x)
     }
 
     /// e to the power of this, for −87..88; the exponent is clamped to that range.
-    #[inline(always)]
     fn exp(self) -> Self {
         functions::exp(self)
     }
 
     /// Natural logarithm of a normal number above 0; anything less is taken as 2⁻¹²⁶.
-    #[inline(always)]
     fn ln(self) -> Self {
         functions::ln(self)
     }
 
     /// This number, at least 2⁻¹²⁶, to the power `exponent`: exp(exponent · ln x).
-    #[inline(always)]
     fn powf(self, exponent: Self) -> Self {
         functions::powf(self, exponent)
     }

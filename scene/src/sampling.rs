@@ -52,19 +52,16 @@ pub struct PixelJitter<R: Real> {
 
 impl<R: Real> PixelJitter<R> {
     /// Start for the pixel (`x`, `y`), integers below 2²³.
-    #[inline(always)]
     pub fn new(x: R, y: R, frame_key: u32) -> Self {
         let [x, y, _] = pcg3d::<R>(to_u32(x), to_u32(y), x.uniform_bits(frame_key));
         Self { x, y }
     }
 
     /// Offset of a sample in the pixel, 0 to 1 excluding 1; the sample is an integer below 2²³.
-    #[inline(always)]
     pub fn offset(self, sample: R) -> (R, R) {
         self.stepped(sample, (STEP_X, STEP_Y))
     }
 
-    #[inline(always)]
     fn stepped(self, sample: R, (step_x, step_y): (u32, u32)) -> (R, R) {
         let sample = to_u32(sample);
         (to_unit_float(self.x + sample * step_x), to_unit_float(self.y + sample * step_y))
@@ -88,7 +85,6 @@ pub struct Sampler<R> {
 
 impl<R: Real> Sampler<R> {
     /// Two numbers, 0 to 1 excluding 1, for one dimension; each decision has its own dimension.
-    #[inline(always)]
     pub fn get_2d(&self, dimension: u32) -> (R, R) {
         let key = frame_key(self.frame_key, dimension.wrapping_add(1));
         // Bounces offset the pixel by more than the width of any picture.
@@ -99,13 +95,11 @@ impl<R: Real> Sampler<R> {
 
 /// Dither thresholds, 0 to 1 excluding 1, for the red, green and blue of the pixel (`x`, `y`), integers below 2²³.
 /// Neighboring pixels have different thresholds.
-#[inline(always)]
 pub fn thresholds<R: Real>(x: R, y: R) -> [R; 3] {
     pcg3d::<R>(to_u32(x), to_u32(y), x.uniform_bits(0)).map(to_unit_float)
 }
 
 /// The pcg3d hash of Jarzynski and Olano.
-#[inline(always)]
 fn pcg3d<R: Real>(a: R::Bits, b: R::Bits, c: R::Bits) -> [R::Bits; 3] {
     let (mut a, mut b, mut c) = (lcg_step::<R>(a), lcg_step::<R>(b), lcg_step::<R>(c));
     for _ in 0..2 {
@@ -118,19 +112,16 @@ fn pcg3d<R: Real>(a: R::Bits, b: R::Bits, c: R::Bits) -> [R::Bits; 3] {
 }
 
 /// Converts a number with an integer value below 2²³ to an integer.
-#[inline(always)]
 fn to_u32<R: Real>(number: R) -> R::Bits {
     (number + 8_388_608.0).to_bits() & 0x007f_ffff
 }
 
 /// One step of a linear congruential generator.
-#[inline(always)]
 fn lcg_step<R: Real>(word: R::Bits) -> R::Bits {
     word * 1_664_525 + 1_013_904_223
 }
 
 /// Number from 0 to 1, excluding 1, from the upper 23 bits: combined with the exponent of 1, less 1.
-#[inline(always)]
 fn to_unit_float<R: Real>(word: R::Bits) -> R {
     R::from_bits((word >> 9) | 0x3f80_0000) - 1.0
 }

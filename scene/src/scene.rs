@@ -74,7 +74,6 @@ impl Default for March {
 
 impl Scene {
     /// The materials in use; a [`MaterialRef`] is an index into this list.
-    #[inline(always)]
     pub fn used_materials(&self) -> &[Material] {
         &self.materials
     }

@@ -88,20 +88,17 @@ macro_rules! number_type {
             }
 
             /// The value.
-            #[inline(always)]
             pub fn get(&self) -> f32 {
                 self.value
             }
 
             /// Whether a track gives this number a different value in other frames. If so, code must not branch on it:
             /// all frames share one compiled program.
-            #[inline(always)]
             pub fn is_animated(&self) -> bool {
                 self.track.is_some()
             }
 
             /// Whether it is 0 in every frame, so that a formula may leave it out.
-            #[inline(always)]
             pub fn is_zero(&self) -> bool {
                 self.value == 0.0 && self.track.is_none()
             }
@@ -304,7 +301,6 @@ pub struct Point(pub Coordinate, pub Coordinate, pub Coordinate);
 
 impl Point {
     /// Its coordinates.
-    #[inline(always)]
     pub fn get(&self) -> Vec3<f32> {
         vec3(self.0.get(), self.1.get(), self.2.get())
     }
@@ -331,7 +327,6 @@ pub struct Direction {
 
 impl Direction {
     /// The direction of length 1.
-    #[inline(always)]
     pub fn unit(&self) -> Vec3<f32> {
         self.unit
     }
@@ -401,7 +396,6 @@ pub struct Rotation {
 
 impl Rotation {
     /// Rows of the inverse rotation's matrix.
-    #[inline(always)]
     pub fn inverse_rows(&self) -> [Vec3<f32>; 3] {
         self.rows
     }

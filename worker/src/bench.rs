@@ -2,16 +2,13 @@
 
 use std::time::{Duration, Instant};
 
-use fearless_simd::Simd as Token;
 use proto::Rect;
-use scene::real::vec3;
-use scene::{Integrator, Job};
+use scene::Job;
 use serde::Serialize;
 
-use crate::cpu::Packets;
+use crate::cpu::Evaluator;
 use crate::cuda::{CudaRenderer, KernelSource};
-use crate::lanes::Lanes;
-use crate::simd::with_instructions;
+use crate::picture_tape::{DISTANCE, record_distance};
 use crate::{CancelFlag, CpuRenderer, RenderError, Renderer, Simd, TileRequest};
 
 /// Distances per second on one core.
@@ -134,50 +131,32 @@ pub fn render_on_gpu(job: &Job, gpu: &CudaRenderer, cpu: &CpuRenderer, runs: usi
     })
 }
 
-/// Number of points that fit into the L1 cache together.
+/// Number of points that fit into the L1 cache together, a multiple of all lanes.
 const POINTS: usize = 1024;
 
 /// Evaluates the scene's distance at points around the camera's target, for about `time`, on one thread.
 pub fn points(job: &Job, simd: Simd, time: Duration) -> Result<PointsReport, RenderError> {
-    let packets = Packets::new(simd)?;
-    let still = job.at(0)?;
-    let program = Integrator::new(&still);
+    const ROUNDS: u32 = 64;
+    let tape = record_distance(&job.at(0)?);
+    let evaluator = Evaluator::new(&tape, simd)?;
+    let (inputs, cancel) = (evaluator.inputs(tape.uniforms()), CancelFlag::new());
+    let mut frame = evaluator.frame();
+    let middle = job.scene.camera.look_at.get();
+    let spread = |index: usize, step: u32| (index as u32).wrapping_mul(step) as f32 / u32::MAX as f32 * 4.0 - 2.0;
+    let axis = |middle: f32, step: u32| (0..POINTS).map(move |index| middle + spread(index, step));
+    let x = axis(middle.x, 0x9e37_79b9);
+    let points: Vec<f32> = x.chain(axis(middle.y, 0xc13f_a9a9)).chain(axis(middle.z, 0x91e1_0da5)).collect();
+    let mut distances = vec![0.0; POINTS];
     let (mut done, start) = (0_u64, Instant::now());
     while start.elapsed() < time {
-        const ROUNDS: u32 = 64;
-        let sum = with_instructions!(packets.level(), token, N => distances::<_, N>(token, &program, job, ROUNDS));
-        std::hint::black_box(sum);
+        for _ in 0..ROUNDS {
+            evaluator.run(DISTANCE, &mut frame, &inputs, cancel.flag(), &points, &mut distances);
+            std::hint::black_box(&distances);
+        }
         done += u64::from(ROUNDS) * POINTS as u64;
     }
     let points_per_second = done as f64 / start.elapsed().as_secs_f64();
     Ok(PointsReport { job: job.name.clone(), simd: simd.resolve_auto().name(), points_per_second })
-}
-
-#[inline(always)]
-fn distances<S: Token, const N: usize>(token: S, program: &Integrator<'_>, job: &Job, rounds: u32) -> f32 {
-    let middle = job.scene.camera.look_at.get();
-    let spread = |index: usize, step: u32| (index as u32).wrapping_mul(step) as f32 / u32::MAX as f32 * 4.0 - 2.0;
-    let x: [f32; POINTS] = std::array::from_fn(|index| middle.x + spread(index, 0x9e37_79b9));
-    let y: [f32; POINTS] = std::array::from_fn(|index| middle.y + spread(index, 0xc13f_a9a9));
-    let z: [f32; POINTS] = std::array::from_fn(|index| middle.z + spread(index, 0x91e1_0da5));
-    let mut sum = Lanes::<S, N>::from_fn(
-        token,
-        #[inline(always)]
-        |_| 0.0,
-    );
-    let count = Lanes::<S, N>::COUNT;
-    for _ in 0..rounds {
-        for at in (0..POINTS).step_by(count) {
-            let here = at..at + count;
-            let x = Lanes::load(token, &x[here.clone()]);
-            let y = Lanes::load(token, &y[here.clone()]);
-            let z = Lanes::load(token, &z[here]);
-            sum = sum + program.distance(vec3(x, y, z));
-        }
-    }
-    let mut last = [0.0; 64];
-    sum.store(&mut last[..count]);
-    last[0]
 }
 
 /// Renders a frame of `job` several times.

@@ -1,36 +1,41 @@
 //! The CPU renderer: rayon over small blocks of a tile, one packet of pixels at a time.
 
+mod evaluator;
+mod kernels;
 mod packets;
 
 use std::sync::Arc;
 
 use rayon::prelude::*;
 use rayon::{ThreadPool, ThreadPoolBuilder};
-use scene::Integrator;
+use scene::{Integrator, JobAtFrame};
 
-use crate::interrupt::interruptible;
+use crate::picture_tape::{EVALUATIONS, record_evaluations};
 use crate::simd::Simd;
 use crate::{CancelFlag, RenderError, Renderer, TilePixels, TileRequest};
+use kernels::{Kernel, KernelCache};
+use packets::{Band, block};
 
-pub(crate) use packets::Packets;
+pub(crate) use evaluator::{Evaluator, Inputs};
 
 /// Renders on the cores of this machine.
 #[derive(Clone, Debug)]
 pub struct CpuRenderer {
     threads: Arc<ThreadPool>,
-    packets: Packets,
+    simd: Simd,
+    kernels: Arc<KernelCache>,
 }
 
 impl CpuRenderer {
     /// Renderer with this many threads (all cores if `None`) and these vector instructions.
     pub fn new(threads: Option<usize>, simd: Simd) -> Result<Self, RenderError> {
-        let packets = Packets::new(simd)?;
+        simd.check()?;
         let threads = ThreadPoolBuilder::new()
             .num_threads(threads.unwrap_or(0))
             .thread_name(|index| format!("render-{index}"))
             .build()
             .map_err(RenderError::Threads)?;
-        Ok(Self { threads: Arc::new(threads), packets })
+        Ok(Self { threads: Arc::new(threads), simd, kernels: Arc::default() })
     }
 
     /// Number of threads.
@@ -40,11 +45,31 @@ impl CpuRenderer {
 
     /// Number of evaluations of the scene's distance for the pixels of a tile, without its layers.
     pub fn evaluations(&self, run: &TileRequest<'_>) -> Result<u64, RenderError> {
-        let still = run.job.at(run.frame)?;
-        let program = Integrator::new(&still);
+        let tape = record_evaluations(&run.job.at(run.frame)?);
+        let evaluator = Evaluator::new(&tape, self.simd)?;
+        let (inputs, lanes) = (evaluator.inputs(tape.uniforms()), evaluator.lanes());
+        let cancel = CancelFlag::new();
+        let of_row = |row: u32| {
+            let (mut frame, mut sum) = (evaluator.frame(), 0);
+            let (mut place, mut counts) = (vec![row as f32; 2 * lanes], vec![0.0; lanes]);
+            for column in (0..run.rect.width).step_by(lanes) {
+                let columns = (run.rect.x + column..).map(|x| x as f32);
+                place.iter_mut().take(lanes).zip(columns).for_each(|(to, x)| *to = x);
+                evaluator.run(EVALUATIONS, &mut frame, &inputs, cancel.flag(), &place, &mut counts);
+                let inside = lanes.min((run.rect.width - column) as usize);
+                sum += counts[..inside].iter().map(|&count| count as u64).sum::<u64>();
+            }
+            sum
+        };
         let rows = run.rect.y..run.rect.y + run.rect.height;
-        let of_row = |row| self.packets.evaluations(&program, run.rect.x, row, run.rect.width as usize);
         Ok(self.threads.install(|| rows.into_par_iter().map(of_row).sum()))
+    }
+
+    fn kernel<'a>(&self, still: &'a JobAtFrame<'_>) -> Result<Kernel<'a>, RenderError> {
+        Ok(match self.simd {
+            Simd::Scalar => Kernel::Reference(Box::new(Integrator::new(still)), still.image()),
+            simd => Kernel::Prepared(self.kernels.prepare(still, simd)?),
+        })
     }
 }
 
@@ -64,18 +89,17 @@ impl Renderer for CpuRenderer {
         progress: &(dyn Fn(u64) + Sync),
     ) -> Result<TilePixels, RenderError> {
         let still = run.job.at(run.frame)?;
-        let program = Integrator::new(&still);
-        let image = &run.job.image;
+        let kernel = self.kernel(&still)?;
+        let (image, left, width) = (&run.job.image, run.rect.x, run.rect.width as usize);
         let mut pixels = TilePixels::zeroed(run.rect, image.channels().len());
-        let height = self.packets.block_rows() as usize;
-        let width = run.rect.width as usize;
-        let rendered = self.threads.install(|| {
-            bands(&mut pixels.planes, width * height).into_par_iter().enumerate().try_for_each(|(index, band)| {
+        let height = block(kernel.lanes()).1;
+        self.threads.install(|| {
+            bands(&mut pixels.planes, width * height).into_par_iter().enumerate().for_each(|(index, planes)| {
                 let top = run.rect.y + (index * height) as u32;
-                interruptible(cancel, || self.packets.band(&program, image, run.rect.x, top, width, band, progress))
-            })
+                Band { image, left, top, width, planes, progress, cancel: cancel.flag() }.render(&kernel);
+            });
         });
-        rendered.map(|()| pixels).ok_or(RenderError::Cancelled)
+        if cancel.is_cancelled() { Err(RenderError::Cancelled) } else { Ok(pixels) }
     }
 }
 

@@ -10,13 +10,14 @@ pub mod cpu;
 pub mod cuda;
 pub mod frame;
 pub mod image;
-mod interrupt;
-pub mod lanes;
+mod picture_tape;
+mod portable;
 pub mod renderer;
 pub mod simd;
 pub mod srgb;
 pub mod stitch;
 pub mod tape;
+mod x86;
 
 pub use cpu::CpuRenderer;
 pub use renderer::{CancelFlag, RenderError, Renderer, TilePixels, TileRequest};

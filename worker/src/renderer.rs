@@ -8,8 +8,6 @@ use std::time::Duration;
 
 use proto::Rect;
 
-use crate::interrupt;
-
 /// Renders tiles on one device, of which it has exclusive use.
 ///
 /// The pixels depend only on the tiles requested: all renderers are bit-identical.
@@ -120,7 +118,11 @@ impl CancelFlag {
     /// Sets the flag permanently.
     pub fn cancel(&self) {
         self.0.store(true, Ordering::Release);
-        interrupt::announce_cancel();
+    }
+
+    /// The flag itself.
+    pub(crate) fn flag(&self) -> &AtomicBool {
+        &self.0
     }
 
     /// Whether the flag is set.

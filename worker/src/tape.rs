@@ -4,13 +4,17 @@
 //! The tape is typed and in static single assignment form: each value is defined once, before its uses, in a
 //! block that encloses them. Nothing here depends on GPUs.
 
+mod allocate;
 mod c_source;
 mod expr;
+mod linear;
 mod liveness;
 mod recorder;
 
+pub(crate) use allocate::{Allocation, Place, Registers, allocate};
 pub use c_source::CSource;
 pub use expr::{BoolExpr, Expr, U32Expr};
+pub(crate) use linear::{Class, Linear, LinearTape, Step, Var};
 pub use recorder::{Recording, record};
 
 /// A value of the tape.
@@ -99,6 +103,31 @@ impl Operation {
         matches!(self, Self::Constant(_) | Self::Uniform(_))
     }
 
+    /// Number of its operands.
+    pub(crate) fn operand_count(self) -> usize {
+        match self {
+            Self::Constant(_) | Self::Uniform(_) | Self::Argument | Self::CallResult | Self::Variable => 0,
+            Self::Neg | Self::Abs | Self::Floor | Self::Sqrt | Self::Not | Self::ToBits | Self::FromBits => 1,
+            Self::Add
+            | Self::Sub
+            | Self::Mul
+            | Self::Div
+            | Self::Min
+            | Self::Max
+            | Self::Less
+            | Self::And
+            | Self::Or
+            | Self::AddU32
+            | Self::MulU32
+            | Self::Xor
+            | Self::AndU32
+            | Self::OrU32
+            | Self::ShiftLeft
+            | Self::ShiftRight => 2,
+            Self::Fma | Self::Select => 3,
+        }
+    }
+
     /// See [`Tape::flops_per_call`].
     fn cost(self) -> u64 {
         match self {
@@ -156,7 +185,7 @@ pub struct Instruction {
 }
 
 /// Statement of a block.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 enum Statement {
     /// Computes a value.
     Emit(ValueId),
@@ -184,7 +213,7 @@ enum Statement {
 }
 
 /// A step of the formula, called by name.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 struct Function {
     name: &'static str,
     arguments: Vec<ValueId>,
@@ -220,6 +249,12 @@ impl Tape {
             Statement::When { .. } | Statement::Repeat { .. } => None,
         };
         function.body.iter().map(of_statement).sum()
+    }
+
+    /// Whether the tapes differ at most in the values of their uniforms, so that one evaluator serves both.
+    pub(crate) fn has_same_code(&self, other: &Self) -> bool {
+        let Self { instructions, functions, uniforms } = self;
+        *instructions == other.instructions && *functions == other.functions && uniforms.len() == other.uniforms.len()
     }
 
     fn definition(&self, id: ValueId) -> Instruction {

@@ -25,7 +25,7 @@ use crate::shipped;
 use crate::terminal::{print_line, print_note};
 
 const DEFAULT_JOBS: [&str; 3] = ["csg", "five-spheres", "mandelbulb"];
-const ALL_LEVELS: [Simd; 4] = [Simd::Scalar, Simd::Sse42, Simd::Avx2, Simd::Avx512];
+const ALL_LEVELS: [Simd; 4] = [Simd::Scalar, Simd::Portable, Simd::Avx2, Simd::Avx512];
 
 /// Arguments of `bench`.
 #[derive(Debug, Args)]
@@ -229,7 +229,9 @@ fn table(reports: &Reports) -> anyhow::Result<()> {
 }
 
 fn levels_parser() -> impl TypedValueParser<Value = SimdLevels> {
-    PossibleValuesParser::new(["all", "auto", "avx512", "avx2", "sse4.2", "scalar"]).map(|name| match name.as_str() {
+    PossibleValuesParser::new(["all", "auto", "avx512", "avx2", "portable", "sse4.2", "scalar"]).map(|name| match name
+        .as_str()
+    {
         "all" => SimdLevels(ALL_LEVELS.to_vec()),
         level => SimdLevels(vec![level.parse().expect("the list above holds the levels' names")]),
     })

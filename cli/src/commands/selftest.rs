@@ -16,7 +16,7 @@ use crate::terminal::print_line;
 
 pub(crate) use startup::check;
 
-const LEVELS: [Simd; 4] = [Simd::Scalar, Simd::Sse42, Simd::Avx2, Simd::Avx512];
+const LEVELS: [Simd; 4] = [Simd::Scalar, Simd::Portable, Simd::Avx2, Simd::Avx512];
 const LAYERS: [Layer; 6] = [Layer::Depth, Layer::Normal, Layer::Position, Layer::Albedo, Layer::Object, Layer::Steps];
 
 /// Arguments of `selftest`.

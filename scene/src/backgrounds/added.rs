@@ -21,7 +21,6 @@ impl HasExamples for AddedBackground {
 }
 
 impl Backdrop for AddedBackground {
-    #[inline(always)]
     fn radiance<R: Real>(&self, direction: Vec3<R>) -> Vec3<R> {
         Vec3::uniform(direction.x, self.color.get()) * direction.z.abs()
     }

@@ -79,41 +79,30 @@ impl HasExamples for Day {
 
 impl Backdrop for Day {
     fn radiance<R: Real>(&self, direction: Vec3<R>) -> Vec3<R> {
-        direction.x.vectorize(
-            #[inline(always)]
-            || {
-                let like = direction.x;
-                let cosine = direction.dot_uniform(self.sun.unit());
-                let angle = cosine.acos();
-                let per_height = like.constant(1.0) / direction.y.at_least(0.01);
-                let value = |channel: usize| {
-                    let [a, b, c, d, e] = self.model.perez[channel].map(
-                        #[inline(always)]
-                        |number| like.uniform(number),
-                    );
-                    let by_height = a.mul_add((b * per_height).exp(), like.constant(1.0));
-                    let by_angle = e.mul_add(cosine.square(), c.mul_add((d * angle).exp(), like.constant(1.0)));
-                    by_height * by_angle * like.uniform(self.model.zenith[channel])
-                };
-                let (luminance, x, y) = (value(0), value(1), value(2));
-                let per_y = luminance / y.at_least(1e-3);
-                let (big_x, big_z) = (x * per_y, (like.constant(1.0) - x - y) * per_y);
-                // XYZ to linear sRGB: IEC 61966-2-1.
-                let sky = vec3(
-                    big_x * 3.240_97 - luminance * 1.537_383 - big_z * 0.498_611,
-                    luminance * 1.875_968 - big_x * 0.969_244 + big_z * 0.041_555,
-                    big_x * 0.055_63 - luminance * 0.203_977 + big_z * 1.056_972,
-                );
-                let sky = sky.map(
-                    #[inline(always)]
-                    |channel| channel.at_least(0.0),
-                );
-                let [red, green, blue] = self.model.ground;
-                let ground = Vec3::uniform(like, vec3(red, green, blue));
-                let below = (-direction.y * 12.0).at_least(0.0).at_most(1.0);
-                (ground - sky).mul_add(below, sky)
-            },
-        )
+        let like = direction.x;
+        let cosine = direction.dot_uniform(self.sun.unit());
+        let angle = cosine.acos();
+        let per_height = like.constant(1.0) / direction.y.at_least(0.01);
+        let value = |channel: usize| {
+            let [a, b, c, d, e] = self.model.perez[channel].map(|number| like.uniform(number));
+            let by_height = a.mul_add((b * per_height).exp(), like.constant(1.0));
+            let by_angle = e.mul_add(cosine.square(), c.mul_add((d * angle).exp(), like.constant(1.0)));
+            by_height * by_angle * like.uniform(self.model.zenith[channel])
+        };
+        let (luminance, x, y) = (value(0), value(1), value(2));
+        let per_y = luminance / y.at_least(1e-3);
+        let (big_x, big_z) = (x * per_y, (like.constant(1.0) - x - y) * per_y);
+        // XYZ to linear sRGB: IEC 61966-2-1.
+        let sky = vec3(
+            big_x * 3.240_97 - luminance * 1.537_383 - big_z * 0.498_611,
+            luminance * 1.875_968 - big_x * 0.969_244 + big_z * 0.041_555,
+            big_x * 0.055_63 - luminance * 0.203_977 + big_z * 1.056_972,
+        );
+        let sky = sky.map(|channel| channel.at_least(0.0));
+        let [red, green, blue] = self.model.ground;
+        let ground = Vec3::uniform(like, vec3(red, green, blue));
+        let below = (-direction.y * 12.0).at_least(0.0).at_most(1.0);
+        (ground - sky).mul_add(below, sky)
     }
 
     fn day(&self) -> Option<&Day> {

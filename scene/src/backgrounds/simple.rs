@@ -31,12 +31,10 @@ impl HasExamples for SolidColor {
 }
 
 impl Backdrop for SolidColor {
-    #[inline(always)]
     fn radiance<R: Real>(&self, direction: Vec3<R>) -> Vec3<R> {
         Vec3::uniform(direction.x, self.0.get())
     }
 
-    #[inline(always)]
     fn cosine_mean<R: Real>(&self, normal: Vec3<R>) -> Option<Vec3<R>> {
         Some(self.radiance(normal))
     }
@@ -47,26 +45,22 @@ impl HasExamples for SkyGradient {
 }
 
 impl Backdrop for SkyGradient {
-    #[inline(always)]
     fn radiance<R: Real>(&self, direction: Vec3<R>) -> Vec3<R> {
         gradient_at(&self.bottom, &self.top, direction.y, 0.5)
     }
 
     /// The mean of a gradient's t is ½ + n.y/3.
-    #[inline(always)]
     fn cosine_mean<R: Real>(&self, normal: Vec3<R>) -> Option<Vec3<R>> {
         Some(gradient_at(&self.bottom, &self.top, normal.y, 1.0 / 3.0))
     }
 }
 
 impl Backdrop for Transparent {
-    #[inline(always)]
     fn radiance<R: Real>(&self, direction: Vec3<R>) -> Vec3<R> {
         let zero = direction.x.constant(0.0);
         vec3(zero, zero, zero)
     }
 
-    #[inline(always)]
     fn cosine_mean<R: Real>(&self, normal: Vec3<R>) -> Option<Vec3<R>> {
         Some(self.radiance(normal))
     }
@@ -77,7 +71,6 @@ impl Backdrop for Transparent {
 }
 
 /// Color of a gradient at ½ + `share` · `height`.
-#[inline(always)]
 fn gradient_at<R: Real>(bottom: &Color, top: &Color, height: R, share: f32) -> Vec3<R> {
     let share = height.mul_add(height.constant(share), height.constant(0.5));
     let (bottom, top) = (bottom.get(), top.get());

@@ -138,7 +138,6 @@ macro_rules! projections {
                 }
             }
 
-            #[inline(always)]
             fn ray<R: Real>(&self, axes: &CameraAxes<R>, across: R, upwards: R) -> Ray<R> {
                 match self {
                     $($(#[$attribute])* Self::$Kind(projection) => projection.ray(axes, across, upwards),)*

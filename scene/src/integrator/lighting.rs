@@ -20,7 +20,6 @@ pub(super) const NORMAL_EVALUATIONS: f32 = 4.0;
 
 impl Integrator<'_> {
     /// Color of a surface, and its number of distance evaluations.
-    #[inline(always)]
     pub(super) fn surface<R: Real>(&self, ray: &Ray<R>, marched: &MarchResult<R>, dice: &Sampler<R>) -> (Vec3<R>, R) {
         let hit = self.hit(ray, marched);
         let (light, evaluations) = self.incident_light(&hit, dice);
@@ -28,7 +27,6 @@ impl Integrator<'_> {
     }
 
     /// Incident light at a hit, and the number of distance evaluations it took.
-    #[inline(always)]
     pub(super) fn incident_light<R: Real>(&self, hit: &Hit<R>, dice: &Sampler<R>) -> (IncidentLight<R>, R) {
         let zero = hit.t.constant(0.0);
         let mut evaluations = zero;
@@ -60,19 +58,12 @@ impl Integrator<'_> {
         (light, evaluations)
     }
 
-    #[inline(always)]
     fn ambient_visibility<R: Real>(&self, hit: &Hit<R>) -> Option<R> {
         let occlusion = self.scene.ambient_occlusion.as_ref()?;
-        Some(occlusion.visibility(
-            hit.position,
-            hit.normal,
-            #[inline(always)]
-            |p| self.distance(p),
-        ))
+        Some(occlusion.visibility(hit.position, hit.normal, |p| self.distance(p)))
     }
 
     /// Ambient light, and the steps spent on its occlusion.
-    #[inline(always)]
     fn sky_light<R: Real>(
         &self,
         sky: AmbientLight<'_>,
@@ -98,69 +89,42 @@ impl Integrator<'_> {
 
     /// Fraction of the light from `direction` that reaches the hit, and the steps it took.
     pub(super) fn shadow_visibility<R: Real>(&self, hit: &Hit<R>, direction: Vec3<R>, farthest: R) -> (R, R) {
-        farthest.call(
-            "visibility",
-            (*hit, direction, farthest),
-            #[inline(always)]
-            |(hit, direction, farthest)| {
-                let zero = farthest.constant(0.0);
-                // Start farther from the surface than the march ended.
-                let near = self.tolerance.at(hit.t);
-                let ray = Ray { origin: hit.normal.mul_add(near * 4.0, hit.position), direction };
-                let faces = hit.normal.dot(direction).above(0.0);
-                R::when(
-                    faces,
-                    (zero, zero),
-                    #[inline(always)]
-                    || {
-                        let (visible, steps) = self.is_unoccluded(&ray, near, farthest);
-                        match &self.media {
-                            None => (visible, steps),
-                            Some(media) => R::when(
-                                visible.above(0.0),
-                                (visible, steps),
-                                #[inline(always)]
-                                || (self.transmittance(media, &ray, farthest), steps),
-                            ),
-                        }
-                    },
-                )
-            },
-        )
+        farthest.call("visibility", (*hit, direction, farthest), |(hit, direction, farthest)| {
+            let zero = farthest.constant(0.0);
+            // Start farther from the surface than the march ended.
+            let near = self.tolerance.at(hit.t);
+            let ray = Ray { origin: hit.normal.mul_add(near * 4.0, hit.position), direction };
+            let faces = hit.normal.dot(direction).above(0.0);
+            R::when(faces, (zero, zero), || {
+                let (visible, steps) = self.is_unoccluded(&ray, near, farthest);
+                match &self.media {
+                    None => (visible, steps),
+                    Some(media) => R::when(visible.above(0.0), (visible, steps), || {
+                        (self.transmittance(media, &ray, farthest), steps)
+                    }),
+                }
+            })
+        })
     }
 
     /// 1 if no surface is on the ray nearer than `farthest`, else 0; and the steps it took.
-    #[inline(always)]
     pub(super) fn is_unoccluded<R: Real>(&self, ray: &Ray<R>, near: R, farthest: R) -> (R, R) {
         let (zero, one) = (farthest.constant(0.0), farthest.constant(1.0));
         let (nearest, farthest) = self.bounds.intersect_ray(ray, farthest);
-        R::when(
-            nearest.lt(farthest),
-            (one, zero),
-            #[inline(always)]
-            || {
-                let reach = MarchRange {
-                    t_min: nearest,
-                    t_max: farthest,
-                    max_steps: self.scene.march.max_steps,
-                    relaxation: RELAXATION,
-                };
-                let marched = march(
-                    ray,
-                    reach,
-                    #[inline(always)]
-                    |t| t.mul_add(t.constant(4e-7), near),
-                    #[inline(always)]
-                    |p| self.distance(p),
-                );
-                (R::select(marched.hit.0, zero, one), marched.steps)
-            },
-        )
+        R::when(nearest.lt(farthest), (one, zero), || {
+            let reach = MarchRange {
+                t_min: nearest,
+                t_max: farthest,
+                max_steps: self.scene.march.max_steps,
+                relaxation: RELAXATION,
+            };
+            let marched = march(ray, reach, |t| t.mul_add(t.constant(4e-7), near), |p| self.distance(p));
+            (R::select(marched.hit.0, zero, one), marched.steps)
+        })
     }
 }
 
 /// Cosine-weighted direction around a normal: a point of the unit disk, projected onto the hemisphere.
-#[inline(always)]
 fn sample_cosine_hemisphere<R: Real>(normal: Vec3<R>, (u, v): (R, R)) -> Vec3<R> {
     let (right, up) = orthonormal_basis(normal);
     let (sine, cosine) = (v * std::f32::consts::TAU).sin_cos();
@@ -171,7 +135,6 @@ fn sample_cosine_hemisphere<R: Real>(normal: Vec3<R>, (u, v): (R, R)) -> Vec3<R>
 }
 
 /// All lights as they arrive unoccluded at a point inside a medium, with their indices.
-#[inline(always)]
 pub(super) fn sample_lights<'a, R: Real>(
     program: &'a Integrator<'_>,
     p: Vec3<R>,

@@ -87,37 +87,21 @@ impl Integrator<'_> {
         farthest: R,
         dice: &Sampler<R>,
     ) -> MediumSegment<R> {
-        farthest.vectorize(
-            #[inline(always)]
-            || {
-                let (zero, one) = (farthest.constant(0.0), farthest.constant(1.0));
-                let nothing = MediumSegment { color: vec3(zero, zero, zero), transmittance: one, evaluations: zero };
-                let (near, far) = media.bounds.intersect_ray(ray, farthest);
-                R::when(
-                    near.lt(far),
-                    nothing,
-                    #[inline(always)]
-                    || {
-                        let (_, jitter) = dice.get_2d(super::lighting::DIM_LOBE);
-                        let (_, crossed) = R::repeat(
-                            media.max_steps + MAX_EMPTY_STEPS,
-                            (near, nothing),
-                            #[inline(always)]
-                            |(t, crossed)| {
-                                let (step, crossed) = self.media_step(media, ray, t, jitter, &crossed, dice);
-                                let next = t + step;
-                                (next.lt(far) & crossed.transmittance.above(MIN_TRANSMITTANCE), (next, crossed))
-                            },
-                        );
-                        crossed
-                    },
-                )
-            },
-        )
+        let (zero, one) = (farthest.constant(0.0), farthest.constant(1.0));
+        let nothing = MediumSegment { color: vec3(zero, zero, zero), transmittance: one, evaluations: zero };
+        let (near, far) = media.bounds.intersect_ray(ray, farthest);
+        R::when(near.lt(far), nothing, || {
+            let (_, jitter) = dice.get_2d(super::lighting::DIM_LOBE);
+            let (_, crossed) = R::repeat(media.max_steps + MAX_EMPTY_STEPS, (near, nothing), |(t, crossed)| {
+                let (step, crossed) = self.media_step(media, ray, t, jitter, &crossed, dice);
+                let next = t + step;
+                (next.lt(far) & crossed.transmittance.above(MIN_TRANSMITTANCE), (next, crossed))
+            });
+            crossed
+        })
     }
 
     /// Length of the step from `t` on a ray, and the media integrated to its end.
-    #[inline(always)]
     fn media_step<R: Real>(
         &self,
         media: &Media<'_>,
@@ -141,35 +125,29 @@ impl Integrator<'_> {
         let is_inside = inside_step.below(1e9);
         let step = R::select(is_inside, inside_step.min(outside), outside).at_least(1e-6);
         let here = MediumSegment { evaluations: crossed.evaluations + 1.0, ..*crossed };
-        let crossed = R::when(
-            is_inside,
-            here,
-            #[inline(always)]
-            || {
-                let stuff = self.medium_properties(media, p, &depths, ray.direction, dice);
-                let left = (-(stuff.extinction * step)).exp();
-                let share = (left.constant(1.0) - left) * here.transmittance / stuff.extinction.at_least(1e-9);
-                let sent = stuff.source * share;
-                let sent = match &self.scene.fog {
-                    None => sent,
-                    Some(fog) => {
-                        let clear = fog.transmittance(ray, t);
-                        let veiled = (clear.constant(1.0) - clear) * share * stuff.extinction;
-                        self.fog_color(fog, ray.direction).mul_add(veiled, sent * clear)
-                    }
-                };
-                MediumSegment {
-                    color: here.color + sent,
-                    transmittance: here.transmittance * left,
-                    evaluations: here.evaluations,
+        let crossed = R::when(is_inside, here, || {
+            let stuff = self.medium_properties(media, p, &depths, ray.direction, dice);
+            let left = (-(stuff.extinction * step)).exp();
+            let share = (left.constant(1.0) - left) * here.transmittance / stuff.extinction.at_least(1e-9);
+            let sent = stuff.source * share;
+            let sent = match &self.scene.fog {
+                None => sent,
+                Some(fog) => {
+                    let clear = fog.transmittance(ray, t);
+                    let veiled = (clear.constant(1.0) - clear) * share * stuff.extinction;
+                    self.fog_color(fog, ray.direction).mul_add(veiled, sent * clear)
                 }
-            },
-        );
+            };
+            MediumSegment {
+                color: here.color + sent,
+                transmittance: here.transmittance * left,
+                evaluations: here.evaluations,
+            }
+        });
         (step, crossed)
     }
 
     /// Medium properties at `p`, whose distances to the media are given, and the radiance sent against `direction`.
-    #[inline(always)]
     fn medium_properties<R: Real>(
         &self,
         media: &Media<'_>,
@@ -195,41 +173,35 @@ impl Integrator<'_> {
         }
         let thick = scattering.iter().fold(zero, |sum, (_, extinction)| sum + *extinction).above(1e-6);
         let sent = stuff.source;
-        stuff.source = R::when(
-            thick,
-            sent,
-            #[inline(always)]
-            || {
-                let mut sent = sent;
-                for (source, incoming, distance) in sample_lights(self, p, dice) {
-                    let lit = self.light_optical_depth(media, source, p, incoming.direction, distance);
-                    let cosine = direction.dot(incoming.direction);
-                    for (volume, extinction) in &scattering {
-                        let phase = volume.phase(cosine, lit);
-                        sent = incoming
-                            .radiance
-                            .mul_elementwise(volume.scattering_albedo(p.x))
-                            .mul_add(phase * *extinction, sent);
-                    }
+        stuff.source = R::when(thick, sent, || {
+            let mut sent = sent;
+            for (source, incoming, distance) in sample_lights(self, p, dice) {
+                let lit = self.light_optical_depth(media, source, p, incoming.direction, distance);
+                let cosine = direction.dot(incoming.direction);
+                for (volume, extinction) in &scattering {
+                    let phase = volume.phase(cosine, lit);
+                    sent = incoming
+                        .radiance
+                        .mul_elementwise(volume.scattering_albedo(p.x))
+                        .mul_add(phase * *extinction, sent);
                 }
-                for source in &self.scene.lights {
-                    let Some(AmbientLight { from, strength }) = source.ambient(&self.scene.background) else {
-                        continue;
-                    };
-                    let (up, down) = (vec3(zero, zero.constant(1.0), zero), vec3(zero, zero.constant(-1.0), zero));
-                    let mean = (from.radiance(up) + from.radiance(down)) * zero.uniform(0.5 * strength);
-                    for (volume, extinction) in &scattering {
-                        sent = mean.mul_elementwise(volume.scattering_albedo(p.x)).mul_add(*extinction, sent);
-                    }
+            }
+            for source in &self.scene.lights {
+                let Some(AmbientLight { from, strength }) = source.ambient(&self.scene.background) else {
+                    continue;
+                };
+                let (up, down) = (vec3(zero, zero.constant(1.0), zero), vec3(zero, zero.constant(-1.0), zero));
+                let mean = (from.radiance(up) + from.radiance(down)) * zero.uniform(0.5 * strength);
+                for (volume, extinction) in &scattering {
+                    sent = mean.mul_elementwise(volume.scattering_albedo(p.x)).mul_add(*extinction, sent);
                 }
-                sent
-            },
-        );
+            }
+            sent
+        });
         stuff
     }
 
     /// Optical depth τ between a light and `p`; 80 if a surface is in between, so that exp(−τ) is 0.
-    #[inline(always)]
     fn light_optical_depth<R: Real>(
         &self,
         media: &Media<'_>,
@@ -253,57 +225,35 @@ impl Integrator<'_> {
     }
 
     /// Transmittance of the media along a ray toward a light.
-    #[inline(always)]
     pub(super) fn transmittance<R: Real>(&self, media: &Media<'_>, ray: &Ray<R>, farthest: R) -> R {
         (-self.optical_depth(media, ray, farthest)).exp()
     }
 
     /// Optical depth along a ray up to `farthest`: the integral of the extinction.
     fn optical_depth<R: Real>(&self, media: &Media<'_>, ray: &Ray<R>, farthest: R) -> R {
-        farthest.call(
-            "optical_depth",
-            (*ray, farthest),
-            #[inline(always)]
-            |(ray, farthest)| {
-                let zero = farthest.constant(0.0);
-                let (near, far) = media.bounds.intersect_ray(&ray, farthest);
-                R::when(
-                    near.lt(far),
-                    zero,
-                    #[inline(always)]
-                    || {
-                        let step = (far - near) * zero.constant(1.0 / media.light_steps as f32);
-                        let start = step.mul_add(zero.constant(0.5), near);
-                        let (_, sum) = R::repeat(
-                            media.light_steps,
-                            (start, zero),
-                            #[inline(always)]
-                            |(t, sum)| {
-                                let here = self.extinction(media, ray.at(t));
-                                let sum = here.mul_add(step, sum);
-                                (sum.below(20.0), (t + step, sum))
-                            },
-                        );
-                        sum
-                    },
-                )
-            },
-        )
+        farthest.call("optical_depth", (*ray, farthest), |(ray, farthest)| {
+            let zero = farthest.constant(0.0);
+            let (near, far) = media.bounds.intersect_ray(&ray, farthest);
+            R::when(near.lt(far), zero, || {
+                let step = (far - near) * zero.constant(1.0 / media.light_steps as f32);
+                let start = step.mul_add(zero.constant(0.5), near);
+                let (_, sum) = R::repeat(media.light_steps, (start, zero), |(t, sum)| {
+                    let here = self.extinction(media, ray.at(t));
+                    let sum = here.mul_add(step, sum);
+                    (sum.below(20.0), (t + step, sum))
+                });
+                sum
+            })
+        })
     }
 
     /// Total extinction of the media at `p`.
-    #[inline(always)]
     fn extinction<R: Real>(&self, media: &Media<'_>, p: Vec3<R>) -> R {
         let zero = p.x.constant(0.0);
         let mut sum = zero;
         for medium in &media.all {
             let depth = -self.object_distance(medium.object, p);
-            let own = R::when(
-                depth.above(0.0),
-                zero,
-                #[inline(always)]
-                || medium.material.extinction(p, depth),
-            );
+            let own = R::when(depth.above(0.0), zero, || medium.material.extinction(p, depth));
             sum = sum + own;
         }
         sum

@@ -48,7 +48,6 @@ const MIN_THROUGHPUT: f32 = 1.0 / 512.0;
 
 impl Integrator<'_> {
     /// Radiance along a ray from the camera.
-    #[inline(always)]
     pub(super) fn path<R: Real>(&self, ray: &Ray<R>, dice: &Sampler<R>) -> Radiance<R> {
         let (zero, one) = (dice.x.constant(0.0), dice.x.constant(1.0));
         let start = PathState {
@@ -63,15 +62,10 @@ impl Integrator<'_> {
             is_active: MaskValue(zero.below(1.0)),
         };
         let end = if self.sends_on {
-            R::repeat(
-                self.scene.march.max_bounces + 1,
-                start,
-                #[inline(always)]
-                |path| {
-                    let next = self.trace_segment(path, dice);
-                    (next.is_active.0, next)
-                },
-            )
+            R::repeat(self.scene.march.max_bounces + 1, start, |path| {
+                let next = self.trace_segment(path, dice);
+                (next.is_active.0, next)
+            })
         } else {
             self.trace_segment(start, dice)
         };
@@ -85,32 +79,21 @@ impl Integrator<'_> {
 
     /// Traces a path to its next surface, and samples the bounce there.
     fn trace_segment<R: Real>(&self, path: PathState<R>, dice: &Sampler<R>) -> PathState<R> {
-        path.epsilon.vectorize(
-            #[inline(always)]
-            || {
-                let dice = Sampler { bounce: path.bounce, ..*dice };
-                let marched = self.march_from(&path.ray, path.epsilon);
-                let mut path = path;
-                path.evaluations = path.evaluations + marched.steps;
-                self.apply_media(&mut path, &marched, &dice);
-                let (background, _) = self.background(path.ray.direction);
-                let missed = PathState {
-                    color: path.color + path.throughput.mul_elementwise(background),
-                    is_active: MaskValue(path.epsilon.below(0.0)),
-                    ..path
-                };
-                R::when(
-                    marched.hit.0,
-                    missed,
-                    #[inline(always)]
-                    || self.scatter(path, &marched, &dice),
-                )
-            },
-        )
+        let dice = Sampler { bounce: path.bounce, ..*dice };
+        let marched = self.march_from(&path.ray, path.epsilon);
+        let mut path = path;
+        path.evaluations = path.evaluations + marched.steps;
+        self.apply_media(&mut path, &marched, &dice);
+        let (background, _) = self.background(path.ray.direction);
+        let missed = PathState {
+            color: path.color + path.throughput.mul_elementwise(background),
+            is_active: MaskValue(path.epsilon.below(0.0)),
+            ..path
+        };
+        R::when(marched.hit.0, missed, || self.scatter(path, &marched, &dice))
     }
 
     /// Applies clouds, volumes and fog between the start of a ray and its end.
-    #[inline(always)]
     fn apply_media<R: Real>(&self, path: &mut PathState<R>, marched: &MarchResult<R>, dice: &Sampler<R>) {
         let farthest = path.epsilon.uniform(self.scene.march.max_distance.get());
         let length = R::select(marched.hit.0, marched.t, farthest);
@@ -131,7 +114,6 @@ impl Integrator<'_> {
     }
 
     /// Color of the fog in a direction.
-    #[inline(always)]
     pub(super) fn fog_color<R: Real>(&self, fog: &Fog, direction: Vec3<R>) -> Vec3<R> {
         match &fog.color {
             Some(color) => Vec3::uniform(direction.x, color.get()),
@@ -140,7 +122,6 @@ impl Integrator<'_> {
     }
 
     /// Shades the surface that a path has hit and continues the path.
-    #[inline(always)]
     fn scatter<R: Real>(&self, path: PathState<R>, marched: &MarchResult<R>, dice: &Sampler<R>) -> PathState<R> {
         let zero = path.epsilon.constant(0.0);
         let met = self.hit(&path.ray, marched);
@@ -184,7 +165,6 @@ impl Integrator<'_> {
     /// Samples the ray that continues from a surface: reflected or transmitted, chosen at random.
     ///
     /// Bruce Walter et al., "Microfacet models for refraction through rough surfaces", EGSR 2007.
-    #[inline(always)]
     fn sample_bsdf<R: Real>(
         &self,
         hit: &Hit<R>,
@@ -237,17 +217,13 @@ impl Integrator<'_> {
 
     /// Marches from a surface, or from the camera. `near` is the tolerance at the start.
     fn march_from<R: Real>(&self, ray: &Ray<R>, near: R) -> MarchResult<R> {
-        near.call(
-            "march_on",
-            (*ray, near),
-            #[inline(always)]
-            |(ray, near)| self.march_in_bounds(&ray, near.uniform(self.tolerance.slope), near, false),
-        )
+        near.call("march_on", (*ray, near), |(ray, near)| {
+            self.march_in_bounds(&ray, near.uniform(self.tolerance.slope), near, false)
+        })
     }
 }
 
 /// Color clamped to [`MAX_INDIRECT_RADIANCE`], with the same hue.
-#[inline(always)]
 fn clamp_indirect<R: Real>(color: Vec3<R>) -> Vec3<R> {
     let brightest = color.max_element().at_least(MAX_INDIRECT_RADIANCE);
     color * (brightest.constant(MAX_INDIRECT_RADIANCE) / brightest)
@@ -257,14 +233,10 @@ fn clamp_indirect<R: Real>(color: Vec3<R>) -> Vec3<R> {
 ///
 /// Sébastien Lagarde, "Memo on Fresnel equations", 2013:
 /// <https://seblagarde.wordpress.com/2013/04/29/memo-on-fresnel-equations/>.
-#[inline(always)]
 fn fresnel<R: Real>(head_on: Vec3<R>, cosine: R) -> Vec3<R> {
     let most = (head_on.max_element() * 50.0).at_most(1.0);
     let rise = schlick_weight(cosine);
-    head_on.map(
-        #[inline(always)]
-        |channel| (most - channel).at_least(0.0).mul_add(rise, channel),
-    )
+    head_on.map(|channel| (most - channel).at_least(0.0).mul_add(rise, channel))
 }
 
 /// Orthonormal frame around a normal.
@@ -276,18 +248,15 @@ struct ShadingFrame<R> {
 }
 
 impl<R: Real> ShadingFrame<R> {
-    #[inline(always)]
     fn from_normal(normal: Vec3<R>) -> Self {
         let (right, up) = orthonormal_basis(normal);
         Self { right, up, normal }
     }
 
-    #[inline(always)]
     fn local(&self, v: Vec3<R>) -> Vec3<R> {
         vec3(v.dot(self.right), v.dot(self.up), v.dot(self.normal))
     }
 
-    #[inline(always)]
     fn world(&self, v: Vec3<R>) -> Vec3<R> {
         self.normal.mul_add(v.z, self.up.mul_add(v.y, self.right * v.x))
     }

@@ -8,7 +8,6 @@ const MISS_DISTANCE: f32 = 1e9;
 
 impl Integrator<'_> {
     /// Distance of the whole scene at `p`: at most the distance to the nearest surface.
-    #[inline(always)]
     pub fn distance<R: Real>(&self, p: Vec3<R>) -> R {
         if self.shares_nearest {
             self.nearest_object(p).0
@@ -20,79 +19,50 @@ impl Integrator<'_> {
     }
 
     fn distance_unculled<R: Real>(&self, p: Vec3<R>) -> R {
-        p.x.call(
-            "distance",
-            p,
-            #[inline(always)]
-            |p| {
-                let Some((&first, others)) = self.surfaces.split_first() else { return p.x.constant(MISS_DISTANCE) };
-                let mut nearest = self.object_distance(first, p);
-                for &index in others {
-                    nearest = nearest.min(self.object_distance(index, p));
-                }
-                nearest
-            },
-        )
+        p.x.call("distance", p, |p| {
+            let Some((&first, others)) = self.surfaces.split_first() else { return p.x.constant(MISS_DISTANCE) };
+            let mut nearest = self.object_distance(first, p);
+            for &index in others {
+                nearest = nearest.min(self.object_distance(index, p));
+            }
+            nearest
+        })
     }
 
     fn distance_culled<R: Real>(&self, p: Vec3<R>) -> R {
-        p.x.call(
-            "distance",
-            p,
-            #[inline(always)]
-            |p| {
-                let Some((&first, others)) = self.surfaces.split_first() else { return p.x.constant(MISS_DISTANCE) };
-                let mut nearest = self.object_distance(first, p);
-                for &index in others {
-                    nearest = self.unless_beyond(
-                        index,
-                        p,
-                        nearest,
-                        nearest,
-                        #[inline(always)]
-                        || nearest.min(self.object_distance(index, p)),
-                    );
-                }
-                nearest
-            },
-        )
+        p.x.call("distance", p, |p| {
+            let Some((&first, others)) = self.surfaces.split_first() else { return p.x.constant(MISS_DISTANCE) };
+            let mut nearest = self.object_distance(first, p);
+            for &index in others {
+                nearest =
+                    self.unless_beyond(index, p, nearest, nearest, || nearest.min(self.object_distance(index, p)));
+            }
+            nearest
+        })
     }
 
     /// Distance of the whole scene at `p`, and the index of the nearest object; if several are equally near, of the
     /// first.
     pub(super) fn nearest_object<R: Real>(&self, p: Vec3<R>) -> (R, R) {
-        p.x.call(
-            "nearest",
-            p,
-            #[inline(always)]
-            |p| {
-                let Some((&first, others)) = self.surfaces.split_first() else {
-                    return (p.x.constant(MISS_DISTANCE), p.x.constant(-1.0));
-                };
-                let mut nearest = (self.object_distance(first, p), p.x.constant(first as f32));
-                for &index in others {
-                    nearest = self.unless_beyond(
-                        index,
-                        p,
-                        nearest.0,
-                        nearest,
-                        #[inline(always)]
-                        || {
-                            let distance = self.object_distance(index, p);
-                            let nearer = distance.lt(nearest.0);
-                            let object = R::select(nearer, p.x.constant(index as f32), nearest.1);
-                            (nearest.0.min(distance), object)
-                        },
-                    );
-                }
-                nearest
-            },
-        )
+        p.x.call("nearest", p, |p| {
+            let Some((&first, others)) = self.surfaces.split_first() else {
+                return (p.x.constant(MISS_DISTANCE), p.x.constant(-1.0));
+            };
+            let mut nearest = (self.object_distance(first, p), p.x.constant(first as f32));
+            for &index in others {
+                nearest = self.unless_beyond(index, p, nearest.0, nearest, || {
+                    let distance = self.object_distance(index, p);
+                    let nearer = distance.lt(nearest.0);
+                    let object = R::select(nearer, p.x.constant(index as f32), nearest.1);
+                    (nearest.0.min(distance), object)
+                });
+            }
+            nearest
+        })
     }
 
     /// Merges one object into the nearest result so far. Skips the object if its bounds are farther away than that
     /// result.
-    #[inline(always)]
     fn unless_beyond<R: Real, T: Bundle<R>>(
         &self,
         index: usize,
@@ -107,7 +77,6 @@ impl Integrator<'_> {
         }
     }
 
-    #[inline(always)]
     pub(super) fn object_distance<R: Real>(&self, index: usize, p: Vec3<R>) -> R {
         let distance = self.scene.objects[index].shape.distance(p);
         match self.step_scales[index] {

@@ -54,7 +54,6 @@ impl MaterialTable {
 
 impl Integrator<'_> {
     /// Albedo at a hit of an object.
-    #[inline(always)]
     pub(super) fn albedo<R: Real>(&self, hit: &Hit<R>, ray: &Ray<R>, object: R) -> Vec3<R> {
         let black = vec3(object.constant(0.0), object.constant(0.0), object.constant(0.0));
         self.blend(
@@ -64,36 +63,27 @@ impl Integrator<'_> {
             [black; 2],
             object,
             black,
-            #[inline(always)]
             |slot, place| self.scene.used_materials()[slot].albedo(place),
-            #[inline(always)]
             |sum, color, share| color.mul_add(share, sum),
         )
     }
 
     /// Shaded color at a hit.
     pub(super) fn shade<R: Real>(&self, hit: &Hit<R>, ray: &Ray<R>, light: &IncidentLight<R>) -> Vec3<R> {
-        hit.t.vectorize(
-            #[inline(always)]
-            || {
-                if let Some(only) = self.materials.single_slot {
-                    return self.scene.used_materials()[only]
-                        .shade(&ShadingPoint::new(hit, ray, self.footprint(hit, ray)), light);
-                }
-                let object = self.nearest_object(hit.position).1;
-                let black = vec3(object.constant(0.0), object.constant(0.0), object.constant(0.0));
-                self.blend(
-                    hit,
-                    ray,
-                    self.footprint(hit, ray),
-                    object,
-                    black,
-                    #[inline(always)]
-                    |slot, place| self.scene.used_materials()[slot].shade(place, light),
-                    #[inline(always)]
-                    |sum, color, share| color.mul_add(share, sum),
-                )
-            },
+        if let Some(only) = self.materials.single_slot {
+            return self.scene.used_materials()[only]
+                .shade(&ShadingPoint::new(hit, ray, self.footprint(hit, ray)), light);
+        }
+        let object = self.nearest_object(hit.position).1;
+        let black = vec3(object.constant(0.0), object.constant(0.0), object.constant(0.0));
+        self.blend(
+            hit,
+            ray,
+            self.footprint(hit, ray),
+            object,
+            black,
+            |slot, place| self.scene.used_materials()[slot].shade(place, light),
+            |sum, color, share| color.mul_add(share, sum),
         )
     }
 
@@ -104,41 +94,33 @@ impl Integrator<'_> {
         ray: &Ray<R>,
         light: &IncidentLight<R>,
     ) -> (Vec3<R>, SpecularBsdf<R>) {
-        hit.t.vectorize(
-            #[inline(always)]
-            || {
-                let (zero, one) = (hit.t.constant(0.0), hit.t.constant(1.0));
-                let black = vec3(zero, zero, zero);
-                let matte = SpecularBsdf { f0: black, roughness: one, transmission: black, ior: one };
-                if let Some(only) = self.materials.single_slot {
-                    return self.shade_slot(only, &ShadingPoint::new(hit, ray, self.footprint(hit, ray)), light, matte);
-                }
-                let object = self.nearest_object(hit.position).1;
-                let none = SpecularBsdf { roughness: zero, ior: zero, ..matte };
-                self.blend(
-                    hit,
-                    ray,
-                    self.footprint(hit, ray),
-                    object,
-                    (black, none),
-                    #[inline(always)]
-                    |slot, place| self.shade_slot(slot, place, light, matte),
-                    #[inline(always)]
-                    |(sum, finish), (color, own), share| {
-                        let finish = SpecularBsdf {
-                            f0: own.f0.mul_add(share, finish.f0),
-                            roughness: own.roughness.mul_add(share, finish.roughness),
-                            transmission: own.transmission.mul_add(share, finish.transmission),
-                            ior: own.ior.mul_add(share, finish.ior),
-                        };
-                        (color.mul_add(share, sum), finish)
-                    },
-                )
+        let (zero, one) = (hit.t.constant(0.0), hit.t.constant(1.0));
+        let black = vec3(zero, zero, zero);
+        let matte = SpecularBsdf { f0: black, roughness: one, transmission: black, ior: one };
+        if let Some(only) = self.materials.single_slot {
+            return self.shade_slot(only, &ShadingPoint::new(hit, ray, self.footprint(hit, ray)), light, matte);
+        }
+        let object = self.nearest_object(hit.position).1;
+        let none = SpecularBsdf { roughness: zero, ior: zero, ..matte };
+        self.blend(
+            hit,
+            ray,
+            self.footprint(hit, ray),
+            object,
+            (black, none),
+            |slot, place| self.shade_slot(slot, place, light, matte),
+            |(sum, finish), (color, own), share| {
+                let finish = SpecularBsdf {
+                    f0: own.f0.mul_add(share, finish.f0),
+                    roughness: own.roughness.mul_add(share, finish.roughness),
+                    transmission: own.transmission.mul_add(share, finish.transmission),
+                    ior: own.ior.mul_add(share, finish.ior),
+                };
+                (color.mul_add(share, sum), finish)
             },
         )
     }
 
-    #[inline(always)]
     fn shade_slot<R: Real>(
         &self,
         slot: usize,
@@ -152,7 +134,6 @@ impl Integrator<'_> {
 
     /// Sum of a function of the materials at a hit of an object, weighted by their material weights.
     #[expect(clippy::too_many_arguments, reason = "a hit, how it was reached, and the four parts of a sum")]
-    #[inline(always)]
     fn blend<R: Real, T: Bundle<R>>(
         &self,
         hit: &Hit<R>,
@@ -170,12 +151,7 @@ impl Integrator<'_> {
                 local_normal: worn.own_normal,
                 ..ShadingPoint::new(hit, ray, worn.footprint)
             };
-            let part = R::when(
-                worn.weight.above(0.0),
-                nothing,
-                #[inline(always)]
-                || of_slot(worn.slot, &place),
-            );
+            let part = R::when(worn.weight.above(0.0), nothing, || of_slot(worn.slot, &place));
             sum = add(sum, part, worn.weight);
         }
         sum
@@ -183,19 +159,14 @@ impl Integrator<'_> {
 
     /// Footprint of one pixel sample on the surface at a hit: two vectors of half its width, at right angles as seen
     /// from the camera. At grazing angles its length is limited to fifty times its width.
-    #[inline(always)]
     fn footprint<R: Real>(&self, hit: &Hit<R>, ray: &Ray<R>) -> [Vec3<R>; 2] {
         let half = self.seen.at(hit.t);
         let facing = (-ray.direction.dot(hit.normal)).at_least(0.02);
         let (right, up) = orthonormal_basis(ray.direction);
-        [right, up].map(
-            #[inline(always)]
-            |side| ray.direction.mul_add(side.dot(hit.normal) / facing, side) * half,
-        )
+        [right, up].map(|side| ray.direction.mul_add(side.dot(hit.normal) / facing, side) * half)
     }
 
     /// Materials at a hit of an object, each with its point in the space of its textures.
-    #[inline(always)]
     fn hit_materials<R: Real>(&self, hit: &Hit<R>, footprint: [Vec3<R>; 2], object: R) -> Vec<HitMaterial<R>> {
         let (p, zero) = (hit.position, object.constant(0.0));
         let worn = |slot| HitMaterial { slot, weight: zero, point: p, own_normal: hit.normal, footprint };
@@ -242,7 +213,6 @@ impl Integrator<'_> {
     }
 
     /// Material weights of an object at `p`.
-    #[inline(always)]
     fn material_weights<R: Real>(&self, index: usize, p: Vec3<R>) -> Vec<MaterialWeight<R>> {
         let tree = &self.scene.objects[index];
         let sample: DistanceWithMaterials<R> = tree.shape.sample(p);
@@ -251,7 +221,6 @@ impl Integrator<'_> {
 }
 
 /// Offset along a normal for measuring it in another space.
-#[inline(always)]
 fn probe_offset<R: Real>(p: Vec3<R>) -> R {
     let size = vec3(p.x.abs(), p.y.abs(), p.z.abs()).max_element();
     (size + 1.0) * 1e-2

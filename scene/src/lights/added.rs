@@ -24,7 +24,6 @@ impl HasExamples for AddedLight {
 }
 
 impl LightSource for AddedLight {
-    #[inline(always)]
     fn sample<R: Real>(
         &self,
         p: Vec3<R>,

@@ -33,7 +33,6 @@ impl HasExamples for Directional {
 }
 
 impl LightSource for Directional {
-    #[inline(always)]
     fn sample<R: Real>(
         &self,
         p: Vec3<R>,

@@ -61,7 +61,6 @@ impl HasExamples for SpotLight {
 }
 
 impl LightSource for SpotLight {
-    #[inline(always)]
     fn sample<R: Real>(
         &self,
         p: Vec3<R>,
@@ -97,7 +96,6 @@ impl HasExamples for SphereLight {
 }
 
 impl LightSource for SphereLight {
-    #[inline(always)]
     fn sample<R: Real>(
         &self,
         p: Vec3<R>,

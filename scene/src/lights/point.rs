@@ -28,7 +28,6 @@ impl HasExamples for PointLight {
 }
 
 impl LightSource for PointLight {
-    #[inline(always)]
     fn sample<R: Real>(
         &self,
         p: Vec3<R>,

@@ -37,7 +37,6 @@ impl HasExamples for SkyLight {
 }
 
 impl LightSource for SkyLight {
-    #[inline(always)]
     fn sample<R: Real>(
         &self,
         _: Vec3<R>,
@@ -48,7 +47,6 @@ impl LightSource for SkyLight {
         None
     }
 
-    #[inline(always)]
     fn ambient<'a>(&'a self, background: &'a Background) -> Option<AmbientLight<'a>> {
         Some(AmbientLight { from: self.from.as_ref().unwrap_or(background), strength: self.strength.get() })
     }

@@ -31,7 +31,6 @@ impl HasExamples for Sun {
 }
 
 impl LightSource for Sun {
-    #[inline(always)]
     fn sample<R: Real>(
         &self,
         p: Vec3<R>,

@@ -21,7 +21,6 @@ impl HasExamples for AddedMaterial {
 }
 
 impl Shade for AddedMaterial {
-    #[inline(always)]
     fn shade<R: Real>(&self, place: &ShadingPoint<R>, light: &IncidentLight<R>) -> Vec3<R> {
         let own = self.albedo(place);
         light
@@ -30,7 +29,6 @@ impl Shade for AddedMaterial {
             .fold(own * place.camera_t.constant(0.0), |sum, light| own.mul_elementwise(light.radiance) + sum)
     }
 
-    #[inline(always)]
     fn albedo<R: Real>(&self, place: &ShadingPoint<R>) -> Vec3<R> {
         Vec3::uniform(place.camera_t, self.color.get())
     }

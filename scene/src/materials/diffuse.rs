@@ -33,7 +33,6 @@ pub struct Diffuse {
 
 impl Diffuse {
     /// Reflected ambient light, for the value of `kd` at the point.
-    #[inline(always)]
     fn ambient<R: Real>(&self, place: &ShadingPoint<R>, kd: Vec3<R>) -> Vec3<R> {
         let answer = self.ka.as_ref().unwrap_or(&self.kd);
         if let (Some(ka), Some(la)) = (answer.as_constant(), self.ambient.as_constant()) {
@@ -62,7 +61,6 @@ impl HasExamples for Diffuse {
 }
 
 impl Shade for Diffuse {
-    #[inline(always)]
     fn shade<R: Real>(&self, place: &ShadingPoint<R>, light: &IncidentLight<R>) -> Vec3<R> {
         let like = place.normal.x;
         let kd = self.kd.at(place);
@@ -90,7 +88,6 @@ impl Shade for Diffuse {
         sum
     }
 
-    #[inline(always)]
     fn albedo<R: Real>(&self, place: &ShadingPoint<R>) -> Vec3<R> {
         self.kd.at(place)
     }

@@ -23,7 +23,6 @@ pub enum MaterialRef {
 
 impl MaterialRef {
     /// Its index among the scene's materials in use; 0 until it is resolved.
-    #[inline(always)]
     pub fn slot(&self) -> u32 {
         match self {
             Self::Name(_) | Self::InPlace(_) => 0,

@@ -17,14 +17,12 @@ pub const MIN_ALPHA: f32 = 0.002;
 ///
 /// Brent Burley, "Physically based shading at Disney", 2012,
 /// <https://disneyanimation.com/publications/physically-based-shading-at-disney/>.
-#[inline(always)]
 pub fn alpha_from_roughness<R: Real>(roughness: R) -> R {
     roughness.square().at_least(MIN_ALPHA)
 }
 
 /// π times the GGX distribution of normals D, by a half vector's cosine and its squared sine
 /// (which, for a small angle, 1 − cosine² would not give).
-#[inline(always)]
 pub fn ggx_distribution<R: Real>(alpha: R, cosine: R, sine_squared: R) -> R {
     let scaled = alpha * cosine;
     let width = scaled.square_add(sine_squared).at_least(1e-7);
@@ -32,13 +30,11 @@ pub fn ggx_distribution<R: Real>(alpha: R, cosine: R, sine_squared: R) -> R {
 }
 
 /// √(α² + (1 − α²)·cosine²), a term of Smith's functions, for a direction's cosine.
-#[inline(always)]
 fn smith_root<R: Real>(alpha_squared: R, cosine: R) -> R {
     (cosine.constant(1.0) - alpha_squared).mul_add(cosine.square(), alpha_squared).sqrt()
 }
 
 /// Smith's G₂ of light and viewer, over 4·(N·L)·(N·V).
-#[inline(always)]
 pub fn smith_visibility<R: Real>(alpha: R, to_light: R, to_viewer: R) -> R {
     let square = alpha.square();
     let (to_light, to_viewer) = (to_light.at_least(MIN_COSINE), to_viewer.at_least(MIN_COSINE));
@@ -49,7 +45,6 @@ pub fn smith_visibility<R: Real>(alpha: R, to_light: R, to_viewer: R) -> R {
 const MIN_COSINE: f32 = 1e-4;
 
 /// Smith's G₂/G₁(viewer): the weight, next to Fresnel's, of light reflected by a visible normal.
-#[inline(always)]
 pub fn smith_g2_over_g1<R: Real>(alpha: R, to_light: R, to_viewer: R) -> R {
     let square = alpha.square();
     let (to_light, to_viewer) = (to_light.at_least(MIN_COSINE), to_viewer.at_least(MIN_COSINE));
@@ -63,7 +58,6 @@ pub fn smith_g2_over_g1<R: Real>(alpha: R, to_light: R, to_viewer: R) -> R {
 /// times this.
 ///
 /// Christophe Schlick, "An inexpensive BRDF model for physically-based rendering", 1994.
-#[inline(always)]
 pub fn schlick_weight<R: Real>(cosine: R) -> R {
     let rest = (cosine.constant(1.0) - cosine).at_least(0.0).at_most(1.0);
     let square = rest.square();
@@ -71,17 +65,12 @@ pub fn schlick_weight<R: Real>(cosine: R) -> R {
 }
 
 /// Fresnel's reflectance by Schlick's formula, from F₀ and the cosine between the light and the half vector.
-#[inline(always)]
 pub fn fresnel<R: Real>(at_normal: Vec3<R>, cosine: R) -> Vec3<R> {
     let rise = schlick_weight(cosine);
-    at_normal.map(
-        #[inline(always)]
-        |f| (f.constant(1.0) - f).mul_add(rise, f),
-    )
+    at_normal.map(|f| (f.constant(1.0) - f).mul_add(rise, f))
 }
 
 /// Fresnel's reflectance F₀ at normal incidence on a boundary between media: ((n − 1)/(n + 1))².
-#[inline(always)]
 pub fn f0_from_ior<R: Real>(ior: R) -> R {
     ((ior - 1.0) / (ior + 1.0)).square()
 }
@@ -90,7 +79,6 @@ pub fn f0_from_ior<R: Real>(ior: R) -> R {
 ///
 /// Tom Duff et al., "Building an orthonormal basis, revisited", JCGT 6(1), 2017,
 /// <https://jcgt.org/published/0006/01/01/>.
-#[inline(always)]
 pub fn orthonormal_basis<R: Real>(normal: Vec3<R>) -> (Vec3<R>, Vec3<R>) {
     let one = normal.z.constant(1.0);
     let sign = R::select(normal.z.below(0.0), -one, one);
@@ -106,7 +94,6 @@ pub fn orthonormal_basis<R: Real>(normal: Vec3<R>) -> (Vec3<R>, Vec3<R>) {
 ///
 /// Jonathan Dupuy and Anis Benyoub, "Sampling visible GGX normals with spherical caps", 2023,
 /// <https://arxiv.org/abs/2306.05044>.
-#[inline(always)]
 pub fn sample_visible_normal<R: Real>(to_viewer: Vec3<R>, alpha: R, u: R, v: R) -> Vec3<R> {
     // Stretched, the microfacets form a hemisphere, whose visible normals are a spherical cap.
     let viewer = vec3(to_viewer.x * alpha, to_viewer.y * alpha, to_viewer.z).normalize();

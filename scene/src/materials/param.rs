@@ -42,7 +42,6 @@ impl ColorParam {
     }
 
     /// The color, if it is constant.
-    #[inline(always)]
     pub fn as_constant(&self) -> Option<&Color> {
         match self {
             Self::Constant(color) => Some(color),
@@ -59,13 +58,11 @@ impl ColorParam {
     }
 
     /// Whether it is black everywhere, so that a formula may leave it out.
-    #[inline(always)]
     pub fn is_black(&self) -> bool {
         matches!(self, Self::Constant(color) if color.is_black())
     }
 
     /// The color at a shading point.
-    #[inline(always)]
     pub fn at<R: Real>(&self, place: &ShadingPoint<R>) -> Vec3<R> {
         match self {
             Self::Constant(color) => Vec3::uniform(place.normal.x, color.get()),
@@ -150,12 +147,10 @@ pub trait ScalarKind: Clone + fmt::Debug + PartialEq + Serialize + JsonSchema + 
 macro_rules! parameters {
     ($($Number:ident),*) => { $(
         impl ScalarKind for $Number {
-            #[inline(always)]
             fn value(&self) -> f32 {
                 self.get()
             }
 
-            #[inline(always)]
             fn is_zero(&self) -> bool {
                 self.get() == 0.0 && !self.is_animated()
             }
@@ -197,13 +192,11 @@ impl<N: ScalarKind> ScalarParam<N> {
     }
 
     /// Whether it is 0 everywhere, so that a formula may leave its term out.
-    #[inline(always)]
     pub fn is_zero(&self) -> bool {
         matches!(self, Self::Constant(number) if number.is_zero())
     }
 
     /// The number at a shading point.
-    #[inline(always)]
     pub fn at<R: Real>(&self, place: &ShadingPoint<R>) -> R {
         let like = place.normal.x;
         match self {
@@ -221,13 +214,11 @@ impl<N: ScalarKind> ScalarParam<N> {
 
 /// Linear interpolation: exactly `from` at 0 and exactly `to` at 1, and never below 0 between non-negative
 /// numbers.
-#[inline(always)]
 pub(super) fn lerp<R: Real>(from: R, to: R, share: R) -> R {
     to.mul_add(share, from * (share.constant(1.0) - share))
 }
 
 /// Linear interpolation of colors.
-#[inline(always)]
 pub(super) fn lerp_colors<R: Real>(from: Vec3<R>, to: Vec3<R>, share: R) -> Vec3<R> {
     to.mul_add(share, from * (share.constant(1.0) - share))
 }

@@ -63,13 +63,11 @@ bundle!(Clearcoat { amount, alpha });
 
 impl<R: Real> Clearcoat<R> {
     /// Fraction of the light that it reflects, for the cosine's [`schlick_weight`].
-    #[inline(always)]
     fn mirrored(&self, grazing: R) -> R {
         self.amount * grazing.mul_add(grazing.constant(1.0 - CLEARCOAT_F0), grazing.constant(CLEARCOAT_F0))
     }
 
     /// Fraction of the light that it transmits.
-    #[inline(always)]
     fn transmitted(&self, grazing: R) -> R {
         grazing.constant(1.0) - self.mirrored(grazing)
     }
@@ -95,20 +93,15 @@ struct SurfaceTerms<R: Real> {
 bundle!(SurfaceTerms { to_viewer, normal, n_dot_v, viewer_schlick, f0, diffuse_color, alpha, clearcoat });
 
 impl Surface {
-    #[inline(always)]
     fn base<R: Real>(&self, place: &ShadingPoint<R>) -> Vec3<R> {
         if let Some(color) = self.base_color.as_constant() {
             let color = color.get();
             return Vec3::uniform(place.normal.x, vec3(color.x.min(1.0), color.y.min(1.0), color.z.min(1.0)));
         }
-        self.base_color.at(place).map(
-            #[inline(always)]
-            |c| c.at_most(1.0),
-        )
+        self.base_color.at(place).map(|c| c.at_most(1.0))
     }
 
     /// F0 of the surface: of the dielectric, and by channel with metalness.
-    #[inline(always)]
     fn f0<R: Real>(&self, place: &ShadingPoint<R>, base: Vec3<R>) -> (R, Vec3<R>) {
         let border = match &self.ior {
             ScalarParam::Constant(ior) => base.x.uniform(f0_from_ior(ior.get())),
@@ -118,15 +111,11 @@ impl Surface {
             return (border, vec3(border, border, border));
         }
         let metallic = self.metallic.at(place);
-        let whole = base.map(
-            #[inline(always)]
-            |c| lerp(border, c, metallic),
-        );
+        let whole = base.map(|c| lerp(border, c, metallic));
         (border, whole)
     }
 
     /// Diffuse fraction of the light, and transmitted fraction.
-    #[inline(always)]
     fn diffuse_and_transmitted<R: Real>(&self, place: &ShadingPoint<R>) -> (R, R) {
         let one = place.normal.x.constant(1.0);
         let body = if self.metallic.is_zero() { one } else { one - self.metallic.at(place) };
@@ -137,7 +126,6 @@ impl Surface {
         (body - through, through)
     }
 
-    #[inline(always)]
     fn clearcoat<R: Real>(&self, place: &ShadingPoint<R>) -> Option<Clearcoat<R>> {
         if self.clearcoat.is_zero() {
             return None;
@@ -148,7 +136,6 @@ impl Surface {
         })
     }
 
-    #[inline(always)]
     fn layers<R: Real>(&self, place: &ShadingPoint<R>) -> SurfaceTerms<R> {
         let base = self.base(place);
         let (border, at_normal) = self.f0(place, base);
@@ -178,7 +165,6 @@ impl Surface {
 /// Average over all directions, weighted by cosine, of (1 − s)·(1 − c·(f + (1 − f)·s)): the transmittance of the
 /// boundary and the clear coat, s = (1 − cosine)⁵, without the boundary's factor 1 − F₀. The averages of s and s² are
 /// 1/21 and 1/66.
-#[inline(always)]
 fn average_transmittance<R: Real>(amount: R) -> R {
     const CLEARCOAT_LOSS: f32 = CLEARCOAT_F0 * (20.0 / 21.0) + (1.0 - CLEARCOAT_F0) * (1.0 / 21.0 - 1.0 / 66.0);
     amount.mul_add(amount.constant(-CLEARCOAT_LOSS), amount.constant(20.0 / 21.0))
@@ -186,7 +172,6 @@ fn average_transmittance<R: Real>(amount: R) -> R {
 
 impl<R: Real> SurfaceTerms<R> {
     /// Transmittance of boundary and clear coat between the diffuse term and one direction, without the factor 1 − F₀.
-    #[inline(always)]
     fn transmitted(&self, grazing: R) -> R {
         let border = grazing.constant(1.0) - grazing;
         match self.clearcoat {
@@ -196,7 +181,6 @@ impl<R: Real> SurfaceTerms<R> {
     }
 
     /// Ambient light reflected by the diffuse term.
-    #[inline(always)]
     fn reflect_ambient(&self, light: Vec3<R>) -> Vec3<R> {
         // Over all directions, the incoming light cancels the division by the average transmittance.
         let share = match self.clearcoat {
@@ -207,17 +191,14 @@ impl<R: Real> SurfaceTerms<R> {
     }
 
     /// Light from one direction, reflected to the viewer. One function for all surfaces and lights.
-    #[inline(always)]
     fn reflect(self, light: LightSample<R>) -> Vec3<R> {
         self.n_dot_v.call(
             if self.clearcoat.is_some() { "coated_surface" } else { "surface" },
             (self, light),
-            #[inline(always)]
             |(layers, light)| layers.reflected(&light),
         )
     }
 
-    #[inline(always)]
     fn reflected(&self, light: &LightSample<R>) -> Vec3<R> {
         let like = self.n_dot_v;
         let toward = self.normal.dot(light.direction).at_least(0.0);
@@ -229,10 +210,7 @@ impl<R: Real> SurfaceTerms<R> {
 
         let shine =
             ggx_distribution(self.alpha, cosine, sine_squared) * smith_visibility(self.alpha, toward, self.n_dot_v);
-        let border = self.f0.map(
-            #[inline(always)]
-            |f| (like.constant(1.0) - f).mul_add(rise, f) * shine,
-        );
+        let border = self.f0.map(|f| (like.constant(1.0) - f).mul_add(rise, f) * shine);
         let body = self.diffuse_color * (self.transmitted(light_grazing) * self.transmitted(self.viewer_schlick));
         let sum = match self.clearcoat {
             None => body + border,
@@ -241,10 +219,7 @@ impl<R: Real> SurfaceTerms<R> {
                 let shine = ggx_distribution(coat.alpha, cosine, sine_squared)
                     * smith_visibility(coat.alpha, toward, self.n_dot_v);
                 let mirrored = coat.mirrored(rise) * shine;
-                (border * through + body).map(
-                    #[inline(always)]
-                    |c| c + mirrored,
-                )
+                (border * through + body).map(|c| c + mirrored)
             }
         };
         sum.mul_elementwise(light.radiance * toward)
@@ -269,7 +244,6 @@ impl HasExamples for Surface {
 }
 
 impl Shade for Surface {
-    #[inline(always)]
     fn shade<R: Real>(&self, place: &ShadingPoint<R>, light: &IncidentLight<R>) -> Vec3<R> {
         let layers = self.layers(place);
         let like = place.normal.x;
@@ -289,7 +263,6 @@ impl Shade for Surface {
         sum
     }
 
-    #[inline(always)]
     fn albedo<R: Real>(&self, place: &ShadingPoint<R>) -> Vec3<R> {
         self.base(place)
     }
@@ -302,7 +275,6 @@ impl Shade for Surface {
         self.emission.is_black() && self.metallic.is_zero() && self.transmission.is_zero()
     }
 
-    #[inline(always)]
     fn specular<R: Real>(&self, place: &ShadingPoint<R>) -> Option<SpecularBsdf<R>> {
         let base = self.base(place);
         let (_, at_normal) = self.f0(place, base);
@@ -313,10 +285,7 @@ impl Shade for Surface {
             vec3(zero, zero, zero)
         } else {
             let (_, through) = self.diffuse_and_transmitted(place);
-            base.map(
-                #[inline(always)]
-                |c| c.sqrt() * through,
-            )
+            base.map(|c| c.sqrt() * through)
         };
         let (mirrored, roughness) = if self.clearcoat.is_zero() {
             (at_normal, roughness)
@@ -345,7 +314,6 @@ impl Shade for Surface {
 
 impl Surface {
     /// Combined F0 of clear coat and surface, and their mean roughness, weighted by F0.
-    #[inline(always)]
     fn combined_f0_and_roughness<R: Real>(
         &self,
         place: &ShadingPoint<R>,
@@ -359,10 +327,7 @@ impl Surface {
         // 1e-6 if neither reflects anything: any roughness will do.
         let whole = (coat + weight).at_least(1e-6);
         let mean = self.clearcoat_roughness.at(place).mul_add(coat, roughness * weight) / whole;
-        let mirrored = border.map(
-            #[inline(always)]
-            |f| f + coat,
-        );
+        let mirrored = border.map(|f| f + coat);
         (mirrored, mean)
     }
 }

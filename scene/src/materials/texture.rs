@@ -62,10 +62,7 @@ macro_rules! textures {
         impl Texture {
             /// Color at a shading point, linear RGB.
             pub fn at<R: Real>(&self, place: &ShadingPoint<R>) -> Vec3<R> {
-                place.local_point.x.vectorize(
-                    #[inline(always)]
-                    || match self { $($(#[$attribute])* Self::$Kind(texture) => texture.color(place)),* },
-                )
+                match self { $($(#[$attribute])* Self::$Kind(texture) => texture.color(place)),* }
             }
 
             /// Its colors, which may be textures.

@@ -24,12 +24,10 @@ impl HasExamples for Flat {
 }
 
 impl Shade for Flat {
-    #[inline(always)]
     fn shade<R: Real>(&self, place: &ShadingPoint<R>, _: &IncidentLight<R>) -> Vec3<R> {
         self.albedo(place)
     }
 
-    #[inline(always)]
     fn albedo<R: Real>(&self, place: &ShadingPoint<R>) -> Vec3<R> {
         self.color.at(place)
     }
@@ -53,17 +51,12 @@ impl HasExamples for Normals {
 }
 
 impl Shade for Normals {
-    #[inline(always)]
     fn shade<R: Real>(&self, place: &ShadingPoint<R>, _: &IncidentLight<R>) -> Vec3<R> {
         self.albedo(place)
     }
 
-    #[inline(always)]
     fn albedo<R: Real>(&self, place: &ShadingPoint<R>) -> Vec3<R> {
-        place.normal.map(
-            #[inline(always)]
-            |c| c.mul_add(c.constant(0.5), c.constant(0.5)),
-        )
+        place.normal.map(|c| c.mul_add(c.constant(0.5), c.constant(0.5)))
     }
 
     fn is_lit(&self) -> bool {

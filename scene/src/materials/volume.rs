@@ -142,7 +142,6 @@ impl MediumMaterial<'_> {
     }
 
     /// Extinction coefficient at a point at this depth inside the shape.
-    #[inline(always)]
     pub(crate) fn extinction<R: Real>(&self, p: Vec3<R>, depth: R) -> R {
         match self {
             Self::Clouds(clouds) => clouds.density_at(p) * p.x.uniform(clouds.density.get()),
@@ -151,7 +150,6 @@ impl MediumMaterial<'_> {
     }
 
     /// Emission per unit of extinction.
-    #[inline(always)]
     pub(crate) fn emission<R: Real>(&self, like: R) -> Vec3<R> {
         match self {
             Self::Clouds(clouds) => Vec3::uniform(like, clouds.color.get()),
@@ -169,7 +167,6 @@ impl MediumMaterial<'_> {
 }
 
 /// Noise value at `p`, scaled from its range to 0 to 1.
-#[inline(always)]
 fn normalized_noise<R: Real>(noise: &Noise, p: Vec3<R>) -> R {
     let (low, high) = noise.range();
     let per_range = 1.0 / (high - low).max(1e-6);
@@ -177,7 +174,6 @@ fn normalized_noise<R: Real>(noise: &Noise, p: Vec3<R>) -> R {
 }
 
 /// Excess of a fraction above a threshold, scaled to 0 to 1.
-#[inline(always)]
 fn above_threshold<R: Real>(share: R, threshold: f32) -> R {
     let per_rest = 1.0 / (1.0 - threshold).max(1e-3);
     share.mul_add(share.uniform(per_rest), share.uniform(-threshold * per_rest)).at_least(0.0)
@@ -185,14 +181,12 @@ fn above_threshold<R: Real>(share: R, threshold: f32) -> R {
 
 impl Clouds {
     /// Density at `p`, 0 to 1.
-    #[inline(always)]
     fn density_at<R: Real>(&self, p: Vec3<R>) -> R {
         above_threshold(normalized_noise(&self.noise, p), self.threshold.get())
     }
 }
 
 impl Shade for Clouds {
-    #[inline(always)]
     fn shade<R: Real>(&self, place: &ShadingPoint<R>, light: &IncidentLight<R>) -> Vec3<R> {
         const AMBIENT: f32 = 0.1;
         let like = place.camera_t;
@@ -208,7 +202,6 @@ impl Shade for Clouds {
         sum.mul_elementwise(Vec3::uniform(like, self.color.get())) * self.coverage_at(place)
     }
 
-    #[inline(always)]
     fn albedo<R: Real>(&self, place: &ShadingPoint<R>) -> Vec3<R> {
         Vec3::uniform(place.camera_t, self.color.get())
     }
@@ -217,7 +210,6 @@ impl Shade for Clouds {
         true
     }
 
-    #[inline(always)]
     fn specular<R: Real>(&self, place: &ShadingPoint<R>) -> Option<SpecularBsdf<R>> {
         let (zero, one) = (place.camera_t.constant(0.0), place.camera_t.constant(1.0));
         let passed = one - self.coverage_at(place);
@@ -256,14 +248,12 @@ impl Shade for Clouds {
 
 impl Clouds {
     /// Fraction of a surface covered by clouds; 0 from inside.
-    #[inline(always)]
     fn coverage_at<R: Real>(&self, place: &ShadingPoint<R>) -> R {
         R::select(place.is_inside.0, place.camera_t.constant(0.0), self.density_at(place.local_point).at_most(1.0))
     }
 }
 
 impl Volume {
-    #[inline(always)]
     fn extinction<R: Real>(&self, p: Vec3<R>, depth: R) -> R {
         let mut thick = p.x.uniform(self.density.get());
         if !self.edge.is_zero() {
@@ -277,7 +267,6 @@ impl Volume {
 
     /// Fraction of a light's color scattered by an angle of this cosine, through this optical depth. The light's color
     /// is over π, and the phase function over 4π.
-    #[inline(always)]
     pub(crate) fn phase<R: Real>(&self, cosine: R, depth: R) -> R {
         let mut sum = cosine.constant(0.0);
         let mut share = 1.0;
@@ -293,19 +282,16 @@ impl Volume {
     }
 
     /// Fraction of the light that is scattered.
-    #[inline(always)]
     pub(crate) fn scattering_albedo<R: Real>(&self, like: R) -> Vec3<R> {
         Vec3::uniform(like, self.albedo.get())
     }
 }
 
 impl Shade for Volume {
-    #[inline(always)]
     fn shade<R: Real>(&self, place: &ShadingPoint<R>, _: &IncidentLight<R>) -> Vec3<R> {
         Vec3::uniform(place.camera_t, self.emission.get())
     }
 
-    #[inline(always)]
     fn albedo<R: Real>(&self, place: &ShadingPoint<R>) -> Vec3<R> {
         Vec3::uniform(place.camera_t, self.albedo.get())
     }

@@ -20,7 +20,6 @@ pub struct AddedNode {
 impl Primitive for AddedNode {
     const EXAMPLE: &str = r#"{ "depth": 0.8 }"#;
 
-    #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
         p.z.abs() - p.z.uniform(0.5 * self.depth.get())
     }

@@ -53,7 +53,6 @@ pub struct Sine {
 }
 
 impl Sine {
-    #[inline(always)]
     fn value<R: Real>(&self, p: Vec3<R>) -> R {
         let frequency = self.frequency.get();
         let sine = periodic_sine(p.x, frequency.x) * periodic_sine(p.y, frequency.y);
@@ -70,14 +69,12 @@ impl Sine {
 }
 
 /// sin(φ·c), accurate at any angle: full turns are subtracted first.
-#[inline(always)]
 fn periodic_sine<R: Real>(c: R, frequency: f32) -> R {
     let turns = c * c.uniform(frequency / TAU);
     ((turns - (turns + 0.5).floor()) * TAU).sin()
 }
 
 impl DisplacementFunction {
-    #[inline(always)]
     fn value<R: Real>(&self, p: Vec3<R>) -> R {
         match self {
             Self::Sine(sine) => sine.value(p),
@@ -122,15 +119,10 @@ impl Sdf for Displace {
             "child": { "box": { "size": [1.3, 1.3, 1.3], "round": 0.1 } } }"#,
     ];
 
-    #[inline(always)]
     fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>) -> V {
         let child: V = self.child.sample(p);
         let relief = self.bounds_cache.0.unwrap_or_else(|| self.bounds_cache());
-        let distance = relief.displaced(
-            child.distance(),
-            #[inline(always)]
-            || self.by.value(p) * p.x.uniform(self.amplitude.get()),
-        );
+        let distance = relief.displaced(child.distance(), || self.by.value(p) * p.x.uniform(self.amplitude.get()));
         child.with_distance(distance)
     }
 

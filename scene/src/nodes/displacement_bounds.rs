@@ -54,18 +54,12 @@ impl DisplacementBounds {
     /// Neither end has a larger Lipschitz factor than the sum, and each has the sign of the sum wherever it replaces
     /// it. So the surface does not change, and a step may be as long as the distance to the nearest displacement.
     /// Farther than `influence` from the middle of the range only the ends are used, and the amount is not evaluated.
-    #[inline(always)]
     pub(super) fn displaced<R: Real>(self, distance: R, amount: impl FnOnce() -> R) -> R {
         let (middle, half) = ((self.low + self.high) * 0.5, (self.high - self.low) * 0.5);
         let steepness = distance.uniform(self.lipschitz);
         let (from_middle, half) = (distance + distance.uniform(middle), distance.uniform(half));
         let (least, most) = ((from_middle - half) * steepness, (from_middle + half) * steepness);
         let near = from_middle.abs().lt(distance.uniform(self.influence));
-        R::when(
-            near,
-            R::select(from_middle.below(0.0), most, least),
-            #[inline(always)]
-            || (distance + amount()).max(least).min(most),
-        )
+        R::when(near, R::select(from_middle.below(0.0), most, least), || (distance + amount()).max(least).min(most))
     }
 }

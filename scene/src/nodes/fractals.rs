@@ -31,26 +31,14 @@ const MAX_DERIVATIVE: f32 = 1e30;
 /// Clamps an estimate to the distance from a simple hull of the fractal. Farther than `margin` from the hull
 /// the hull's distance is used, which is never more than the fractal's; nearer, the greater of the two is
 /// used, so that parts of an unfinished fractal outside its hull are cut off.
-#[inline(always)]
 fn clamp_to_hull<R: Real>(from_hull: R, margin: f32, estimate: impl FnOnce() -> R) -> R {
-    R::when(
-        !from_hull.uniform(margin).lt(from_hull),
-        from_hull,
-        #[inline(always)]
-        || estimate().max(from_hull),
-    )
+    R::when(!from_hull.uniform(margin).lt(from_hull), from_hull, || estimate().max(from_hull))
 }
 
 /// The distance from a box around the origin, at most 0 inside.
-#[inline(always)]
 fn distance_from_box<R: Real>(p: Vec3<R>, half: Vec3<f32>) -> R {
     let past_face = vec3(p.x.abs(), p.y.abs(), p.z.abs()) - Vec3::uniform(p.x, half);
-    let outside = past_face
-        .map(
-            #[inline(always)]
-            |c| c.at_least(0.0),
-        )
-        .length();
+    let outside = past_face.map(|c| c.at_least(0.0)).length();
     outside + past_face.max_element().at_most(0.0)
 }
 

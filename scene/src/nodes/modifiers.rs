@@ -46,7 +46,6 @@ impl Sdf for Paint {
         "child": { "sphere": { "radius": 1 } }
     }"##;
 
-    #[inline(always)]
     fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>) -> V {
         let child: V = self.child.sample(p);
         child.paint(self.material.slot(), p)

@@ -65,82 +65,54 @@ pub struct Difference {
 }
 
 /// Smooth minimum, blended over `smooth`.
-#[inline(always)]
 fn smooth_min<R: Real, V: SdfValue<R>>(a: V, b: V, smooth: &LengthOrZero) -> V {
     let (da, db) = (a.distance(), b.distance());
     if smooth.is_zero() {
-        return a.blend(
-            b,
-            da.min(db),
-            #[inline(always)]
-            || indicator(da, db.lt(da)),
-        );
+        return a.blend(b, da.min(db), || indicator(da, db.lt(da)));
     }
     let overlap = seam_depth(da, db, smooth);
     let distance = overlap.square().mul_add(da.uniform(-0.25 * per(smooth.get())), da.min(db));
-    a.blend(
-        b,
-        distance,
-        #[inline(always)]
-        || seam_weight(overlap, smooth, db.lt(da)),
-    )
+    a.blend(b, distance, || seam_weight(overlap, smooth, db.lt(da)))
 }
 
 /// Smooth maximum, blended over `smooth`.
-#[inline(always)]
 fn smooth_max<R: Real, V: SdfValue<R>>(a: V, b: V, smooth: &LengthOrZero) -> V {
     let (da, db) = (a.distance(), b.distance());
     if smooth.is_zero() {
-        return a.blend(
-            b,
-            da.max(db),
-            #[inline(always)]
-            || indicator(da, da.lt(db)),
-        );
+        return a.blend(b, da.max(db), || indicator(da, da.lt(db)));
     }
     let overlap = seam_depth(da, db, smooth);
     let distance = overlap.square().mul_add(da.uniform(0.25 * per(smooth.get())), da.max(db));
-    a.blend(
-        b,
-        distance,
-        #[inline(always)]
-        || seam_weight(overlap, smooth, da.lt(db)),
-    )
+    a.blend(b, distance, || seam_weight(overlap, smooth, da.lt(db)))
 }
 
 /// The first without the second.
-#[inline(always)]
 fn smooth_subtract<R: Real, V: SdfValue<R>>(a: V, b: V, smooth: &LengthOrZero) -> V {
     smooth_max(a, negated(b), smooth)
 }
 
 /// h = max(k − |a − b|, 0): depth into the seam.
-#[inline(always)]
 fn seam_depth<R: Real>(a: R, b: R, smooth: &LengthOrZero) -> R {
     (a.uniform(smooth.get()) - (a - b).abs()).at_least(0.0)
 }
 
 /// One over a seam's width or its square; 0 if an animated seam has width 0, because then no point is in it.
-#[inline(always)]
 fn per(width: f32) -> f32 {
     if width == 0.0 { 0.0 } else { 1.0 / width }
 }
 
 /// Weight of the second child: the child whose distance is not used has ½(h/k)².
-#[inline(always)]
 fn seam_weight<R: Real>(overlap: R, smooth: &LengthOrZero, second_wins: R::Mask) -> R {
     let loser = overlap.square() * overlap.uniform(0.5 * per(smooth.get() * smooth.get()));
     R::select(second_wins, loser.constant(1.0) - loser, loser)
 }
 
-#[inline(always)]
 fn negated<R: Real, V: SdfValue<R>>(v: V) -> V {
     let distance = -v.distance();
     v.with_distance(distance)
 }
 
 /// Combines all shapes, one after another.
-#[inline(always)]
 fn fold_children<R: Real, V: SdfValue<R>>(of: &[Node], p: Vec3<R>, join: impl Fn(V, V) -> V) -> V {
     let mut sum: V = of[0].sample(p);
     for other in &of[1..] {
@@ -181,16 +153,10 @@ impl Sdf for Union {
         { "translate": { "by": [0.8, 0.3, 0], "child": { "box": { "size": [0.9, 0.9, 0.9] } } } }
     ] }"#;
 
-    #[inline(always)]
     fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>) -> V {
         match &self.bvh.0 {
             Some(all) => self.union_bvh(all, self.of[0].sample(p), p),
-            None => fold_children(
-                &self.of,
-                p,
-                #[inline(always)]
-                |a, b| smooth_min(a, b, &self.smooth),
-            ),
+            None => fold_children(&self.of, p, |a, b| smooth_min(a, b, &self.smooth)),
         }
     }
 
@@ -205,24 +171,16 @@ impl Union {
     /// Merges the shapes of a BVH node into the result so far, if the node is near enough: shapes farther away than
     /// the seam is wide do not change the minimum.
     fn union_bvh<R: Real, V: SdfValue<R>>(&self, run: &BvhNode, sum: V, p: Vec3<R>) -> V {
-        p.x.vectorize(
-            #[inline(always)]
-            || match &run.bounds {
-                Some(bounds) => {
-                    let beyond = bounds.distance_lower_bound(p);
-                    let beyond = if self.smooth.is_zero() { beyond } else { beyond - p.x.uniform(self.smooth.get()) };
-                    sum.combine_unless_farther(
-                        beyond,
-                        #[inline(always)]
-                        |sum| self.union_children(run, sum, p),
-                    )
-                }
-                None => self.union_children(run, sum, p),
-            },
-        )
+        match &run.bounds {
+            Some(bounds) => {
+                let beyond = bounds.distance_lower_bound(p);
+                let beyond = if self.smooth.is_zero() { beyond } else { beyond - p.x.uniform(self.smooth.get()) };
+                sum.combine_unless_farther(beyond, |sum| self.union_children(run, sum, p))
+            }
+            None => self.union_children(run, sum, p),
+        }
     }
 
-    #[inline(always)]
     fn union_children<R: Real, V: SdfValue<R>>(&self, run: &BvhNode, sum: V, p: Vec3<R>) -> V {
         if let Some([first, second]) = run.children.as_deref() {
             return self.union_bvh(second, self.union_bvh(first, sum, p), p);
@@ -241,14 +199,8 @@ impl Sdf for Intersection {
         { "box": { "size": [1.5, 1.5, 1.5] } }
     ] }"#;
 
-    #[inline(always)]
     fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>) -> V {
-        fold_children(
-            &self.of,
-            p,
-            #[inline(always)]
-            |a, b| smooth_max(a, b, &self.smooth),
-        )
+        fold_children(&self.of, p, |a, b| smooth_max(a, b, &self.smooth))
     }
 
     around_list!(Bounds::intersection);
@@ -260,14 +212,8 @@ impl Sdf for Difference {
         { "translate": { "by": [0.3, 0.4, 0.5], "child": { "sphere": { "radius": 0.9 } } } }
     ] }"#;
 
-    #[inline(always)]
     fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>) -> V {
-        fold_children(
-            &self.of,
-            p,
-            #[inline(always)]
-            |a, b| smooth_subtract(a, b, &self.smooth),
-        )
+        fold_children(&self.of, p, |a, b| smooth_subtract(a, b, &self.smooth))
     }
 
     around_list!(|first, _| first);

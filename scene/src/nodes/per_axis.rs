@@ -18,7 +18,6 @@ pub struct PerAxis(Point);
 
 impl PerAxis {
     /// The numbers.
-    #[inline(always)]
     pub fn get(&self) -> Vec3<f32> {
         self.0.get()
     }

@@ -26,7 +26,6 @@ pub struct Precomputed<G: Precompute> {
 
 impl<G: Precompute> Precomputed<G> {
     /// Derived values.
-    #[inline(always)]
     pub(super) fn derive(&self) -> &G::Derived {
         &self.derive
     }
@@ -43,7 +42,6 @@ impl<G: Precompute> From<G> for Precomputed<G> {
 impl<G: Precompute> Deref for Precomputed<G> {
     type Target = G;
 
-    #[inline(always)]
     fn deref(&self) -> &G {
         &self.given
     }

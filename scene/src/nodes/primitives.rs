@@ -48,7 +48,6 @@ pub struct Sphere {
 impl Primitive for Sphere {
     const EXAMPLE: &str = r#"{ "radius": 1 }"#;
 
-    #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
         p.length() - p.x.uniform(self.radius.get())
     }
@@ -75,7 +74,6 @@ pub struct Box {
 impl Primitive for Box {
     const EXAMPLE: &str = r#"{ "size": [1.6, 1, 1.2], "round": 0.1 }"#;
 
-    #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
         let [x, y, z] = &self.size;
         let (half, round) = (0.5, self.round.get());
@@ -84,12 +82,7 @@ impl Primitive for Box {
             p.y.abs() - p.x.uniform(y.get() * half - round),
             p.z.abs() - p.x.uniform(z.get() * half - round),
         );
-        let outside = past_face
-            .map(
-                #[inline(always)]
-                |c| c.at_least(0.0),
-            )
-            .length();
+        let outside = past_face.map(|c| c.at_least(0.0)).length();
         let inside = past_face.max_element().at_most(0.0);
         outside + inside - p.x.uniform(round)
     }
@@ -125,7 +118,6 @@ pub struct Plane {
 impl Primitive for Plane {
     const EXAMPLE: &str = r#"{ "normal": [0.2, 1, 0.1], "offset": -0.2 }"#;
 
-    #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
         p.dot_uniform(self.normal.unit()) - p.x.uniform(self.offset.get())
     }
@@ -153,7 +145,6 @@ pub struct Cylinder {
 impl Primitive for Cylinder {
     const EXAMPLE: &str = r#"{ "radius": 0.7, "height": 1.6 }"#;
 
-    #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
         let past_side = p.x.square_add(p.z.square()).sqrt() - p.x.uniform(self.radius.get());
         let past_cap = p.y.abs() - p.x.uniform(self.height.get() / 2.0);
@@ -178,7 +169,6 @@ pub struct InfiniteCylinder {
 impl Primitive for InfiniteCylinder {
     const EXAMPLE: &str = r#"{ "radius": 0.6 }"#;
 
-    #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
         p.x.square_add(p.z.square()).sqrt() - p.x.uniform(self.radius.get())
     }
@@ -205,7 +195,6 @@ pub struct TriangularPrism {
 impl Primitive for TriangularPrism {
     const EXAMPLE: &str = r#"{ "height": 0.8, "length": 1.6 }"#;
 
-    #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
         const COS_30: f32 = 0.866_025_4;
         let past_end = p.z.abs() - p.x.uniform(self.length.get() / 2.0);
@@ -242,13 +231,9 @@ impl Primitive for Pyramid {
     const EXAMPLE: &str = r#"{ "height": 0.9 }"#;
     const MORE_EXAMPLES: &[&str] = &[r#"{ "height": 0.7, "base": [1.8, 0.9] }"#];
 
-    #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
         if let Some(base) = &self.base {
-            return p.x.vectorize(
-                #[inline(always)]
-                || rectangular_pyramid(p, base.each_ref().map(Length::get), self.height.get()),
-            );
+            return rectangular_pyramid(p, base.each_ref().map(Length::get), self.height.get());
         }
         let slant = self.height.get() * self.height.get() + 0.25;
         let (over_slant, over_base) = (p.x.uniform(1.0 / slant), p.x.uniform(1.0 / (slant + 0.25)));
@@ -277,12 +262,8 @@ impl Primitive for Pyramid {
 }
 
 /// Distance to a pyramid over a rectangle of these full extents along x and z.
-#[inline(always)]
 fn rectangular_pyramid<R: Real>(p: Vec3<R>, base: [f32; 2], height: f32) -> R {
-    let [half_x, half_z] = base.map(
-        #[inline(always)]
-        |extent| extent * 0.5,
-    );
+    let [half_x, half_z] = base.map(|extent| extent * 0.5);
     let (x, z) = (p.x.abs(), p.z.abs());
     let (to_side, past_side) = PyramidFace::new(half_x, half_z, height).distance_and_depth(x, z, p.y);
     let (to_front, past_front) = PyramidFace::new(half_z, half_x, height).distance_and_depth(z, x, p.y);
@@ -305,7 +286,6 @@ pub struct Torus {
 impl Primitive for Torus {
     const EXAMPLE: &str = r#"{ "radius": 0.8, "tube": 0.3 }"#;
 
-    #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
         let off_circle = p.x.square_add(p.z.square()).sqrt() - p.x.uniform(self.radius.get());
         off_circle.square_add(p.y.square()).sqrt() - p.x.uniform(self.tube.get())
@@ -338,7 +318,6 @@ pub struct Capsule {
 impl Primitive for Capsule {
     const EXAMPLE: &str = r#"{ "a": [-0.7, -0.4, 0], "b": [0.7, 0.5, 0.2], "radius": 0.4 }"#;
 
-    #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
         let (a, b) = (self.a.get(), self.b.get());
         let axis = vec3(b.x - a.x, b.y - a.y, b.z - a.z);
@@ -357,13 +336,11 @@ impl Primitive for Capsule {
 }
 
 /// Distance of a point from the y axis.
-#[inline(always)]
 fn distance_from_y_axis<R: Real>(p: Vec3<R>) -> R {
     hypot(p.x, p.z)
 }
 
 /// The length of a vector in the plane.
-#[inline(always)]
 fn hypot<R: Real>(x: R, y: R) -> R {
     x.square_add(y.square()).sqrt()
 }

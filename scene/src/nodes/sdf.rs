@@ -223,7 +223,6 @@ impl<P: Primitive> Sdf for P {
         <P as Primitive>::examples()
     }
 
-    #[inline(always)]
     fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>) -> V {
         V::new(self.distance(p))
     }

@@ -50,7 +50,6 @@ impl Primitive for Extrude {
         std::iter::once(Self::EXAMPLE.to_owned()).chain(of_profiles).collect()
     }
 
-    #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
         let round = self.round.get();
         let past_outline = self.profile.distance(p.x, p.y) + p.x.uniform(round);
@@ -97,7 +96,6 @@ impl Primitive for Revolve {
         r#"{ "profile": { "text": { "string": "S", "size": 0.9 } }, "offset": 0.6 }"#,
     ];
 
-    #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
         let from_axis = p.x.square_add(p.z.square()).sqrt();
         self.profile.distance(from_axis - p.x.uniform(self.offset.get()), p.y)

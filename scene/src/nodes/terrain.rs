@@ -36,7 +36,6 @@ impl HeightField {
         if slope > 1e6 { slope } else { slope * slope / (1.0 + Real::sqrt(1.0 + slope * slope)) }
     }
 
-    #[inline(always)]
     fn relief(&self) -> DisplacementBounds {
         let (low, high) = self.noise.range();
         let height = self.height.get();
@@ -52,14 +51,11 @@ impl Primitive for HeightField {
         r#"{ "noise": { "simplex": { "octaves": 3 } }, "height": 0.3 }"#,
     ];
 
-    #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
         let like = p.x;
-        let land = self.relief().displaced(
-            p.y,
-            #[inline(always)]
-            || self.noise.value(vec3(p.x, like.constant(0.0), p.z)) * like.uniform(-self.height.get()),
-        );
+        let land = self
+            .relief()
+            .displaced(p.y, || self.noise.value(vec3(p.x, like.constant(0.0), p.z)) * like.uniform(-self.height.get()));
         match &self.size {
             None => land,
             Some(size) => {

@@ -56,7 +56,6 @@ pub(super) use around_child;
 impl Sdf for Translate {
     const EXAMPLE: &str = r#"{ "by": [0.6, 0.3, 0], "child": { "box": { "size": [1, 1, 1] } } }"#;
 
-    #[inline(always)]
     fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>) -> V {
         let by = self.by.get();
         self.child.sample(p - Vec3::uniform(p.x, by))
@@ -76,7 +75,6 @@ impl Sdf for Translate {
 impl Sdf for Rotate {
     const EXAMPLE: &str = r#"{ "degrees": [30, 40, 0], "child": { "box": { "size": [1.2, 0.8, 1.6] } } }"#;
 
-    #[inline(always)]
     fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>) -> V {
         let [x, y, z] = self.degrees.inverse_rows();
         self.child.sample(vec3(p.dot_uniform(x), p.dot_uniform(y), p.dot_uniform(z)))
@@ -100,7 +98,6 @@ impl Sdf for Rotate {
 impl Sdf for Scale {
     const EXAMPLE: &str = r#"{ "by": 1.4, "child": { "torus": { "radius": 0.6, "tube": 0.2 } } }"#;
 
-    #[inline(always)]
     fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>) -> V {
         let by = self.by.get();
         let child: V = self.child.sample(p * p.x.uniform(1.0 / by));

@@ -34,42 +34,30 @@ pub trait SdfValue<R: Real>: Clone {
 pub struct Distance<R>(pub R);
 
 impl<R: Real> SdfValue<R> for Distance<R> {
-    #[inline(always)]
     fn new(distance: R) -> Self {
         Self(distance)
     }
 
-    #[inline(always)]
     fn distance(&self) -> R {
         self.0
     }
 
-    #[inline(always)]
     fn with_distance(self, distance: R) -> Self {
         Self(distance)
     }
 
-    #[inline(always)]
     fn blend(self, _: Self, distance: R, _: impl FnOnce() -> R) -> Self {
         Self(distance)
     }
 
-    #[inline(always)]
     fn combine_unless_farther(self, beyond: R, join: impl FnOnce(Self) -> Self) -> Self {
-        Self(R::when(
-            beyond.lt(self.0),
-            self.0,
-            #[inline(always)]
-            || join(self).0,
-        ))
+        Self(R::when(beyond.lt(self.0), self.0, || join(self).0))
     }
 
-    #[inline(always)]
     fn from_known_distance(_: &Node, _: Vec3<R>, distance: R) -> Self {
         Self(distance)
     }
 
-    #[inline(always)]
     fn paint(self, _: u32, _: Vec3<R>) -> Self {
         self
     }
@@ -102,22 +90,18 @@ impl<R: Real> DistanceWithMaterials<R> {
 }
 
 impl<R: Real> SdfValue<R> for DistanceWithMaterials<R> {
-    #[inline(always)]
     fn new(distance: R) -> Self {
         Self { distance, weights: Vec::new() }
     }
 
-    #[inline(always)]
     fn distance(&self) -> R {
         self.distance
     }
 
-    #[inline(always)]
     fn with_distance(self, distance: R) -> Self {
         Self { distance, ..self }
     }
 
-    #[inline(always)]
     fn blend(self, other: Self, distance: R, second: impl FnOnce() -> R) -> Self {
         if self.weights.is_empty() && other.weights.is_empty() {
             return Self::new(distance);
@@ -142,17 +126,14 @@ impl<R: Real> SdfValue<R> for DistanceWithMaterials<R> {
         Self { distance, weights: coats }
     }
 
-    #[inline(always)]
     fn combine_unless_farther(self, _: R, join: impl FnOnce(Self) -> Self) -> Self {
         join(self)
     }
 
-    #[inline(always)]
     fn from_known_distance(node: &Node, place: Vec3<R>, distance: R) -> Self {
         node.sample::<R, Self>(place).with_distance(distance)
     }
 
-    #[inline(always)]
     fn paint(self, slot: u32, p: Vec3<R>) -> Self {
         let distance = self.distance;
         if self.weights.is_empty() {
@@ -171,7 +152,6 @@ impl<R: Real> SdfValue<R> for DistanceWithMaterials<R> {
 }
 
 /// Adds a weight to that of the same material, or as a new one.
-#[inline(always)]
 fn add_weight<R: Real>(coats: &mut Vec<MaterialWeight<R>>, new: MaterialWeight<R>) {
     for coat in coats.iter_mut() {
         if coat.slot == new.slot {
@@ -184,7 +164,6 @@ fn add_weight<R: Real>(coats: &mut Vec<MaterialWeight<R>>, new: MaterialWeight<R
 }
 
 /// 1 where `mask` is true, else 0.
-#[inline(always)]
 pub(super) fn indicator<R: Real>(like: R, mask: R::Mask) -> R {
     R::select(mask, like.constant(1.0), like.constant(0.0))
 }

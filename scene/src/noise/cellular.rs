@@ -22,37 +22,30 @@ pub enum Feature {
 
 /// Squared distances to the nearest and the second point, each at most 1. Any point nearer than 1 is in the
 /// cell or one of the 26 around it, so there is no step at the edge of the search.
-#[inline(always)]
 fn f1_f2_squared<R: Real>(p: Vec3<R>, seed: R) -> (R, R) {
-    p.x.call(
-        "cellular",
-        (p, seed),
-        #[inline(always)]
-        |(p, seed)| {
-            let (corner, fraction) = cell(p);
-            let (mut first, mut second) = (seed.constant(1.0), seed.constant(1.0));
-            for place in 0..27_u8 {
-                let step = [place % 3, place / 3 % 3, place / 9].map(|n| f32::from(n) - 1.0);
-                let step = vec3(seed.constant(step[0]), seed.constant(step[1]), seed.constant(step[2]));
-                let word = LatticeHash::new(corner + step, seed).mixed_hash();
-                let point = vec3(
-                    R::from_bits((word >> 9) | 0x3f80_0000),
-                    R::from_bits(((word << 1) & 0x007f_ffff) | 0x3f80_0000),
-                    R::from_bits(((word << 11) & 0x007f_ffff) | 0x3f80_0000),
-                );
-                let from = fraction - step;
-                let away = vec3(from.x + 1.0, from.y + 1.0, from.z + 1.0) - point;
-                let distance = away.length_squared();
-                second = second.min(first.max(distance));
-                first = first.min(distance);
-            }
-            (first, second)
-        },
-    )
+    p.x.call("cellular", (p, seed), |(p, seed)| {
+        let (corner, fraction) = cell(p);
+        let (mut first, mut second) = (seed.constant(1.0), seed.constant(1.0));
+        for place in 0..27_u8 {
+            let step = [place % 3, place / 3 % 3, place / 9].map(|n| f32::from(n) - 1.0);
+            let step = vec3(seed.constant(step[0]), seed.constant(step[1]), seed.constant(step[2]));
+            let word = LatticeHash::new(corner + step, seed).mixed_hash();
+            let point = vec3(
+                R::from_bits((word >> 9) | 0x3f80_0000),
+                R::from_bits(((word << 1) & 0x007f_ffff) | 0x3f80_0000),
+                R::from_bits(((word << 11) & 0x007f_ffff) | 0x3f80_0000),
+            );
+            let from = fraction - step;
+            let away = vec3(from.x + 1.0, from.y + 1.0, from.z + 1.0) - point;
+            let distance = away.length_squared();
+            second = second.min(first.max(distance));
+            first = first.min(distance);
+        }
+        (first, second)
+    })
 }
 
 /// Cellular noise, 0 to 1.
-#[inline(always)]
 pub(super) fn cellular<R: Real>(p: Vec3<R>, seed: R, feature: Feature) -> R {
     let (first, second) = f1_f2_squared(p, seed);
     match feature {

@@ -26,20 +26,17 @@ const WAVE_GAIN: f32 = 0.707;
 type SinCos<R> = (R, R);
 
 /// Sine and cosine of an angle in full turns.
-#[inline(always)]
 fn sin_cos_of_turns<R: Real>(turns: R) -> SinCos<R> {
     ((turns - (turns + 0.5).floor()) * TAU).sin_cos()
 }
 
 /// Sine and cosine of twice the angle.
-#[inline(always)]
 fn double_angle<R: Real>((sine, cosine): SinCos<R>) -> SinCos<R> {
     let product = sine * cosine;
     (product + product, cosine.mul_add(cosine, -(sine * sine)))
 }
 
 /// The sine of the wave's own angle plus its phase: π/2·`across` + π·`along`.
-#[inline(always)]
 fn wave<R: Real>(own: SinCos<R>, across: R, along: R) -> R {
     let phase = across.mul_add(across.constant(FRAC_PI_2), along * PI);
     let (sine, cosine) = phase.sin_cos();
@@ -54,7 +51,6 @@ fn weights(waves: u32) -> impl Iterator<Item = f32> {
 }
 
 /// Gardner's noise with this number of waves, 0 to 1.
-#[inline(always)]
 pub(super) fn gardner<R: Real>(p: Vec3<R>, seed: R, waves: u32) -> R {
     let word = seed.to_bits() * 0x9e37_79b1;
     let phases = vec3(float_in_1_2(word), float_in_1_2(word << 7), float_in_1_2(word << 14));
@@ -66,12 +62,10 @@ pub(super) fn gardner<R: Real>(p: Vec3<R>, seed: R, waves: u32) -> R {
     let (mut x_sum, mut y_sum) = (seed.constant(1.0), seed.constant(1.0));
     for weight in weights(waves) {
         let (x, y) = (double_angle(x_middle), double_angle(y_middle));
-        let (across_x, across_y) = p.x.call(
-            "gardner_wave",
-            ((x, y_low.0), (y, x_low.0), z.0),
-            #[inline(always)]
-            |((x, y_low), (y, x_low), z)| (wave(x, y_low, z), wave(y, x_low, z)),
-        );
+        let (across_x, across_y) =
+            p.x.call("gardner_wave", ((x, y_low.0), (y, x_low.0), z.0), |((x, y_low), (y, x_low), z)| {
+                (wave(x, y_low, z), wave(y, x_low, z))
+            });
         x_sum = across_x.mul_add(seed.constant(weight), x_sum);
         y_sum = across_y.mul_add(seed.constant(weight), y_sum);
         (x_low, x_middle, y_low, y_middle, z) = (x_middle, x, y_middle, y, double_angle(z));

@@ -17,42 +17,30 @@ pub(super) const SIMPLEX_LIPSCHITZ: f32 = 0.090_621 * SIMPLEX_SCALE;
 
 /// Ken Perlin, "Improving noise", SIGGRAPH 2002, <https://mrl.cs.nyu.edu/~perlin/paper445.pdf>: gradients at the
 /// corners of unit cubes, interpolated by a quintic.
-#[inline(always)]
 pub(super) fn perlin<R: Real>(p: Vec3<R>, seed: R) -> R {
-    p.x.call(
-        "perlin",
-        (p, seed),
-        #[inline(always)]
-        |(p, seed)| {
-            let (corner, fraction) = cell(p);
-            let words = corner_hashes(LatticeHash::pair(corner, seed));
-            let away = corner_offsets(fraction);
-            let mut corners = [seed; 8];
-            for n in 0..8 {
-                corners[n] = gradient_dot(away[n], words[n]);
-            }
-            trilinear(corners, fraction)
-        },
-    )
+    p.x.call("perlin", (p, seed), |(p, seed)| {
+        let (corner, fraction) = cell(p);
+        let words = corner_hashes(LatticeHash::pair(corner, seed));
+        let away = corner_offsets(fraction);
+        let mut corners = [seed; 8];
+        for n in 0..8 {
+            corners[n] = gradient_dot(away[n], words[n]);
+        }
+        trilinear(corners, fraction)
+    })
 }
 
 /// Random values at the corners of unit cubes, −1 to 1, interpolated by the same quintic.
-#[inline(always)]
 pub(super) fn value<R: Real>(p: Vec3<R>, seed: R) -> R {
-    p.x.call(
-        "value_noise",
-        (p, seed),
-        #[inline(always)]
-        |(p, seed)| {
-            let (corner, fraction) = cell(p);
-            let words = corner_hashes(LatticeHash::pair(corner, seed));
-            let mut corners = [seed; 8];
-            for n in 0..8 {
-                corners[n] = float_in_1_2(words[n]);
-            }
-            trilinear(corners, fraction).mul_add(seed.constant(2.0), seed.constant(-3.0))
-        },
-    )
+    p.x.call("value_noise", (p, seed), |(p, seed)| {
+        let (corner, fraction) = cell(p);
+        let words = corner_hashes(LatticeHash::pair(corner, seed));
+        let mut corners = [seed; 8];
+        for n in 0..8 {
+            corners[n] = float_in_1_2(words[n]);
+        }
+        trilinear(corners, fraction).mul_add(seed.constant(2.0), seed.constant(-3.0))
+    })
 }
 
 /// Half the maximum cell coordinate of the lattice.
@@ -64,45 +52,36 @@ const SIMPLEX_SCALE: f32 = 76.88;
 /// Stefan Gustavson, "Simplex noise demystified", 2005,
 /// <https://cgvr.cs.uni-bremen.de/teaching/cg_literatur/simplexnoise.pdf>, with the kernel (½ − r²)⁴, which
 /// is continuous.
-#[inline(always)]
 pub(super) fn simplex<R: Real>(p: Vec3<R>, seed: R) -> R {
-    p.x.call(
-        "simplex",
-        (p, seed),
-        #[inline(always)]
-        |(p, seed)| {
-            let (one, none) = (seed.constant(1.0), seed.constant(0.0));
-            // Skewed, the lattice consists of cubes, each cut into six simplices by the order of the coordinates.
-            let p = p.map(
-                #[inline(always)]
-                |c| c.at_least(-MAX_CELL).at_most(MAX_CELL),
-            );
-            let skew = (p.x + p.y + p.z) * (1.0 / 3.0);
-            let (corner, f) = cell(vec3(p.x + skew, p.y + skew, p.z + skew));
-            let (x_over_y, x_over_z, y_over_z) = (!f.x.lt(f.y), !f.x.lt(f.z), !f.y.lt(f.z));
-            let greatest = vec3(
-                R::select(x_over_y & x_over_z, one, none),
-                R::select(!x_over_y & y_over_z, one, none),
-                R::select(!x_over_z & !y_over_z, one, none),
-            );
-            let not_least = vec3(
-                R::select(x_over_y | x_over_z, one, none),
-                R::select(!x_over_y | y_over_z, one, none),
-                R::select(!x_over_z | !y_over_z, one, none),
-            );
-            let mut sum = none;
-            for step in [vec3(none, none, none), greatest, not_least, vec3(one, one, one)] {
-                let skewed = f - step;
-                let unskew = (skewed.x + skewed.y + skewed.z) * (-1.0 / 6.0);
-                let away = vec3(skewed.x + unskew, skewed.y + unskew, skewed.z + unskew);
-                let near = (seed.constant(0.5) - away.length_squared()).at_least(0.0);
-                let kernel = near.square().square();
-                let word = LatticeHash::new(corner + step, seed).hash();
-                sum = kernel.mul_add(gradient_dot(away, word), sum);
-            }
-            sum * SIMPLEX_SCALE
-        },
-    )
+    p.x.call("simplex", (p, seed), |(p, seed)| {
+        let (one, none) = (seed.constant(1.0), seed.constant(0.0));
+        // Skewed, the lattice consists of cubes, each cut into six simplices by the order of the coordinates.
+        let p = p.map(|c| c.at_least(-MAX_CELL).at_most(MAX_CELL));
+        let skew = (p.x + p.y + p.z) * (1.0 / 3.0);
+        let (corner, f) = cell(vec3(p.x + skew, p.y + skew, p.z + skew));
+        let (x_over_y, x_over_z, y_over_z) = (!f.x.lt(f.y), !f.x.lt(f.z), !f.y.lt(f.z));
+        let greatest = vec3(
+            R::select(x_over_y & x_over_z, one, none),
+            R::select(!x_over_y & y_over_z, one, none),
+            R::select(!x_over_z & !y_over_z, one, none),
+        );
+        let not_least = vec3(
+            R::select(x_over_y | x_over_z, one, none),
+            R::select(!x_over_y | y_over_z, one, none),
+            R::select(!x_over_z | !y_over_z, one, none),
+        );
+        let mut sum = none;
+        for step in [vec3(none, none, none), greatest, not_least, vec3(one, one, one)] {
+            let skewed = f - step;
+            let unskew = (skewed.x + skewed.y + skewed.z) * (-1.0 / 6.0);
+            let away = vec3(skewed.x + unskew, skewed.y + unskew, skewed.z + unskew);
+            let near = (seed.constant(0.5) - away.length_squared()).at_least(0.0);
+            let kernel = near.square().square();
+            let word = LatticeHash::new(corner + step, seed).hash();
+            sum = kernel.mul_add(gradient_dot(away, word), sum);
+        }
+        sum * SIMPLEX_SCALE
+    })
 }
 
 #[cfg(test)]

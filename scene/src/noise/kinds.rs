@@ -49,7 +49,6 @@ macro_rules! noises {
 
             impl $Kind {
                 /// Combination of its octaves.
-                #[inline(always)]
                 pub(super) fn layers(&self) -> FractalSum<'_> {
                     FractalSum {
                         scale: self.scale.get(),
@@ -87,14 +86,10 @@ macro_rules! noises {
             }
 
             /// Another noise for each salt.
-            #[inline(always)]
             pub(super) fn with_salt<R: Real>(&self, p: Vec3<R>, salt: u32) -> R {
-                p.x.vectorize(
-                    #[inline(always)]
-                    || match self {
+                match self {
                         $(Self::$Kind(noise) => noise.layers().sum(noise, p, salt)),*
-                    },
-                )
+                    }
             }
         }
     };
@@ -130,7 +125,6 @@ noises! {
 impl Basis for Perlin {
     const RANGE: (f32, f32) = (-1.036_354, 1.036_354);
 
-    #[inline(always)]
     fn at<R: Real>(&self, p: Vec3<R>, seed: R) -> R {
         gradient::perlin(p, seed)
     }
@@ -143,7 +137,6 @@ impl Basis for Perlin {
 impl Basis for Value {
     const RANGE: (f32, f32) = (-1.0, 1.0);
 
-    #[inline(always)]
     fn at<R: Real>(&self, p: Vec3<R>, seed: R) -> R {
         gradient::value(p, seed)
     }
@@ -156,7 +149,6 @@ impl Basis for Value {
 impl Basis for Simplex {
     const RANGE: (f32, f32) = (-1.0, 1.0);
 
-    #[inline(always)]
     fn at<R: Real>(&self, p: Vec3<R>, seed: R) -> R {
         gradient::simplex(p, seed)
     }
@@ -169,7 +161,6 @@ impl Basis for Simplex {
 impl Basis for Cellular {
     const RANGE: (f32, f32) = (0.0, 1.0);
 
-    #[inline(always)]
     fn at<R: Real>(&self, p: Vec3<R>, seed: R) -> R {
         cellular(p, seed, self.feature)
     }
@@ -186,7 +177,6 @@ impl Basis for Cellular {
 impl Basis for Gardner {
     const RANGE: (f32, f32) = (0.0, 1.0);
 
-    #[inline(always)]
     fn at<R: Real>(&self, p: Vec3<R>, seed: R) -> R {
         gardner(p, seed, self.waves)
     }

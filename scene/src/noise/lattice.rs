@@ -25,19 +25,14 @@ pub(super) struct LatticeHash<R: Real> {
 }
 
 /// Minimum corner of the cell of `p`, in integers, and the position of `p` in the cell, 0 to 1 along each axis.
-#[inline(always)]
 pub(super) fn cell<R: Real>(p: Vec3<R>) -> (Vec3<R>, Vec3<R>) {
-    let p = p.map(
-        #[inline(always)]
-        |c| c.at_least(-MAX_CELL).at_most(MAX_CELL),
-    );
+    let p = p.map(|c| c.at_least(-MAX_CELL).at_most(MAX_CELL));
     let corner = vec3(p.x.floor(), p.y.floor(), p.z.floor());
     (corner, p - corner)
 }
 
 impl<R: Real> LatticeHash<R> {
     /// Hash of the corner at integers up to ±2²², with `seed` from [`octave_seed`].
-    #[inline(always)]
     pub(super) fn new(corner: Vec3<R>, seed: R) -> Self {
         Self {
             x: ((corner.x + INTEGER_BIAS).to_bits() * X_STEP) ^ seed.to_bits(),
@@ -47,7 +42,6 @@ impl<R: Real> LatticeHash<R> {
     }
 
     /// Both indices along each axis of the cell that starts at `corner`.
-    #[inline(always)]
     pub(super) fn pair(corner: Vec3<R>, seed: R) -> [Self; 2] {
         let seed = seed.to_bits();
         let x = (corner.x + INTEGER_BIAS).to_bits() * X_STEP;
@@ -57,12 +51,10 @@ impl<R: Real> LatticeHash<R> {
     }
 
     /// Pseudorandom bits: the upper ones are the best.
-    #[inline(always)]
     pub(super) fn hash(self) -> R::Bits {
         Self::word_of(self.x, self.y, self.z)
     }
 
-    #[inline(always)]
     fn word_of(x: R::Bits, y: R::Bits, z: R::Bits) -> R::Bits {
         let word = x ^ y ^ z;
         (word ^ (word >> 15)) * 0x27d4_eb2d
@@ -70,7 +62,6 @@ impl<R: Real> LatticeHash<R> {
 
     /// Pseudorandom bits, all equally good (Chris Wellons, "Prospecting for hash functions",
     /// <https://nullprogram.com/blog/2018/07/31/>).
-    #[inline(always)]
     pub(super) fn mixed_hash(self) -> R::Bits {
         let word = self.x ^ self.y ^ self.z;
         let word = (word ^ (word >> 16)) * 0x7feb_352d;
@@ -80,7 +71,6 @@ impl<R: Real> LatticeHash<R> {
 }
 
 /// Hashes of a cell's eight corners; x changes fastest.
-#[inline(always)]
 pub(super) fn corner_hashes<R: Real>([low, high]: [LatticeHash<R>; 2]) -> [R::Bits; 8] {
     let word = LatticeHash::<R>::word_of;
     [
@@ -97,7 +87,6 @@ pub(super) fn corner_hashes<R: Real>([low, high]: [LatticeHash<R>; 2]) -> [R::Bi
 
 /// Seed of an octave as a number with random bits that is finite, normal and not 0; and the octave's offset within its
 /// cells, so that the corners of several octaves do not coincide.
-#[inline(always)]
 pub(super) fn octave_seed(seed: u32, salt: u32) -> (f32, Vec3<f32>) {
     let word = crate::sampling::frame_key(seed, salt);
     let places = word.wrapping_mul(0x9e37_79b9);
@@ -106,20 +95,17 @@ pub(super) fn octave_seed(seed: u32, salt: u32) -> (f32, Vec3<f32>) {
 }
 
 /// Number from 1 to 2, excluding 2, from the upper 23 bits of a hash.
-#[inline(always)]
 pub(super) fn float_in_1_2<R: Real>(word: R::Bits) -> R {
     R::from_bits((word >> 9) | 0x3f80_0000)
 }
 
 /// `number`, negated if the sign bit of `hash` is set.
-#[inline(always)]
 pub(super) fn with_sign<R: Real>(number: R, word: R::Bits) -> R {
     R::from_bits(number.to_bits() ^ (word & 0x8000_0000))
 }
 
 /// Dot product of `v` with one of the twelve directions to the centers of a cube's edges, (±1, ±1, 0) and so on,
 /// selected by the hash: Ken Perlin's gradients.
-#[inline(always)]
 pub(super) fn gradient_dot<R: Real>(v: Vec3<R>, word: R::Bits) -> R {
     let third = R::from_bits(((word >> 7) & 0x007f_ffff) | 0x3f80_0000);
     let first = R::select(third.below(5.0 / 3.0), v.x, v.y);
@@ -128,24 +114,18 @@ pub(super) fn gradient_dot<R: Real>(v: Vec3<R>, word: R::Bits) -> R {
 }
 
 /// t³(6t² − 15t + 10): from 0 to 1 with zero slope and curvature at both ends (Perlin 2002).
-#[inline(always)]
 fn fade<R: Real>(t: R) -> R {
     let curve = t.mul_add(t.mul_add(t.constant(6.0), t.constant(-15.0)), t.constant(10.0));
     t * t * t * curve
 }
 
-#[inline(always)]
 fn mix<R: Real>(a: R, b: R, t: R) -> R {
     t.mul_add(b - a, a)
 }
 
 /// Trilinear interpolation of the values at a cell's corners, with x changing fastest.
-#[inline(always)]
 pub(super) fn trilinear<R: Real>(corners: [R; 8], fraction: Vec3<R>) -> R {
-    let Vec3 { x, y, z } = fraction.map(
-        #[inline(always)]
-        |t| fade(t),
-    );
+    let Vec3 { x, y, z } = fraction.map(|t| fade(t));
     let [a, b, c, d, e, f, g, h] = corners;
     let near = mix(mix(a, b, x), mix(c, d, x), y);
     let far = mix(mix(e, f, x), mix(g, h, x), y);
@@ -153,12 +133,8 @@ pub(super) fn trilinear<R: Real>(corners: [R; 8], fraction: Vec3<R>) -> R {
 }
 
 /// The vectors from a cell's eight corners to the point at `fraction`.
-#[inline(always)]
 pub(super) fn corner_offsets<R: Real>(low: Vec3<R>) -> [Vec3<R>; 8] {
-    let high = low.map(
-        #[inline(always)]
-        |c| c - 1.0,
-    );
+    let high = low.map(|c| c - 1.0);
     [
         low,
         vec3(high.x, low.y, low.z),

@@ -52,7 +52,6 @@ struct Octave {
 
 impl FractalSum<'_> {
     /// The octaves, coarsest first.
-    #[inline(always)]
     fn octaves(self, salt: u32) -> impl Iterator<Item = Octave> {
         let mut sum = 0.0;
         let mut weight = 1.0;
@@ -61,31 +60,24 @@ impl FractalSum<'_> {
             weight *= self.gain;
         }
         let first = Octave { frequency: 1.0, weight: 1.0 / sum, seed: salt << 8 };
-        std::iter::successors(
-            Some(first),
-            #[inline(always)]
-            move |octave| {
-                Some(Octave {
-                    frequency: octave.frequency * self.lacunarity,
-                    weight: octave.weight * self.gain,
-                    seed: octave.seed + 1,
-                })
-            },
-        )
+        std::iter::successors(Some(first), move |octave| {
+            Some(Octave {
+                frequency: octave.frequency * self.lacunarity,
+                weight: octave.weight * self.gain,
+                seed: octave.seed + 1,
+            })
+        })
         .take(self.octaves as usize)
     }
 
     /// The sum at `p`.
-    #[inline(always)]
     pub(super) fn sum<R: Real, B: Basis>(self, basis: &B, p: Vec3<R>, salt: u32) -> R {
         let like = p.x;
         let (low, high) = B::RANGE;
         let mut p = p * like.uniform(self.scale);
         if !self.warp.is_zero() {
-            let [x, y, z] = [1, 2, 3].map(
-                #[inline(always)]
-                |axis| octave_at(self.seed, (salt + WARP_SALT + axis) << 8, 1.0, basis, p) - (low + high) * 0.5,
-            );
+            let [x, y, z] = [1, 2, 3]
+                .map(|axis| octave_at(self.seed, (salt + WARP_SALT + axis) << 8, 1.0, basis, p) - (low + high) * 0.5);
             p = vec3(x, y, z).mul_add(like.uniform(self.warp.get()), p);
         }
         let mut sum = like.constant(0.0);
@@ -104,7 +96,6 @@ impl FractalSum<'_> {
     }
 
     /// Minimum and maximum of the sum.
-    #[inline(always)]
     pub(super) fn range<B: Basis>(self, _: &B) -> (f32, f32) {
         match self.fractal {
             Fractal::Fbm => B::RANGE,
@@ -129,14 +120,12 @@ impl FractalSum<'_> {
 }
 
 /// Distance of a noise from the center of its range, 0 to 1.
-#[inline(always)]
 fn normalized_deviation<R: Real, B: Basis>(noise: R) -> R {
     let (low, high) = B::RANGE;
     noise.mul_add(noise.constant(2.0 / (high - low)), noise.constant((low + high) / (low - high))).abs()
 }
 
 /// One octave, with its own seed and offset.
-#[inline(always)]
 fn octave_at<R: Real, B: Basis>(seed: u32, salt: u32, frequency: f32, basis: &B, p: Vec3<R>) -> R {
     let like = p.x;
     let (seed, offset) = octave_seed(seed, salt);

@@ -20,7 +20,6 @@ impl ProfileSdf for AddedProfile {
     const EXAMPLE: &str = r#"{ "height": 0.8 }"#;
     const IS_SYMMETRIC: bool = true;
 
-    #[inline(always)]
     fn distance<R: Real>(&self, _: R, y: R) -> R {
         y.abs() - y.uniform(0.5 * self.height.get())
     }

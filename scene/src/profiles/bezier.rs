@@ -127,7 +127,6 @@ impl HalfParabola {
     }
 
     /// Squared distance to the nearer of the nearest segment so far and this one.
-    #[inline(always)]
     pub(super) fn min_distance_squared<R: Real>(&self, x: R, y: R, nearest: R) -> R {
         let Self { start, a, b, .. } = *self;
         x.call(
@@ -138,7 +137,6 @@ impl HalfParabola {
                 (x.uniform(b[0]), x.uniform(b[1])),
                 nearest,
             ),
-            #[inline(always)]
             |(off, a, b, nearest)| nearest.min(square(off, a, b)),
         )
     }
@@ -148,7 +146,6 @@ impl HalfParabola {
     /// The side of the curve on which a point is follows from its position in the frame of 2·a and b, in which the
     /// curve is (t, t²): Charles Loop and Jim Blinn, "Resolution Independent Curve Rendering using Programmable
     /// Graphics Hardware", <https://doi.org/10.1145/1073204.1073303>.
-    #[inline(always)]
     pub(super) fn pass<R: Real>(&self, x: R, y: R, found: EdgeScan<R>) -> EdgeScan<R> {
         let Self { start, end, a, b, over_turn } = *self;
         x.call(
@@ -161,7 +158,6 @@ impl HalfParabola {
                 (x.uniform(b[0]), x.uniform(b[1])),
                 (x.uniform(over_turn), x.uniform(end[1])),
             ),
-            #[inline(always)]
             |((x, y), (nearest, sign), (start_x, start_y), (a_x, a_y), (b_x, b_y), (over_turn, end_y))| {
                 let off = (x - start_x, y - start_y);
                 let square = square(off, (a_x, a_y), (b_x, b_y));
@@ -176,13 +172,11 @@ impl HalfParabola {
     }
 }
 
-#[inline(always)]
 fn product<R: Real>(p: (R, R), q: (R, R)) -> R {
     p.0.mul_add(q.0, p.1 * q.1)
 }
 
 /// Squared distance from a point, relative to the start, to the segment 2·a·t + b·t².
-#[inline(always)]
 fn square<R: Real>(off: (R, R), a: (R, R), b: (R, R)) -> R {
     // After six steps the distance is accurate to 4·10⁻⁶ of the segment's length, as measured on random
     // segments.

@@ -24,7 +24,6 @@ impl Edge {
     /// Adds this edge to a scan.
     ///
     /// Inigo Quilez, "2D distance functions": <https://iquilezles.org/articles/distfunctions2d/>.
-    #[inline(always)]
     pub(super) fn scan<R: Real>(&self, x: R, y: R, found: EdgeScan<R>) -> EdgeScan<R> {
         let Self { from, to, over_square } = *self;
         x.call(
@@ -36,7 +35,6 @@ impl Edge {
                 (x.uniform(to[0] - from[0]), x.uniform(to[1] - from[1])),
                 (x.uniform(over_square), x.uniform(to[1])),
             ),
-            #[inline(always)]
             |((x, y), (nearest, sign), (from_x, from_y), (along_x, along_y), (over_square, to_y))| {
                 let (off_x, off_y) = (x - from_x, y - from_y);
                 let share = (off_x.mul_add(along_x, off_y * along_y) * over_square).at_least(0.0).at_most(1.0);
@@ -51,7 +49,6 @@ impl Edge {
 
 /// Whether a ray to the right from a point at height `y` crosses an edge: upwards with the point
 /// on its left, or downwards with it on its right.
-#[inline(always)]
 pub(super) fn is_crossed<R: Real>(y: R, from_y: R, to_y: R, is_left: R::Mask) -> R::Mask {
     let (is_from_above, is_to_above) = (y.lt(from_y), y.lt(to_y));
     (!is_from_above & is_to_above & is_left) | (is_from_above & !is_to_above & !is_left)

@@ -33,7 +33,6 @@ impl ProfileSdf for Ellipse {
     const MORE_EXAMPLES: &'static [&'static str] = &[r#"{ "size": [0.3, 2] }"#, r#"{ "size": [1.4, 1.4] }"#];
     const IS_SYMMETRIC: bool = true;
 
-    #[inline(always)]
     fn distance<R: Real>(&self, x: R, y: R) -> R {
         let [width, height] = self.size.each_ref().map(|extent| extent.get() / 2.0);
         let (a, b) = (width.max(height), width.min(height));
@@ -45,20 +44,15 @@ impl ProfileSdf for Ellipse {
         let (along_a, across_b) = (along * x.uniform(a), across * x.uniform(b));
         // For either of these the point is on the ellipse's bounding square or outside it.
         let start = (along_a - eccentric).max(across_b);
-        let s = R::repeat(
-            MAX_STEPS,
-            start,
-            #[inline(always)]
-            |s| {
-                let one = s.constant(1.0);
-                let (over_long, over_short) = (one / (s + eccentric), one / s);
-                let (u, v) = ((along_a * over_long).square(), (across_b * over_short).square());
-                let square = u + v;
-                let excess = (square.sqrt() - 1.0).at_least(0.0);
-                let step = excess * square / u.mul_add(over_long, v * over_short);
-                (excess.above(TOLERANCE), s + step)
-            },
-        );
+        let s = R::repeat(MAX_STEPS, start, |s| {
+            let one = s.constant(1.0);
+            let (over_long, over_short) = (one / (s + eccentric), one / s);
+            let (u, v) = ((along_a * over_long).square(), (across_b * over_short).square());
+            let square = u + v;
+            let excess = (square.sqrt() - 1.0).at_least(0.0);
+            let step = excess * square / u.mul_add(over_long, v * over_short);
+            (excess.above(TOLERANCE), s + step)
+        });
         // From the nearest point it is (s − b²) times the ellipse's normal there.
         let one = s.constant(1.0);
         let normal = (along * (one / (s + eccentric))).square_add((across * (one / s)).square()).sqrt();

@@ -95,7 +95,6 @@ impl ProfileSdf for Polygon {
         r#"{ "points": [[0.2, -0.6], [0.9, 0.1], [0.7, 0.8]] }"#,
     ];
 
-    #[inline(always)]
     fn distance<R: Real>(&self, x: R, y: R) -> R {
         let mut found = (x.constant(MISS_DISTANCE), x.constant(1.0));
         for edge in &self.points.edges {

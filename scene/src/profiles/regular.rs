@@ -54,7 +54,6 @@ fn half_sector_sin_cos(n: u32) -> (f32, f32) {
 }
 
 /// Folds (`x`, `y`) into the wedge of π/n clockwise from the top: up along the corner and across from it.
-#[inline(always)]
 fn fold<R: Real>(x: R, y: R, n: u32) -> (R, R) {
     let (mut up, mut across) = (y, x.abs());
     let mut wedges = n;
@@ -81,7 +80,6 @@ impl ProfileSdf for RegularPolygon {
         &[r#"{ "sides": 3, "radius": 1.1 }"#, r#"{ "sides": 13, "radius": 0.8 }"#];
     const IS_SYMMETRIC: bool = true;
 
-    #[inline(always)]
     fn distance<R: Real>(&self, x: R, y: R) -> R {
         let (s, c) = half_sector_sin_cos(self.sides);
         let apothem = self.apothem() - self.round.get();
@@ -111,7 +109,6 @@ impl ProfileSdf for Star {
         &[r#"{ "points": 12, "outer": 1, "inner": 0.8 }"#, r#"{ "points": 4, "outer": 0.5, "inner": 1 }"#];
     const IS_SYMMETRIC: bool = true;
 
-    #[inline(always)]
     fn distance<R: Real>(&self, x: R, y: R) -> R {
         let (s, c) = half_sector_sin_cos(self.points);
         let (outer, inner) = (self.outer.get(), self.inner.get());

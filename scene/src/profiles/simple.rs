@@ -21,7 +21,6 @@ impl ProfileSdf for Circle {
     const EXAMPLE: &str = r#"{ "radius": 0.9 }"#;
     const IS_SYMMETRIC: bool = true;
 
-    #[inline(always)]
     fn distance<R: Real>(&self, x: R, y: R) -> R {
         x.square_add(y.square()).sqrt() - x.uniform(self.radius.get())
     }
@@ -49,7 +48,6 @@ impl ProfileSdf for Rectangle {
     const MORE_EXAMPLES: &'static [&'static str] = &[r#"{ "size": [0.5, 1.1] }"#];
     const IS_SYMMETRIC: bool = true;
 
-    #[inline(always)]
     fn distance<R: Real>(&self, x: R, y: R) -> R {
         let ([width, height], round) = (&self.size, self.round.get());
         let past_side = x.abs() - x.uniform(width.get() / 2.0 - round);

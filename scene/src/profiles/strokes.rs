@@ -33,7 +33,6 @@ impl ProfileSdf for Arc {
     ];
     const IS_SYMMETRIC: bool = true;
 
-    #[inline(always)]
     fn distance<R: Real>(&self, x: R, y: R) -> R {
         let (s, c) = sin_cos_degrees(self.degrees.get() / 2.0);
         let radius = self.radius.get();
@@ -94,7 +93,6 @@ impl ProfileSdf for Bezier {
         r#"{ "points": [[-0.3, -0.8], [0.1, 2.4], [0.3, -0.6]], "thickness": 0.5 }"#,
     ];
 
-    #[inline(always)]
     fn distance<R: Real>(&self, x: R, y: R) -> R {
         let curve = self.curve();
         let [first, second] = curve.split(curve.vertex()).map(HalfParabola::new);

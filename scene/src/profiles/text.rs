@@ -26,14 +26,12 @@ pub struct Text {
 
 impl GlyphOutline {
     /// Squared distance to some point of the outline.
-    #[inline(always)]
     fn distance_squared_upper_bound<R: Real>(&self, x: R, y: R) -> R {
         let [anchor_x, anchor_y] = self.anchor;
         (x - x.uniform(anchor_x)).square_add((y - x.uniform(anchor_y)).square())
     }
 
     /// Lower bound of the squared distance to the outline.
-    #[inline(always)]
     fn distance_squared_lower_bound<R: Real>(&self, x: R, y: R) -> R {
         // Far more than rounding errors, so that every letter that may be nearest is evaluated.
         const MARGIN: f32 = 1e-4;
@@ -45,23 +43,17 @@ impl GlyphOutline {
 
     /// Adds this letter to a scan. Outside its bounds a ray to the right crosses its closed outline an even number of
     /// times, so a letter that is too distant can be skipped.
-    #[inline(always)]
     fn scan<R: Real>(&self, x: R, y: R, found: EdgeScan<R>) -> EdgeScan<R> {
-        R::when(
-            self.distance_squared_lower_bound(x, y).lt(found.0),
-            found,
-            #[inline(always)]
-            || {
-                let mut found = found;
-                for piece in &self.pieces {
-                    found = match piece {
-                        OutlineSegment::Line(edge) => edge.scan(x, y, found),
-                        OutlineSegment::Curve(curve) => curve.pass(x, y, found),
-                    };
-                }
-                found
-            },
-        )
+        R::when(self.distance_squared_lower_bound(x, y).lt(found.0), found, || {
+            let mut found = found;
+            for piece in &self.pieces {
+                found = match piece {
+                    OutlineSegment::Line(edge) => edge.scan(x, y, found),
+                    OutlineSegment::Curve(curve) => curve.pass(x, y, found),
+                };
+            }
+            found
+        })
     }
 }
 
@@ -69,7 +61,6 @@ impl ProfileSdf for Text {
     const EXAMPLE: &str = r#"{ "string": "sdf", "size": 1 }"#;
     const MORE_EXAMPLES: &'static [&'static str] = &[r#"{ "string": "AV&Q8", "size": 0.6 }"#];
 
-    #[inline(always)]
     fn distance<R: Real>(&self, x: R, y: R) -> R {
         let size = self.size.get();
         let (x, y) = (x * x.uniform(1.0 / size), y * x.uniform(1.0 / size));

@@ -21,14 +21,12 @@ pub trait Bundle<R: Real>: Copy + 'static {
 pub struct MaskValue<R: Real>(pub R::Mask);
 
 impl<R: Real> Bundle<R> for R {
-    #[inline(always)]
     fn merge(self, other: Self, how: &mut impl Merge<R>) -> Self {
         how.number(self, other)
     }
 }
 
 impl<R: Real> Bundle<R> for MaskValue<R> {
-    #[inline(always)]
     fn merge(self, other: Self, how: &mut impl Merge<R>) -> Self {
         Self(how.mask(self.0, other.0))
     }
@@ -38,7 +36,6 @@ impl<R: Real> Bundle<R> for MaskValue<R> {
 macro_rules! bundle {
     ($Struct:ident { $($field:ident),+ }) => {
         impl<R: $crate::real::Real> $crate::real::Bundle<R> for $Struct<R> {
-            #[inline(always)]
             fn merge(self, other: Self, how: &mut impl $crate::real::Merge<R>) -> Self {
                 Self { $($field: self.$field.merge(other.$field, how)),+ }
             }
@@ -52,7 +49,6 @@ bundle!(Vec3 { x, y, z });
 
 /// An option that depends on the scene's structure: merged values are both present or both absent.
 impl<R: Real, T: Bundle<R>> Bundle<R> for Option<T> {
-    #[inline(always)]
     fn merge(self, other: Self, how: &mut impl Merge<R>) -> Self {
         match (self, other) {
             (Some(a), Some(b)) => Some(a.merge(b, how)),
@@ -64,7 +60,6 @@ impl<R: Real, T: Bundle<R>> Bundle<R> for Option<T> {
 macro_rules! tuples {
     ($(($($Part:ident $index:tt),+)),+ $(,)?) => { $(
         impl<R: Real, $($Part: Bundle<R>),+> Bundle<R> for ($($Part,)+) {
-            #[inline(always)]
             fn merge(self, other: Self, how: &mut impl Merge<R>) -> Self {
                 ($(self.$index.merge(other.$index, how),)+)
             }

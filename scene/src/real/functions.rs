@@ -9,7 +9,6 @@ use std::f32::consts::{FRAC_2_PI, FRAC_PI_2, FRAC_PI_4, LOG2_E, PI, TAU};
 use super::Real;
 
 /// Evaluates a polynomial at `x`, highest coefficient first, by Horner's rule.
-#[inline(always)]
 fn polynomial<R: Real>(x: R, coefficients: &[f32]) -> R {
     let mut sum = x.constant(coefficients[0]);
     for &coefficient in &coefficients[1..] {
@@ -19,37 +18,26 @@ fn polynomial<R: Real>(x: R, coefficients: &[f32]) -> R {
 }
 
 pub(super) fn sin_cos<R: Real>(x: R) -> (R, R) {
-    x.call(
-        "sin_cos",
-        x,
-        #[inline(always)]
-        |x| {
-            let quarter = (x * FRAC_2_PI + 0.5).floor();
-            // π/2 in three parts; the first two have trailing zeros, so that their products are exact.
-            let r = quarter.mul_add(x.constant(-1.570_312_5), x);
-            let r = quarter.mul_add(x.constant(-4.837_512_969_970_703e-4), r);
-            let r = quarter.mul_add(x.constant(-7.549_789_948_768_648e-8), r);
-            rotate_quadrant(quarter, r)
-        },
-    )
+    x.call("sin_cos", x, |x| {
+        let quarter = (x * FRAC_2_PI + 0.5).floor();
+        // π/2 in three parts; the first two have trailing zeros, so that their products are exact.
+        let r = quarter.mul_add(x.constant(-1.570_312_5), x);
+        let r = quarter.mul_add(x.constant(-4.837_512_969_970_703e-4), r);
+        let r = quarter.mul_add(x.constant(-7.549_789_948_768_648e-8), r);
+        rotate_quadrant(quarter, r)
+    })
 }
 
 pub(super) fn sin_cos_turns<R: Real>(turns: R) -> (R, R) {
-    turns.call(
-        "sin_cos_turns",
-        turns,
-        #[inline(always)]
-        |turns| {
-            let quarter = (turns * 4.0 + 0.5).floor();
-            // The remainder is exact, and at most an eighth of a turn.
-            let rest = quarter.mul_add(turns.constant(-0.25), turns);
-            rotate_quadrant(quarter, rest * TAU)
-        },
-    )
+    turns.call("sin_cos_turns", turns, |turns| {
+        let quarter = (turns * 4.0 + 0.5).floor();
+        // The remainder is exact, and at most an eighth of a turn.
+        let rest = quarter.mul_add(turns.constant(-0.25), turns);
+        rotate_quadrant(quarter, rest * TAU)
+    })
 }
 
 /// Sine and cosine of a number of quarter turns plus `r`, which is at most an eighth of a turn.
-#[inline(always)]
 fn rotate_quadrant<R: Real>(quarter: R, r: R) -> (R, R) {
     let square = r * r;
     let sine =
@@ -66,111 +54,76 @@ fn rotate_quadrant<R: Real>(quarter: R, r: R) -> (R, R) {
 }
 
 pub(super) fn acos<R: Real>(x: R) -> R {
-    x.call(
-        "acos",
-        x,
-        #[inline(always)]
-        |x| {
-            let size = x.abs().at_most(1.0);
-            let large = size.above(0.5);
-            let square = R::select(large, (x.constant(1.0) - size) * 0.5, size * size);
-            let root = R::select(large, square.sqrt(), size);
-            let sine = (square * root).mul_add(
-                polynomial(
-                    square,
-                    &[
-                        4.216_319_904_8e-2,
-                        2.418_131_104_9e-2,
-                        4.547_002_599_8e-2,
-                        7.495_300_268_6e-2,
-                        1.666_675_242_2e-1,
-                    ],
-                ),
-                root,
-            );
-            let of_size = R::select(large, sine * 2.0, x.constant(FRAC_PI_2) - sine);
-            R::select(x.below(0.0), x.constant(PI) - of_size, of_size)
-        },
-    )
+    x.call("acos", x, |x| {
+        let size = x.abs().at_most(1.0);
+        let large = size.above(0.5);
+        let square = R::select(large, (x.constant(1.0) - size) * 0.5, size * size);
+        let root = R::select(large, square.sqrt(), size);
+        let sine = (square * root).mul_add(
+            polynomial(
+                square,
+                &[4.216_319_904_8e-2, 2.418_131_104_9e-2, 4.547_002_599_8e-2, 7.495_300_268_6e-2, 1.666_675_242_2e-1],
+            ),
+            root,
+        );
+        let of_size = R::select(large, sine * 2.0, x.constant(FRAC_PI_2) - sine);
+        R::select(x.below(0.0), x.constant(PI) - of_size, of_size)
+    })
 }
 
 pub(super) fn atan2<R: Real>(y: R, x: R) -> R {
-    x.call(
-        "atan2",
-        (y, x),
-        #[inline(always)]
-        |(y, x)| {
-            let (across, along) = (y.abs(), x.abs());
-            let steep = along.lt(across);
-            let ratio = along.min(across) / along.max(across).at_least(f32::MIN_POSITIVE);
-            // Above tan(π/8), measure from π/4.
-            let far = ratio.above(0.414_213_57);
-            let r = R::select(far, (ratio - 1.0) / (ratio + 1.0), ratio);
-            let square = r * r;
-            let part = (square * r).mul_add(
-                polynomial(
-                    square,
-                    &[8.053_744_495_38e-2, -1.387_768_560_32e-1, 1.997_771_064_78e-1, -3.333_294_915_39e-1],
-                ),
-                r,
-            );
-            let angle = R::select(far, part + FRAC_PI_4, part);
-            let angle = R::select(steep, x.constant(FRAC_PI_2) - angle, angle);
-            let angle = R::select(x.below(0.0), x.constant(PI) - angle, angle);
-            R::select(y.below(0.0), -angle, angle)
-        },
-    )
+    x.call("atan2", (y, x), |(y, x)| {
+        let (across, along) = (y.abs(), x.abs());
+        let steep = along.lt(across);
+        let ratio = along.min(across) / along.max(across).at_least(f32::MIN_POSITIVE);
+        // Above tan(π/8), measure from π/4.
+        let far = ratio.above(0.414_213_57);
+        let r = R::select(far, (ratio - 1.0) / (ratio + 1.0), ratio);
+        let square = r * r;
+        let part = (square * r).mul_add(
+            polynomial(square, &[8.053_744_495_38e-2, -1.387_768_560_32e-1, 1.997_771_064_78e-1, -3.333_294_915_39e-1]),
+            r,
+        );
+        let angle = R::select(far, part + FRAC_PI_4, part);
+        let angle = R::select(steep, x.constant(FRAC_PI_2) - angle, angle);
+        let angle = R::select(x.below(0.0), x.constant(PI) - angle, angle);
+        R::select(y.below(0.0), -angle, angle)
+    })
 }
 
 pub(super) fn exp<R: Real>(x: R) -> R {
-    x.call(
-        "exp",
-        x,
-        #[inline(always)]
-        |x| {
-            let x = x.at_least(-87.0).at_most(88.0);
-            let power = (x * LOG2_E + 0.5).floor();
-            // ln 2 in two parts.
-            let r = power.mul_add(x.constant(-0.693_359_375), x);
-            let r = power.mul_add(x.constant(2.121_944_4e-4), r);
-            let tail = polynomial(
-                r,
-                &[1.987_569_15e-4, 1.398_199_950_7e-3, 8.333_451_907_3e-3, 4.166_579_589_4e-2, 1.666_666_545_9e-1, 0.5],
-            );
-            let fraction = (r * r).mul_add(tail, r) + 1.0;
-            // 2^power: its biased exponent, counted in the low bits of a 24-bit number, shifted into position.
-            let scale = R::from_bits((power + (8_388_608.0 + 127.0)).to_bits() << 23);
-            fraction * scale
-        },
-    )
+    x.call("exp", x, |x| {
+        let x = x.at_least(-87.0).at_most(88.0);
+        let power = (x * LOG2_E + 0.5).floor();
+        // ln 2 in two parts.
+        let r = power.mul_add(x.constant(-0.693_359_375), x);
+        let r = power.mul_add(x.constant(2.121_944_4e-4), r);
+        let tail = polynomial(
+            r,
+            &[1.987_569_15e-4, 1.398_199_950_7e-3, 8.333_451_907_3e-3, 4.166_579_589_4e-2, 1.666_666_545_9e-1, 0.5],
+        );
+        let fraction = (r * r).mul_add(tail, r) + 1.0;
+        // 2^power: its biased exponent, counted in the low bits of a 24-bit number, shifted into position.
+        let scale = R::from_bits((power + (8_388_608.0 + 127.0)).to_bits() << 23);
+        fraction * scale
+    })
 }
 
 pub(super) fn ln<R: Real>(x: R) -> R {
-    x.call(
-        "ln",
-        x,
-        #[inline(always)]
-        |x| ln_hi_lo(x).0,
-    )
+    x.call("ln", x, |x| ln_hi_lo(x).0)
 }
 
 pub(super) fn powf<R: Real>(x: R, exponent: R) -> R {
-    x.call(
-        "powf",
-        (x, exponent),
-        #[inline(always)]
-        |(x, exponent)| {
-            let (high, low) = ln_hi_lo(x);
-            let product = high * exponent;
-            let lost = low.mul_add(exponent, high.mul_add(exponent, -product));
-            let power = exp(product);
-            power.mul_add(lost, power)
-        },
-    )
+    x.call("powf", (x, exponent), |(x, exponent)| {
+        let (high, low) = ln_hi_lo(x);
+        let product = high * exponent;
+        let lost = low.mul_add(exponent, high.mul_add(exponent, -product));
+        let power = exp(product);
+        power.mul_add(lost, power)
+    })
 }
 
 /// The logarithm as a sum of two numbers, the second much smaller.
-#[inline(always)]
 fn ln_hi_lo<R: Real>(x: R) -> (R, R) {
     let bits = x.at_least(f32::MIN_POSITIVE).to_bits();
     let exponent = R::from_bits((bits >> 23) | 0x4b00_0000) - (8_388_608.0 + 126.0);

@@ -12,7 +12,7 @@ macro_rules! word_operators {
     ($($Op:ident $op:ident $apply:expr),* $(,)?) => { $(
         impl $Op<u32> for F32Bits {
             type Output = Self;
-            #[inline(always)]
+            #[inline]
             fn $op(self, other: u32) -> Self {
                 let apply: fn(u32, u32) -> u32 = $apply;
                 Self(apply(self.0, other))
@@ -20,7 +20,7 @@ macro_rules! word_operators {
         }
         impl $Op for F32Bits {
             type Output = Self;
-            #[inline(always)]
+            #[inline]
             fn $op(self, other: Self) -> Self {
                 self.$op(other.0)
             }
@@ -64,12 +64,12 @@ fn fma(a: f32, b: f32, c: f32) -> f32 {
 struct SelectMerge(bool);
 
 impl Merge<f32> for SelectMerge {
-    #[inline(always)]
+    #[inline]
     fn number(&mut self, yes: f32, no: f32) -> f32 {
         if self.0 { yes } else { no }
     }
 
-    #[inline(always)]
+    #[inline]
     fn mask(&mut self, yes: bool, no: bool) -> bool {
         if self.0 { yes } else { no }
     }
@@ -79,67 +79,67 @@ impl Real for f32 {
     type Mask = bool;
     type Bits = F32Bits;
 
-    #[inline(always)]
+    #[inline]
     fn constant(self, value: f32) -> Self {
         value
     }
 
-    #[inline(always)]
+    #[inline]
     fn mul_add(self, factor: Self, term: Self) -> Self {
         fma(self, factor, term)
     }
 
-    #[inline(always)]
+    #[inline]
     fn sqrt(self) -> Self {
         if self < SQRT_FLOOR { 0.0 } else { f32::sqrt(self) }
     }
 
-    #[inline(always)]
+    #[inline]
     fn abs(self) -> Self {
         f32::abs(self)
     }
 
-    #[inline(always)]
+    #[inline]
     fn floor(self) -> Self {
         f32::floor(self)
     }
 
-    #[inline(always)]
+    #[inline]
     fn min(self, other: Self) -> Self {
         if other < self { other } else { self }
     }
 
-    #[inline(always)]
+    #[inline]
     fn max(self, other: Self) -> Self {
         if self < other { other } else { self }
     }
 
-    #[inline(always)]
+    #[inline]
     fn lt(self, other: Self) -> bool {
         self < other
     }
 
-    #[inline(always)]
+    #[inline]
     fn select(mask: bool, yes: Self, no: Self) -> Self {
         if mask { yes } else { no }
     }
 
-    #[inline(always)]
+    #[inline]
     fn to_bits(self) -> F32Bits {
         F32Bits(f32::to_bits(self))
     }
 
-    #[inline(always)]
+    #[inline]
     fn from_bits(bits: F32Bits) -> Self {
         f32::from_bits(bits.0)
     }
 
-    #[inline(always)]
+    #[inline]
     fn when<T: Bundle<Self>>(mask: bool, otherwise: T, then: impl FnOnce() -> T) -> T {
         if mask { then().merge(otherwise, &mut SelectMerge(true)) } else { otherwise }
     }
 
-    #[inline(always)]
+    #[inline]
     fn repeat<T: Bundle<Self>>(limit: u32, state: T, mut step: impl FnMut(T) -> (bool, T)) -> T {
         let mut state = state;
         for _ in 0..limit {

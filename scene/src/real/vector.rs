@@ -16,38 +16,32 @@ pub struct Vec3<R> {
 }
 
 /// A vector of three numbers.
-#[inline(always)]
 pub const fn vec3<R>(x: R, y: R, z: R) -> Vec3<R> {
     Vec3 { x, y, z }
 }
 
 impl<R: Real> Vec3<R> {
     /// A vector of the scene in every lane of numbers like `like`.
-    #[inline(always)]
     pub fn uniform(like: R, vector: Vec3<f32>) -> Self {
         vec3(like.uniform(vector.x), like.uniform(vector.y), like.uniform(vector.z))
     }
 
     /// Applies `f` to each coordinate.
-    #[inline(always)]
     pub fn map(self, mut f: impl FnMut(R) -> R) -> Self {
         vec3(f(self.x), f(self.y), f(self.z))
     }
 
     /// Scalar product, fused from z to x.
-    #[inline(always)]
     pub fn dot(self, other: Self) -> R {
         self.x.mul_add(other.x, self.y.mul_add(other.y, self.z * other.z))
     }
 
     /// Scalar product with a vector of the scene.
-    #[inline(always)]
     pub fn dot_uniform(self, other: Vec3<f32>) -> R {
         self.dot(Self::uniform(self.x, other))
     }
 
     /// Vector product.
-    #[inline(always)]
     pub fn cross(self, other: Self) -> Self {
         vec3(
             self.y.mul_add(other.z, -(self.z * other.y)),
@@ -57,62 +51,52 @@ impl<R: Real> Vec3<R> {
     }
 
     /// Square of the Euclidean length.
-    #[inline(always)]
     pub fn length_squared(self) -> R {
         self.x.square_add(self.y.square_add(self.z.square()))
     }
 
     /// Euclidean length.
-    #[inline(always)]
     pub fn length(self) -> R {
         self.length_squared().sqrt()
     }
 
     /// The vector of length 1 in this direction; nearly 0 for a vector shorter than 10⁻¹⁴.
-    #[inline(always)]
     pub fn normalize(self) -> Self {
         self * (self.x.constant(1.0) / self.length().at_least(1e-14))
     }
 
     /// `self · factor + term`, fused by coordinate: a point along a ray.
-    #[inline(always)]
     pub fn mul_add(self, factor: R, term: Self) -> Self {
         vec3(self.x.mul_add(factor, term.x), self.y.mul_add(factor, term.y), self.z.mul_add(factor, term.z))
     }
 
     /// The mean of the coordinates.
-    #[inline(always)]
     pub fn mean(self) -> R {
         (self.x + self.y + self.z) * (1.0 / 3.0)
     }
 
     /// Each coordinate times the other vector's, for example light through a filter.
-    #[inline(always)]
     pub fn mul_elementwise(self, other: Self) -> Self {
         vec3(self.x * other.x, self.y * other.y, self.z * other.z)
     }
 
     /// `self` times `factor` plus `term`, element by element, fused.
-    #[inline(always)]
     pub fn mul_add_elementwise(self, factor: Self, term: Self) -> Self {
         vec3(self.x.mul_add(factor.x, term.x), self.y.mul_add(factor.y, term.y), self.z.mul_add(factor.z, term.z))
     }
 
     /// The greatest coordinate.
-    #[inline(always)]
     pub fn max_element(self) -> R {
         self.x.max(self.y).max(self.z)
     }
 
     /// `yes` where `mask` is true, else `no`.
-    #[inline(always)]
     pub fn select(mask: R::Mask, yes: Self, no: Self) -> Self {
         vec3(R::select(mask, yes.x, no.x), R::select(mask, yes.y, no.y), R::select(mask, yes.z, no.z))
     }
 }
 
 impl<R> From<Vec3<R>> for [R; 3] {
-    #[inline(always)]
     fn from(vector: Vec3<R>) -> Self {
         [vector.x, vector.y, vector.z]
     }
@@ -120,7 +104,6 @@ impl<R> From<Vec3<R>> for [R; 3] {
 
 impl<R: Real> Add for Vec3<R> {
     type Output = Self;
-    #[inline(always)]
     fn add(self, other: Self) -> Self {
         vec3(self.x + other.x, self.y + other.y, self.z + other.z)
     }
@@ -128,7 +111,6 @@ impl<R: Real> Add for Vec3<R> {
 
 impl<R: Real> Sub for Vec3<R> {
     type Output = Self;
-    #[inline(always)]
     fn sub(self, other: Self) -> Self {
         vec3(self.x - other.x, self.y - other.y, self.z - other.z)
     }
@@ -136,7 +118,6 @@ impl<R: Real> Sub for Vec3<R> {
 
 impl<R: Real> Neg for Vec3<R> {
     type Output = Self;
-    #[inline(always)]
     fn neg(self) -> Self {
         vec3(-self.x, -self.y, -self.z)
     }
@@ -144,7 +125,6 @@ impl<R: Real> Neg for Vec3<R> {
 
 impl<R: Real> Mul<R> for Vec3<R> {
     type Output = Self;
-    #[inline(always)]
     fn mul(self, factor: R) -> Self {
         vec3(self.x * factor, self.y * factor, self.z * factor)
     }

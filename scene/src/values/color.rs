@@ -26,19 +26,16 @@ impl Color {
     }
 
     /// Red, green, blue, in linear light.
-    #[inline(always)]
     pub fn get(&self) -> Vec3<f32> {
         self.linear
     }
 
     /// Whether any of its channels is animated.
-    #[inline(always)]
     pub fn is_animated(&self) -> bool {
         self.channels.is_some()
     }
 
     /// Whether it is black in every frame, so that a formula may leave its term out.
-    #[inline(always)]
     pub fn is_black(&self) -> bool {
         self.linear == vec3(0.0, 0.0, 0.0) && !self.is_animated()
     }

@@ -2,11 +2,9 @@
 
 use std::fmt::Write;
 
-use scene::integrator::{Aovs, Radiance};
-use scene::real::{Real, vec3};
-use scene::{Image, Integrator, JobAtFrame, Layer};
+use scene::{Image, JobAtFrame};
 
-use crate::tape::{Expr, Tape, record};
+use crate::picture_tape::record_picture;
 
 const KERNEL_TEMPLATE: &str = include_str!("kernel.cu");
 const INSERTION_POINT: &str = "// ---- the picture ----\n";
@@ -28,7 +26,7 @@ impl KernelSource {
     /// Kernel source of a job's frame.
     pub fn new(still: &JobAtFrame<'_>) -> Self {
         let image = still.image();
-        let tape = record_tape(&Integrator::new(still), image);
+        let tape = record_picture(still);
         let steps = tape.to_c();
         let (before, after) =
             KERNEL_TEMPLATE.split_once(INSERTION_POINT).expect("kernel.cu has a place for the picture");
@@ -40,35 +38,6 @@ impl KernelSource {
             statements: steps.statements,
             distance_operations: tape.flops_per_call("distance"),
         }
-    }
-}
-
-fn record_tape(program: &Integrator<'_>, image: &Image) -> Tape {
-    let sum = |[r, g, b, alpha]: [Expr; 4]| Radiance { color: vec3(r, g, b), alpha, evaluations: alpha.constant(0.0) };
-    let planes = |light: Radiance<Expr>| vec![light.color.x, light.color.y, light.color.z, light.alpha];
-    record(|recording| {
-        recording.entry("accumulate", |[x, y, first, end, r, g, b, alpha]| {
-            planes(program.accumulate(x, y, first, end, sum([r, g, b, alpha])))
-        });
-        recording.entry("mean", |all| planes(program.mean(sum(all))));
-        if !image.layers.is_empty() {
-            recording.entry("layers", |[x, y]| {
-                let met = program.aovs(x, y);
-                image.layers.iter().flat_map(|&layer| aov_values(&met, layer)).collect()
-            });
-        }
-    })
-}
-
-/// Values of a layer, one per channel.
-fn aov_values(met: &Aovs<Expr>, layer: Layer) -> Vec<Expr> {
-    match layer {
-        Layer::Depth => vec![met.depth],
-        Layer::Object => vec![met.object],
-        Layer::Steps => vec![met.steps],
-        Layer::Normal => <[_; 3]>::from(met.normal).to_vec(),
-        Layer::Position => <[_; 3]>::from(met.position).to_vec(),
-        Layer::Albedo => <[_; 3]>::from(met.albedo).to_vec(),
     }
 }
 

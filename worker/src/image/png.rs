@@ -15,12 +15,13 @@ use std::ops::Range;
 use png::{BitDepth, ColorType, DeflateCompression, Encoder, Filter, SrgbRenderingIntent};
 use rayon::prelude::*;
 use scene::Bits;
-use scene::color::{DisplayTransform, level_of_256};
+use scene::color::level_of_256;
 use scene::sampling::thresholds;
 
 use super::provenance::KEYWORD;
 use super::{ImageError, PictureSpec};
 use crate::renderer::CancelFlag;
+use crate::srgb::SrgbEncoder;
 use crate::stitch::{RowBand, RowSource, StitchError};
 
 /// Number of rows read at a time.
@@ -34,8 +35,9 @@ pub fn write(
     cancel: &CancelFlag,
     band_rows: u32,
 ) -> Result<(), ImageError> {
-    let PictureSpec { opaque, bits, display_transform: grade, .. } = *picture;
-    let layout = PixelLayout { width: picture.width as usize, opaque, bits, display_transform: grade };
+    let PictureSpec { opaque, bits, display_transform, .. } = *picture;
+    let layout = PixelLayout { width: picture.width as usize, opaque, bits };
+    let srgb = SrgbEncoder::new(display_transform);
     let mut encoder = Encoder::new(out, picture.width, picture.height);
     encoder.set_color(if picture.opaque { ColorType::Rgb } else { ColorType::Rgba });
     encoder.set_depth(match picture.bits {
@@ -49,7 +51,7 @@ pub fn write(
     let mut header = encoder.write_header()?;
     let mut stream = header.stream_writer_with_size(CHUNK_BYTES)?;
 
-    let mut rows = Rows { layout, source, band: RowBand::new(picture.width, picture.channels.len()) };
+    let mut rows = Rows { layout, srgb, source, band: RowBand::new(picture.width, picture.channels.len()) };
     let (mut ready, mut next) = (Vec::new(), Vec::new());
     let mut bands = bands(picture.height, band_rows);
     rows.encode(bands.next(), &mut ready)?;
@@ -74,6 +76,7 @@ fn bands(height: u32, band_rows: u32) -> impl Iterator<Item = Range<u32>> + Send
 /// Converts a picture's rows to bytes.
 struct Rows<'a> {
     layout: PixelLayout,
+    srgb: SrgbEncoder,
     source: &'a mut dyn RowSource,
     band: RowBand,
 }
@@ -85,13 +88,13 @@ impl Rows<'_> {
             bytes.clear();
             return Ok(());
         };
-        let Self { layout, source, band } = self;
+        let Self { layout, srgb, source, band } = self;
         bytes.resize(rows.len() * layout.row_bytes(), 0);
         source.read(rows, band)?;
         bytes
             .par_chunks_exact_mut(layout.row_bytes())
             .enumerate()
-            .for_each_init(Vec::new, |samples, (row, bytes)| layout.encode_row(band, row, samples, bytes));
+            .for_each_init(Vec::new, |samples, (row, bytes)| layout.encode_row(srgb, band, row, samples, bytes));
         Ok(())
     }
 }
@@ -107,7 +110,6 @@ struct PixelLayout {
     width: usize,
     opaque: bool,
     bits: Bits,
-    display_transform: DisplayTransform,
 }
 
 impl PixelLayout {
@@ -123,7 +125,7 @@ impl PixelLayout {
         self.width * self.channels() * sample_bytes
     }
 
-    fn encode_row(self, band: &RowBand, row: usize, samples: &mut Vec<f32>, bytes: &mut [u8]) {
+    fn encode_row(self, srgb: &SrgbEncoder, band: &RowBand, row: usize, samples: &mut Vec<f32>, bytes: &mut [u8]) {
         samples.clear();
         for color in 0..3 {
             let linear = band.row(color, row);
@@ -134,7 +136,7 @@ impl PixelLayout {
                 samples.extend(pairs.map(|(&value, &alpha)| finite_or_zero(unpremultiply(value, alpha))));
             }
         }
-        crate::srgb::encode(samples, self.display_transform);
+        srgb.encode(samples);
         if !self.opaque {
             samples.extend(band.row(3, row).iter().map(|&alpha| clamp_unit(alpha)));
         }
@@ -210,15 +212,7 @@ mod tests {
     /// The levels of a square of one color, by channel.
     fn levels(srgb: f32) -> [Vec<u32>; 3] {
         const WIDTH: usize = 64;
-        let job = br#"{ "scene": { "camera": { "position": [0, 0, 5], "look_at": [0, 0, 0] },
-            "objects": [{ "shape": { "sphere": { "radius": 1 } } }] }, "image": { "width": 64, "height": 64 } }"#;
-        let image = scene::parse(job).expect("a job").image;
-        let layout = PixelLayout {
-            width: WIDTH,
-            opaque: true,
-            bits: Bits::Eight,
-            display_transform: DisplayTransform::new(&image),
-        };
+        let layout = PixelLayout { width: WIDTH, opaque: true, bits: Bits::Eight };
         let mut levels = [const { Vec::new() }; 3];
         for y in 0..64 {
             let mut samples = vec![srgb; 3 * WIDTH];

@@ -51,7 +51,7 @@ impl Tape {
     }
 
     /// Number of calls of each function.
-    fn call_counts(&self, live: &Liveness) -> Vec<usize> {
+    pub(super) fn call_counts(&self, live: &Liveness) -> Vec<usize> {
         fn count(block: &[Statement], live: &Liveness, calls: &mut [usize]) {
             for statement in block {
                 match statement {

@@ -29,7 +29,6 @@ impl Project for AddedProjection {
         Extent { half_width: 0.5 * aspect, half_height: 0.5, footprint }
     }
 
-    #[inline(always)]
     fn ray<R: Real>(&self, axes: &CameraAxes<R>, across: R, upwards: R) -> Ray<R> {
         let shifted = upwards + upwards.uniform(self.shift.get());
         let direction = axes.right.mul_add(across, axes.up.mul_add(shifted, axes.forward));

@@ -38,7 +38,6 @@ impl Project for Orthographic {
         Extent { half_width: aspect * half, half_height: half, footprint }
     }
 
-    #[inline(always)]
     fn ray<R: Real>(&self, axes: &CameraAxes<R>, across: R, upwards: R) -> Ray<R> {
         let origin = axes.right.mul_add(across, axes.up.mul_add(upwards, axes.origin));
         Ray { origin, direction: axes.forward }

@@ -23,7 +23,6 @@ impl Project for Panorama {
         Extent { half_width: 1.0, half_height: 1.0, footprint }
     }
 
-    #[inline(always)]
     fn ray<R: Real>(&self, axes: &CameraAxes<R>, across: R, upwards: R) -> Ray<R> {
         let (east, ahead) = (across * std::f32::consts::PI).sin_cos();
         let (above, level) = (upwards * std::f32::consts::FRAC_PI_2).sin_cos();

@@ -27,7 +27,6 @@ impl Project for Perspective {
         Extent { half_width: aspect * tangent, half_height: tangent, footprint }
     }
 
-    #[inline(always)]
     fn ray<R: Real>(&self, axes: &CameraAxes<R>, across: R, upwards: R) -> Ray<R> {
         let direction = axes.right.mul_add(across, axes.up.mul_add(upwards, axes.forward));
         Ray { origin: axes.origin, direction: direction.normalize() }

@@ -24,7 +24,6 @@ impl HasExamples for AddedTexture {
 }
 
 impl Pattern for AddedTexture {
-    #[inline(always)]
     fn color<R: Real>(&self, place: &ShadingPoint<R>) -> Vec3<R> {
         let periods = place.local_point.z * place.local_point.z.uniform(1.0 / self.period.get());
         let share = periods - periods.floor();

@@ -52,7 +52,6 @@ type BrickSample<R> = (R, R);
 impl Bricks {
     /// Sample at a point of the plane with a footprint: 1 in a brick and 0 in mortar, and the position of the brick's
     /// color between its two colors.
-    #[inline(always)]
     fn sample_plane<R: Real>(&self, across: (R, R), up: (R, R), plane: u32) -> BrickSample<R> {
         let (width, height) = (self.size[0].get(), self.size[1].get());
         let ((across, seen_across), (up, seen_up)) = (across, up);
@@ -66,7 +65,6 @@ impl Bricks {
     }
 
     /// Fraction of brick along one edge of it, at the fraction `part` of its length, averaged over a footprint.
-    #[inline(always)]
     fn inside<R: Real>(&self, part: R, length: f32, seen: R) -> R {
         let half = part.uniform(0.5 * self.mortar.get());
         let window = softened(self.softness.get(), seen);
@@ -84,7 +82,6 @@ impl Bricks {
 ///
 /// The hash is Chris Wellons' lowbias32, "Prospecting for hash functions", 2018,
 /// <https://nullprogram.com/blog/2018/07/31/>.
-#[inline(always)]
 fn random<R: Real>(column: R, row: R, plane: u32) -> R {
     /// 1.5·2²³: added to an integer of up to seven digits, it leaves the integer in the low bits.
     const INTEGER_BIAS: f32 = 12_582_912.0;
@@ -96,29 +93,20 @@ fn random<R: Real>(column: R, row: R, plane: u32) -> R {
 }
 
 impl Pattern for Bricks {
-    #[inline(always)]
     fn color<R: Real>(&self, place: &ShadingPoint<R>) -> Vec3<R> {
         let p = place.local_point;
         // A face more than 73° away from a plane's normal shows nothing of that plane.
-        let weights = place.local_normal.map(
-            #[inline(always)]
-            |n| (n.abs() - 0.3).at_least(0.0).square(),
-        );
+        let weights = place.local_normal.map(|n| (n.abs() - 0.3).at_least(0.0).square());
         let whole = (weights.x + weights.y + weights.z).at_least(1e-6);
         let mut sum = (p.x.constant(0.0), p.x.constant(0.0));
         let x = (p.x, place.width_along(vec3(1.0, 0.0, 0.0)));
         let y = (p.y, place.width_along(vec3(0.0, 1.0, 0.0)));
         let z = (p.z, place.width_along(vec3(0.0, 0.0, 1.0)));
         for (plane, weight, across, up) in [(1, weights.x, z, y), (2, weights.y, x, z), (3, weights.z, x, y)] {
-            sum = R::when(
-                weight.above(0.0),
-                sum,
-                #[inline(always)]
-                || {
-                    let (brick, color) = self.sample_plane(across, up, plane);
-                    (brick.mul_add(weight, sum.0), color.mul_add(weight, sum.1))
-                },
-            );
+            sum = R::when(weight.above(0.0), sum, || {
+                let (brick, color) = self.sample_plane(across, up, plane);
+                (brick.mul_add(weight, sum.0), color.mul_add(weight, sum.1))
+            });
         }
         let brick = lerp_colors(self.colors[0].at(place), self.colors[1].at(place), (sum.1 / whole).at_most(1.0));
         lerp_colors(self.mortar_color.at(place), brick, (sum.0 / whole).at_most(1.0))

@@ -57,14 +57,12 @@ impl HasExamples for Checker {
 
 impl Checker {
     /// Parity of a coordinate's cell: 1 or −1, and in between on a border.
-    #[inline(always)]
     fn parity<R: Real>(&self, x: R, seen: R) -> R {
         square_wave(x, self.cell.get(), self.softness.get(), seen)
     }
 }
 
 impl Pattern for Checker {
-    #[inline(always)]
     fn color<R: Real>(&self, place: &ShadingPoint<R>) -> Vec3<R> {
         let p = place.local_point;
         let x = || self.parity(p.x, place.width_along(vec3(1.0, 0.0, 0.0)));

@@ -78,14 +78,12 @@ fn slope(from: f32, to: f32) -> f32 {
 }
 
 /// 0 if `x` is `from`, 1 if it is `to`.
-#[inline(always)]
 fn between<R: Real>(x: R, from: &LengthOrZero, to: &LengthOrZero) -> R {
     (x - x.uniform(from.get())) * x.uniform(slope(from.get(), to.get()))
 }
 
 impl GradientBy {
     /// Position on the ramp.
-    #[inline(always)]
     fn position<R: Real>(&self, place: &ShadingPoint<R>) -> R {
         let like = place.normal.x;
         match self {
@@ -109,7 +107,6 @@ impl GradientBy {
 }
 
 impl Pattern for Gradient {
-    #[inline(always)]
     fn color<R: Real>(&self, place: &ShadingPoint<R>) -> Vec3<R> {
         self.ramp.at(self.by.position(place), place)
     }

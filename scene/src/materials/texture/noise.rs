@@ -99,7 +99,6 @@ impl HasExamples for Wood {
 }
 
 impl Pattern for NoiseRamp {
-    #[inline(always)]
     fn color<R: Real>(&self, place: &ShadingPoint<R>) -> Vec3<R> {
         let (low, high) = self.noise.range();
         let value = self.noise.value(place.local_point);
@@ -113,7 +112,6 @@ impl Pattern for NoiseRamp {
 }
 
 impl Pattern for Marble {
-    #[inline(always)]
     fn color<R: Real>(&self, place: &ShadingPoint<R>) -> Vec3<R> {
         let across = place.local_point.dot_uniform(self.direction.unit());
         let shift = self.noise.value(place.local_point) * across.uniform(self.strength.get());
@@ -127,7 +125,6 @@ impl Pattern for Marble {
 }
 
 impl Pattern for Wood {
-    #[inline(always)]
     fn color<R: Real>(&self, place: &ShadingPoint<R>) -> Vec3<R> {
         let p = place.local_point;
         let axis = Vec3::uniform(p.x, self.direction.unit());

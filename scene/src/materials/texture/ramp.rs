@@ -33,7 +33,6 @@ impl Ramp {
     }
 
     /// Color at `share`; before the first stop that stop's color, after the last stop the last's.
-    #[inline(always)]
     pub fn at<R: Real>(&self, share: R, place: &ShadingPoint<R>) -> Vec3<R> {
         let mut color = self.0[0].1.at(place);
         for pair in self.0.windows(2) {

@@ -37,7 +37,6 @@ impl HasExamples for Stripes {
 }
 
 impl Pattern for Stripes {
-    #[inline(always)]
     fn color<R: Real>(&self, place: &ShadingPoint<R>) -> Vec3<R> {
         let along = place.local_point.dot_uniform(self.direction.unit());
         let seen = place.width_along(self.direction.unit());

@@ -52,15 +52,9 @@ impl Primitive for ApollonianGasket {
     const EXAMPLE: &str = r#"{ "radius": 1.15, "iterations": 4 }"#;
     const MORE_EXAMPLES: &[&str] = &[r#"{ "radius": 1, "iterations": 1 }"#, r#"{ "radius": 1, "iterations": 64 }"#];
 
-    #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
         let radius = self.radius.get();
-        clamp_to_hull(
-            p.length() - p.x.uniform(radius),
-            MARGIN * radius,
-            #[inline(always)]
-            || self.estimate(p),
-        )
+        clamp_to_hull(p.length() - p.x.uniform(radius), MARGIN * radius, || self.estimate(p))
     }
 
     fn exactness(&self) -> Exactness {
@@ -84,16 +78,12 @@ impl Primitive for ApollonianGasket {
 }
 
 impl ApollonianGasket {
-    #[inline(always)]
     fn estimate<R: Real>(&self, p: Vec3<R>) -> R {
         let one = p.x.constant(1.0);
         let far = vec3(one * OUTER_CENTER, one * OUTER_CENTER, one * OUTER_CENTER);
         let start = p * p.x.uniform(HULL_RADIUS / self.radius.get());
-        let (place, slope, hull) = R::repeat(
-            self.iterations,
-            (start, one, one.constant(NOWHERE)),
-            #[inline(always)]
-            |(place, slope, hull)| {
+        let (place, slope, hull) =
+            R::repeat(self.iterations, (start, one, one.constant(NOWHERE)), |(place, slope, hull)| {
                 // Opposite to (1, 1, 1), toward the center of the sphere that leaves out that ball.
                 let away = -folds::tetrahedral(-place) - far;
                 let squared = away.length_squared();
@@ -110,8 +100,7 @@ impl ApollonianGasket {
                 let hull = R::select(is_deep, -one, hull);
                 let slope = (slope * outer * inner).at_most(MAX_DERIVATIVE);
                 ((outer * inner).above(1.0), (place * inner, slope, hull))
-            },
-        );
+            });
         let from_ball =
             (folds::tetrahedral(place) - vec3(one * BALL_CENTER, one * BALL_CENTER, one * BALL_CENTER)).length() - 1.0;
         let nearest = from_ball.min(hull - place.length());

@@ -4,7 +4,6 @@ use crate::real::{Real, Vec3, vec3};
 
 /// The nearer to (1, 1, 1) of a point and its mirror image across the plane between two corners of a tetrahedron, (1,
 /// 1, 1) and another. `a` and `b` are the coordinates in which the corners differ.
-#[inline(always)]
 fn to_corner<R: Real>(a: R, b: R) -> (R, R) {
     let is_beyond = (a + b).below(0.0);
     (R::select(is_beyond, -b, a), R::select(is_beyond, -a, b))
@@ -12,7 +11,6 @@ fn to_corner<R: Real>(a: R, b: R) -> (R, R) {
 
 /// Folds a tetrahedron with corners (1, 1, 1), (1, −1, −1), (−1, 1, −1), (−1, −1, 1) onto the
 /// quarter around its corner (1, 1, 1).
-#[inline(always)]
 pub(super) fn tetrahedral<R: Real>(p: Vec3<R>) -> Vec3<R> {
     let (x, y) = to_corner(p.x, p.y);
     let (x, z) = to_corner(x, p.z);
@@ -21,7 +19,6 @@ pub(super) fn tetrahedral<R: Real>(p: Vec3<R>) -> Vec3<R> {
 }
 
 /// Folds an octahedron, or a cube, onto a 48th of it: x ≥ y ≥ z ≥ 0.
-#[inline(always)]
 pub(super) fn octahedral<R: Real>(p: Vec3<R>) -> Vec3<R> {
     let (x, y, z) = (p.x.abs(), p.y.abs(), p.z.abs());
     let (x, y) = (x.max(y), x.min(y));
@@ -30,7 +27,6 @@ pub(super) fn octahedral<R: Real>(p: Vec3<R>) -> Vec3<R> {
 }
 
 /// The median of three numbers.
-#[inline(always)]
 pub(super) fn middle<R: Real>(p: Vec3<R>) -> R {
     p.x.min(p.y).max(p.x.max(p.y).min(p.z))
 }

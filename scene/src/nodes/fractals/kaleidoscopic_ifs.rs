@@ -62,7 +62,6 @@ impl Primitive for KaleidoscopicIfs {
         r#"{ "folds": "menger_like", "scale": 3, "offset": [0.66, 0.66, 0.66], "iterations": 64 }"#,
     ];
 
-    #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
         let offset = self.offset.get();
         let scale = self.scale.get();
@@ -70,30 +69,25 @@ impl Primitive for KaleidoscopicIfs {
         let share = (scale - 1.0) / scale;
         let step = Vec3::uniform(p.x, offset.map(|c| c * share));
         let shrink = p.x.uniform(1.0 / scale);
-        let (place, size) = R::repeat(
-            self.iterations,
-            (p, p.x.constant(1.0)),
-            #[inline(always)]
-            |(place, size)| {
-                let place = turned(place, self.turn_before.as_ref());
-                let place = match self.folds {
-                    KaleidoscopicFolds::Tetrahedral => folds::tetrahedral(place),
-                    KaleidoscopicFolds::Octahedral | KaleidoscopicFolds::MengerLike => folds::octahedral(place),
-                };
-                let place = turned(place, self.turn_after.as_ref());
-                let step = step * size;
-                let place = match self.folds {
-                    KaleidoscopicFolds::Tetrahedral | KaleidoscopicFolds::Octahedral => place - step,
-                    KaleidoscopicFolds::MengerLike => {
-                        let mirror = step.z * 0.5;
-                        vec3(place.x - step.x, place.y - step.y, mirror - (place.z - mirror).abs())
-                    }
-                };
-                // Smaller balls are below the precision of f32.
-                let size = size * shrink;
-                (size.above(1e-9), (place, size))
-            },
-        );
+        let (place, size) = R::repeat(self.iterations, (p, p.x.constant(1.0)), |(place, size)| {
+            let place = turned(place, self.turn_before.as_ref());
+            let place = match self.folds {
+                KaleidoscopicFolds::Tetrahedral => folds::tetrahedral(place),
+                KaleidoscopicFolds::Octahedral | KaleidoscopicFolds::MengerLike => folds::octahedral(place),
+            };
+            let place = turned(place, self.turn_after.as_ref());
+            let step = step * size;
+            let place = match self.folds {
+                KaleidoscopicFolds::Tetrahedral | KaleidoscopicFolds::Octahedral => place - step,
+                KaleidoscopicFolds::MengerLike => {
+                    let mirror = step.z * 0.5;
+                    vec3(place.x - step.x, place.y - step.y, mirror - (place.z - mirror).abs())
+                }
+            };
+            // Smaller balls are below the precision of f32.
+            let size = size * shrink;
+            (size.above(1e-9), (place, size))
+        });
         size.mul_add(-p.x.uniform(self.bounding_radius()), place.length())
     }
 
@@ -119,14 +113,12 @@ impl Primitive for KaleidoscopicIfs {
 
 impl KaleidoscopicIfs {
     /// Radius of the ball that contains it.
-    #[inline(always)]
     fn bounding_radius(&self) -> f32 {
         self.offset.get().length()
     }
 }
 
 /// The point, rotated if there is a rotation.
-#[inline(always)]
 fn turned<R: Real>(p: Vec3<R>, rotation: Option<&Rotation>) -> Vec3<R> {
     match rotation {
         Some(rotation) => {

@@ -52,16 +52,10 @@ impl Primitive for Mandelbox {
         r#"{ "size": 1.3, "scale": 3, "iterations": 8, "min_radius": 0.25, "fold": 0.9 }"#,
     ];
 
-    #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
         let half = self.size.get() * 0.5;
         let from_cube = distance_from_box(p, vec3(half, half, half));
-        clamp_to_hull(
-            from_cube,
-            MARGIN * half,
-            #[inline(always)]
-            || self.estimate(p),
-        )
+        clamp_to_hull(from_cube, MARGIN * half, || self.estimate(p))
     }
 
     fn exactness(&self) -> Exactness {
@@ -96,7 +90,6 @@ impl Primitive for Mandelbox {
 }
 
 impl Mandelbox {
-    #[inline(always)]
     fn estimate<R: Real>(&self, p: Vec3<R>) -> R {
         let (scale, fold) = (self.scale.get(), self.fold.get());
         // In units of the fold, so that all numbers are near 1.
@@ -106,22 +99,14 @@ impl Mandelbox {
         let (growth, slope_growth) = (fixed * p.x.uniform(scale), fixed * p.x.uniform(scale.abs()));
         let start = p * p.x.uniform(1.0 / unit);
         let one = p.x.constant(1.0);
-        let (_, squared, slope) = R::repeat(
-            self.iterations,
-            (start, one, one),
-            #[inline(always)]
-            |(z, _, slope)| {
-                let folded = z.map(
-                    #[inline(always)]
-                    |c| c.at_least(-1.0).at_most(1.0).mul_add(c.constant(2.0), -c),
-                );
-                let inverse = one / folded.length_squared().max(least).min(fixed);
-                let z = folded.mul_add(inverse * growth, start);
-                let slope = (inverse * slope_growth).mul_add(slope, one).at_most(MAX_DERIVATIVE);
-                let squared = z.length_squared();
-                (squared.below(ESCAPE_RADIUS * ESCAPE_RADIUS), (z, squared, slope))
-            },
-        );
+        let (_, squared, slope) = R::repeat(self.iterations, (start, one, one), |(z, _, slope)| {
+            let folded = z.map(|c| c.at_least(-1.0).at_most(1.0).mul_add(c.constant(2.0), -c));
+            let inverse = one / folded.length_squared().max(least).min(fixed);
+            let z = folded.mul_add(inverse * growth, start);
+            let slope = (inverse * slope_growth).mul_add(slope, one).at_most(MAX_DERIVATIVE);
+            let squared = z.length_squared();
+            (squared.below(ESCAPE_RADIUS * ESCAPE_RADIUS), (z, squared, slope))
+        });
         (squared.sqrt() - SURFACE_RADIUS) / slope * p.x.uniform(unit)
     }
 
@@ -131,7 +116,6 @@ impl Mandelbox {
     /// 2(s + 1)/(s − 1) + e the second step makes x < −2 and the third x ≥ a + s(s − 1)e, and so on, faster and
     /// faster, because no fold reduces a length by more than the growth increases it. For s < −1 and a = 2 + e each
     /// step multiplies x − 2 by at least |s|.
-    #[inline(always)]
     fn half_edge(&self) -> f32 {
         let scale = self.scale.get();
         if scale > 0.0 { 2.0 * (scale + 1.0) / (scale - 1.0) } else { 2.0 }

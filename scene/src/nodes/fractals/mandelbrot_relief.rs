@@ -54,21 +54,15 @@ impl Primitive for MandelbrotRelief {
         r#"{ "size": 1.6, "height": 0.5, "iterations": 6 }"#,
     ];
 
-    #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
         let (half, half_height) = (self.size.get() * 0.5, self.height.get() * 0.5);
         let p = vec3(p.x, p.y - p.x.uniform(half_height), p.z);
-        clamp_to_hull(
-            distance_from_box(p, vec3(half, half_height, half)),
-            MARGIN * self.size.get(),
-            #[inline(always)]
-            || {
-                let across = self.planar_distance(p.x, p.z);
-                let along = p.y.abs() - p.x.uniform(half_height);
-                let outside = across.at_least(0.0).square_add(along.at_least(0.0).square()).sqrt();
-                outside + across.max(along).at_most(0.0)
-            },
-        )
+        clamp_to_hull(distance_from_box(p, vec3(half, half_height, half)), MARGIN * self.size.get(), || {
+            let across = self.planar_distance(p.x, p.z);
+            let along = p.y.abs() - p.x.uniform(half_height);
+            let outside = across.at_least(0.0).square_add(along.at_least(0.0).square()).sqrt();
+            outside + across.max(along).at_most(0.0)
+        })
     }
 
     fn exactness(&self) -> Exactness {
@@ -96,7 +90,6 @@ impl Primitive for MandelbrotRelief {
 
 impl MandelbrotRelief {
     /// Lower bound of the distance to the set in the plane, in scene units; slightly below 0 inside.
-    #[inline(always)]
     fn planar_distance<R: Real>(&self, x: R, z: R) -> R {
         let [real, imaginary] = self.center.each_ref().map(Coordinate::get);
         let unit = x.uniform(self.width.get() / self.size.get());
@@ -106,11 +99,8 @@ impl MandelbrotRelief {
         // E/2ᴺ.
         let isolevel = x.uniform(ESCAPE_LOGARITHM * half_extents(self.iterations));
         let start = ((cx, cy), (one, one.constant(0.0)), cx.square_add(cy.square()), isolevel, one);
-        let (_, (dx, dy), squared, isolevel, share) = R::repeat(
-            self.iterations,
-            start,
-            #[inline(always)]
-            |((a, b), (da, db), _, isolevel, share)| {
+        let (_, (dx, dy), squared, isolevel, share) =
+            R::repeat(self.iterations, start, |((a, b), (da, db), _, isolevel, share)| {
                 let (twice_a, twice_b) = (a * 2.0, b * 2.0);
                 let next_da = twice_a.mul_add(da, one - twice_b * db);
                 let next_db = twice_a.mul_add(db, twice_b * da);
@@ -118,8 +108,7 @@ impl MandelbrotRelief {
                 let squared = a.square_add(b.square());
                 let slope = (clamp_derivative(next_da), clamp_derivative(next_db));
                 (squared.below(ESCAPE_SQUARED), ((a, b), slope, squared, isolevel * 2.0, share * 0.5))
-            },
-        );
+            });
         let squared = squared.at_least(1e-12);
         // Both in units of this iteration's fraction of the potential.
         let above = squared.ln() * 0.5 - isolevel;
@@ -130,13 +119,11 @@ impl MandelbrotRelief {
 }
 
 /// 1/2ⁿ.
-#[inline(always)]
 fn half_extents(times: u32) -> f32 {
     1.0 / (1_u64 << times.min(63)) as f32
 }
 
 /// Component of a derivative, clamped so that its square is finite.
-#[inline(always)]
 fn clamp_derivative<R: Real>(slope: R) -> R {
     slope.at_most(MAX_DERIVATIVE).at_least(-MAX_DERIVATIVE)
 }

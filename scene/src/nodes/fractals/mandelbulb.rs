@@ -52,15 +52,11 @@ impl Primitive for Mandelbulb {
         r#"{ "power": 3, "iterations": 6, "julia": [-0.4, 0.1, 0.6] }"#,
     ];
 
-    #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
         match &self.julia {
-            Some(constant) => clamp_to_hull(
-                p.length() - p.x.uniform(self.bounding_radius()),
-                MARGIN,
-                #[inline(always)]
-                || self.julia_distance(p, Vec3::uniform(p.x, constant.get())),
-            ),
+            Some(constant) => clamp_to_hull(p.length() - p.x.uniform(self.bounding_radius()), MARGIN, || {
+                self.julia_distance(p, Vec3::uniform(p.x, constant.get()))
+            }),
             None => self.bulb_distance(p),
         }
     }
@@ -97,37 +93,26 @@ impl Primitive for Mandelbulb {
 }
 
 impl Mandelbulb {
-    #[inline(always)]
     fn bulb_distance<R: Real>(&self, p: Vec3<R>) -> R {
         let away = p.length();
         let one = away.constant(1.0);
         let power = away.uniform(self.power.get());
         let bounded = !away.above(ESCAPE_RADIUS);
-        let (_, radius, slope) = R::when(
-            bounded,
-            (p, away, one),
-            #[inline(always)]
-            || {
-                R::repeat(
-                    self.iterations,
-                    (p, away, one),
-                    #[inline(always)]
-                    |(z, radius, slope)| {
-                        let radius = radius.at_least(1e-6);
-                        let (next, growth) = match as_integer(&self.power) {
-                            Some(whole) => {
-                                let PowerStep { next, growth, .. } = power_by_products(z, radius, whole, p);
-                                (next, growth)
-                            }
-                            None => power_by_angles(z, radius, power, p),
-                        };
-                        let slope = (growth * power).mul_add(slope, one).at_most(MAX_DERIVATIVE);
-                        let radius = next.length();
-                        (!radius.above(ESCAPE_RADIUS), (next, radius, slope))
-                    },
-                )
-            },
-        );
+        let (_, radius, slope) = R::when(bounded, (p, away, one), || {
+            R::repeat(self.iterations, (p, away, one), |(z, radius, slope)| {
+                let radius = radius.at_least(1e-6);
+                let (next, growth) = match as_integer(&self.power) {
+                    Some(whole) => {
+                        let PowerStep { next, growth, .. } = power_by_products(z, radius, whole, p);
+                        (next, growth)
+                    }
+                    None => power_by_angles(z, radius, power, p),
+                };
+                let slope = (growth * power).mul_add(slope, one).at_most(MAX_DERIVATIVE);
+                let radius = next.length();
+                (!radius.above(ESCAPE_RADIUS), (next, radius, slope))
+            })
+        });
         let radius = radius.at_least(1e-6);
         let estimate = radius.ln() * radius / slope * 0.5;
         R::select(away.above(ESCAPE_RADIUS), estimate.min(away - away.uniform(self.bounding_radius())), estimate)
@@ -135,7 +120,6 @@ impl Mandelbulb {
 
     /// Estimate for a Julia set. Orbits diverge by at most n·rⁿ⁻¹ along a meridian, and around the axis in proportion
     /// to their distance from it.
-    #[inline(always)]
     fn julia_distance<R: Real>(&self, p: Vec3<R>, constant: Vec3<R>) -> R {
         let one = p.x.constant(1.0);
         let whole = self.power.get() as u32;
@@ -144,19 +128,15 @@ impl Mandelbulb {
         // E/nᴺ.
         let share = Real::powf(self.power.get(), -(self.iterations as f32));
         let isolevel = one.uniform(JULIA_ESCAPE_LOGARITHM * share);
-        let (_, radius, slope, isolevel) = R::repeat(
-            self.iterations,
-            (p, p.length(), one, isolevel),
-            #[inline(always)]
-            |(z, radius, slope, isolevel)| {
+        let (_, radius, slope, isolevel) =
+            R::repeat(self.iterations, (p, p.length(), one, isolevel), |(z, radius, slope, isolevel)| {
                 let radius = radius.at_least(1e-6);
                 let PowerStep { next, growth, around } = power_by_products(z, radius, whole, constant);
                 // Orbits do not diverge at 0, but they do near it.
                 let slope = (growth.max(around) * power * slope).at_least(1.0).at_most(MAX_DERIVATIVE);
                 let radius = next.length();
                 (!radius.above(JULIA_ESCAPE_RADIUS), (next, radius, slope, isolevel * power))
-            },
-        );
+            });
         let radius = radius.at_least(1e-6);
         (radius.ln() - isolevel) * radius / slope * 0.5
     }
@@ -177,7 +157,6 @@ fn as_integer(power: &Power) -> Option<u32> {
 }
 
 /// zⁿ + p and rⁿ⁻¹ for any power n.
-#[inline(always)]
 fn power_by_angles<R: Real>(z: Vec3<R>, radius: R, power: R, p: Vec3<R>) -> (Vec3<R>, R) {
     let (sin_theta, cos_theta) = ((z.z / radius).acos() * power).sin_cos();
     let (sin_phi, cos_phi) = (z.y.atan2(z.x) * power).sin_cos();
@@ -198,35 +177,22 @@ struct PowerStep<R> {
 
 /// Power for integers, which needs no angles: (z + iρ)ⁿ is rⁿ(cos nθ + i sin nθ), and the unit number (x +
 /// iy)/ρ to the power n is cos nφ + i sin nφ, by de Moivre's formula.
-#[inline(always)]
 fn power_by_products<R: Real>(z: Vec3<R>, radius: R, power: u32, p: Vec3<R>) -> PowerStep<R> {
     let from_axis = z.x.square_add(z.y.square()).sqrt();
     let per_axis = z.x.constant(1.0) / from_axis.at_least(1e-12);
     let (along, across) = complex_power((z.z, from_axis), power);
     let (cosine, sine) = complex_power((z.x * per_axis, z.y * per_axis), power);
     let next = vec3(across.mul_add(cosine, p.x), across.mul_add(sine, p.y), along + p.z);
-    let growth = pow_by_squaring(
-        radius,
-        power - 1,
-        #[inline(always)]
-        |a: R, b: R| a * b,
-    );
+    let growth = pow_by_squaring(radius, power - 1, |a: R, b: R| a * b);
     PowerStep { next, growth, around: (across * per_axis).abs() }
 }
 
 /// Real and imaginary part of a + bi to an integer power, 1 or more.
-#[inline(always)]
 fn complex_power<R: Real>(number: (R, R), power: u32) -> (R, R) {
-    pow_by_squaring(
-        number,
-        power,
-        #[inline(always)]
-        |(a, b): (R, R), (c, d): (R, R)| (a.mul_add(c, -(b * d)), a.mul_add(d, b * c)),
-    )
+    pow_by_squaring(number, power, |(a, b): (R, R), (c, d): (R, R)| (a.mul_add(c, -(b * d)), a.mul_add(d, b * c)))
 }
 
 /// Product of `power` factors `base`, 1 or more, by repeated squaring.
-#[inline(always)]
 fn pow_by_squaring<T: Copy>(base: T, power: u32, product: impl Fn(T, T) -> T) -> T {
     let mut result = base;
     for bit in (0..power.ilog2()).rev() {

@@ -31,31 +31,22 @@ impl Primitive for MengerSponge {
     const EXAMPLE: &str = r#"{ "size": 1.36, "iterations": 4 }"#;
     const MORE_EXAMPLES: &[&str] = &[r#"{ "size": 1.3, "iterations": 1 }"#, r#"{ "size": 1.3, "iterations": 64 }"#];
 
-    #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
         let half = self.size.get() * 0.5;
         let cube = distance_from_box(p, vec3(half, half, half));
         let place = vec3(p.x.abs(), p.y.abs(), p.z.abs());
         // Bars are a third of their cell wide: `third` is the width, half of it the greatest depth.
         let third = p.x.uniform(self.size.get() / 3.0);
-        let (_, _, distance) = R::repeat(
-            self.iterations,
-            (place, third, cube),
-            #[inline(always)]
-            |(place, third, distance)| {
-                // In a bar along an axis the other two coordinates are small.
-                let bars = third.mul_add(third.constant(0.5), -folds::middle(place));
-                let distance = distance.max(bars);
-                // Relative to the center of the nearest of three cells in a row.
-                let place = place.map(
-                    #[inline(always)]
-                    |c| c.min((c - third).abs()),
-                );
-                let third = third * (1.0 / 3.0);
-                // Smaller bars have no effect if they do not extend that far.
-                (distance.lt(third * 0.5), (place, third, distance))
-            },
-        );
+        let (_, _, distance) = R::repeat(self.iterations, (place, third, cube), |(place, third, distance)| {
+            // In a bar along an axis the other two coordinates are small.
+            let bars = third.mul_add(third.constant(0.5), -folds::middle(place));
+            let distance = distance.max(bars);
+            // Relative to the center of the nearest of three cells in a row.
+            let place = place.map(|c| c.min((c - third).abs()));
+            let third = third * (1.0 / 3.0);
+            // Smaller bars have no effect if they do not extend that far.
+            (distance.lt(third * 0.5), (place, third, distance))
+        });
         distance
     }
 

@@ -45,14 +45,8 @@ impl Primitive for QuaternionJulia {
         r#"{ "c": [0, 0, 0, 0], "iterations": 64 }"#,
     ];
 
-    #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
-        clamp_to_hull(
-            p.length() - p.x.uniform(self.bounding_radius()),
-            MARGIN,
-            #[inline(always)]
-            || self.estimate(p),
-        )
+        clamp_to_hull(p.length() - p.x.uniform(self.bounding_radius()), MARGIN, || self.estimate(p))
     }
 
     fn exactness(&self) -> Exactness {
@@ -77,7 +71,6 @@ impl Primitive for QuaternionJulia {
 }
 
 impl QuaternionJulia {
-    #[inline(always)]
     fn estimate<R: Real>(&self, p: Vec3<R>) -> R {
         let [real, x, y, z] = self.c.each_ref().map(Coordinate::get);
         let real = p.x.uniform(real);
@@ -90,7 +83,6 @@ impl QuaternionJulia {
         let (_, _, squared, slope, isolevel) = R::repeat(
             self.iterations,
             (p.x, start, squared, p.x.constant(1.0), isolevel),
-            #[inline(always)]
             |(a, v, squared, slope, isolevel)| {
                 // Orbits do not diverge at 0, but they do near it.
                 let slope = ((squared * 4.0).at_least(1.0) * slope).at_most(MAX_DERIVATIVE_SQUARED);
@@ -110,7 +102,6 @@ impl QuaternionJulia {
     }
 
     /// Radius of the ball that contains it: where |z|² − |c| = |z|, beyond which orbits only grow.
-    #[inline(always)]
     fn bounding_radius(&self) -> f32 {
         0.5 + 0.5 * Real::sqrt(1.0 + 4.0 * self.length())
     }

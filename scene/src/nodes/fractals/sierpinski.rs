@@ -32,21 +32,15 @@ impl Primitive for Sierpinski {
     const EXAMPLE: &str = r#"{ "size": 1.36, "iterations": 5 }"#;
     const MORE_EXAMPLES: &[&str] = &[r#"{ "size": 1.3, "iterations": 1 }"#];
 
-    #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
         let half = p.x.uniform(self.size.get() * 0.5);
         // Below this size no f32 distinguishes two neighboring tetrahedra.
         let finest = p.x.uniform(self.size.get() * 1e-8);
-        let (place, half) = R::repeat(
-            self.iterations,
-            (p, half),
-            #[inline(always)]
-            |(place, half)| {
-                let half = half * 0.5;
-                let place = folds::tetrahedral(place) - vec3(half, half, half);
-                (finest.lt(half), (place, half))
-            },
-        );
+        let (place, half) = R::repeat(self.iterations, (p, half), |(place, half)| {
+            let half = half * 0.5;
+            let place = folds::tetrahedral(place) - vec3(half, half, half);
+            (finest.lt(half), (place, half))
+        });
         tetrahedron(folds::tetrahedral(place), half)
     }
 
@@ -64,7 +58,6 @@ impl Primitive for Sierpinski {
 ///
 /// `high`, `middle`, `low` are the coordinates in descending order. The nearest edge ends there and runs
 /// through `high` = half; the nearest face is below it.
-#[inline(always)]
 fn tetrahedron<R: Real>(p: Vec3<R>, half: R) -> R {
     const PER_ROOT_2: f32 = std::f32::consts::FRAC_1_SQRT_2;
     const PER_ROOT_3: f32 = 0.577_350_26;

@@ -67,7 +67,6 @@ struct BentBounds {
 }
 
 impl Bend {
-    #[inline(always)]
     fn arc(&self) -> &BentBounds {
         self.arc.get(|| {
             let Bounds { min: low, max: high } = ended(self.child.bounds(0.0));
@@ -110,7 +109,6 @@ impl Sdf for Bend {
         r#"{ "degrees_per_unit": 0, "child": { "box": { "size": [1.6, 0.4, 0.7] } } }"#,
     ];
 
-    #[inline(always)]
     fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>) -> V {
         let BentBounds { up, curvature, low, high, middle_z, half_z, end: (sin, cos), reach, top, stretch } =
             *self.arc();

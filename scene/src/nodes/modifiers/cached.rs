@@ -10,7 +10,6 @@ pub(super) struct Cached<T>(OnceLock<T>);
 
 impl<T> Cached<T> {
     /// The value, computed by `find` at the first call.
-    #[inline(always)]
     pub(super) fn get(&self, find: impl FnOnce() -> T) -> &T {
         self.0.get_or_init(find)
     }

@@ -37,7 +37,6 @@ impl Sdf for Elongate {
     const MORE_EXAMPLES: &'static [&'static str] =
         &[r#"{ "by": [0, 0.9, 0], "child": { "sphere": { "radius": 0.6 } } }"#];
 
-    #[inline(always)]
     fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>) -> V {
         let [x, y, z] = &self.by;
         self.child.sample(vec3(elongated(p.x, x), elongated(p.y, y), elongated(p.z, z)))
@@ -58,7 +57,6 @@ impl Sdf for Elongate {
 }
 
 /// Coordinate before elongation.
-#[inline(always)]
 fn elongated<R: Real>(c: R, by: &LengthOrZero) -> R {
     let half = c.uniform(0.5 * by.get());
     c - c.min(half).max(-half)
@@ -82,7 +80,6 @@ impl Sdf for Stretch {
         "degrees": [0, 0, 30], "child": { "torus": { "radius": 0.5, "tube": 0.2 } }
     } } }"#];
 
-    #[inline(always)]
     fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>) -> V {
         let per = Vec3::uniform(p.x, self.factors().map(|factor| 1.0 / factor));
         let child: V = self.child.sample(vec3(p.x * per.x, p.y * per.y, p.z * per.z));

@@ -40,7 +40,6 @@ struct MirrorSides {
 }
 
 impl Mirror {
-    #[inline(always)]
     fn sides(&self) -> &MirrorSides {
         self.sides.get(|| {
             let held = ChildBounds::new(&self.child);
@@ -70,7 +69,6 @@ impl Sdf for Mirror {
         } } } }"#,
     ];
 
-    #[inline(always)]
     fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>) -> V {
         let MirrorSides { main, is_one_sided: is_apart, ref held } = *self.sides();
         let original = RepeatedChild::new(&self.child, held);
@@ -79,16 +77,12 @@ impl Sdf for Mirror {
         let offset = self.offset.get() * main;
         let copies = p.x.uniform(if is_apart { 1.0 } else { 2.0 });
         let folded = Vec3::uniform(p.x, normal).mul_add(height(p, normal, offset).at_most(0.0) * -2.0, p);
-        let (_, _, nearest) = R::repeat(
-            2,
-            (p.x.constant(1.0), folded, RepeatedChild::start(p)),
-            #[inline(always)]
-            |(looked_at, place, nearest)| {
+        let (_, _, nearest) =
+            R::repeat(2, (p.x.constant(1.0), folded, RepeatedChild::start(p)), |(looked_at, place, nearest)| {
                 let nearest = original.nearer(place, nearest);
                 let image = Vec3::uniform(p.x, normal).mul_add(height(place, normal, offset) * -2.0, place);
                 (looked_at.lt(copies), (looked_at + 1.0, image, nearest))
-            },
-        );
+            });
         original.sample(nearest)
     }
 
@@ -116,7 +110,6 @@ impl Sdf for Mirror {
 }
 
 /// Height of a point above a plane.
-#[inline(always)]
 fn height<R: Real>(p: Vec3<R>, normal: Vec3<f32>, offset: f32) -> R {
     p.dot_uniform(normal) - p.x.uniform(offset)
 }

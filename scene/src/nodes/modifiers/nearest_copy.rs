@@ -37,32 +37,25 @@ pub(super) struct RepeatedChild<'a> {
 }
 
 impl<'a> RepeatedChild<'a> {
-    #[inline(always)]
     pub(super) fn new(shape: &'a Node, held: &'a ChildBounds) -> Self {
         Self { shape, bounds: held.is_worth_testing.then_some(&held.bounds) }
     }
 
     /// State before the first copy.
-    #[inline(always)]
     pub(super) fn start<R: Real>(p: Vec3<R>) -> NearestCopy<R> {
         (p.x.constant(f32::MAX), p)
     }
 
     /// The nearer of the nearest copy so far and the copy in whose space the point is `place`.
-    #[inline(always)]
     pub(super) fn nearer<R: Real>(&self, place: Vec3<R>, found: NearestCopy<R>) -> NearestCopy<R> {
         match self.bounds {
-            Some(bounds) => R::when(
-                bounds.distance_lower_bound(place).lt(found.0),
-                found,
-                #[inline(always)]
-                || self.nearer_unculled(place, found),
-            ),
+            Some(bounds) => {
+                R::when(bounds.distance_lower_bound(place).lt(found.0), found, || self.nearer_unculled(place, found))
+            }
             None => self.nearer_unculled(place, found),
         }
     }
 
-    #[inline(always)]
     fn nearer_unculled<R: Real>(&self, place: Vec3<R>, found: NearestCopy<R>) -> NearestCopy<R> {
         let distance = self.shape.distance(place);
         let nearer = distance.lt(found.0);
@@ -70,7 +63,6 @@ impl<'a> RepeatedChild<'a> {
     }
 
     /// Value of the nearest copy.
-    #[inline(always)]
     pub(super) fn sample<R: Real, V: SdfValue<R>>(&self, (distance, place): NearestCopy<R>) -> V {
         V::from_known_distance(self.shape, place, distance)
     }
@@ -91,7 +83,6 @@ pub(super) fn max_overlapping(width: f32, spacing: f32) -> f32 {
 }
 
 /// Integer nearest to `t`, and the side, −1 or 1, of it on which `t` is.
-#[inline(always)]
 pub(super) fn nearest_whole<R: Real>(t: R) -> (R, R) {
     let nearest = (t + 0.5).floor();
     (nearest, R::select(t.lt(nearest), t.constant(-1.0), t.constant(1.0)))

@@ -58,7 +58,6 @@ impl PolarRepeat {
         TAU / self.count as f32
     }
 
-    #[inline(always)]
     fn ring(&self) -> &RingLayout {
         self.ring.get(|| {
             let held = ChildBounds::new(&self.child);
@@ -96,7 +95,6 @@ impl Sdf for PolarRepeat {
         } } } }"#,
     ];
 
-    #[inline(always)]
     fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>) -> V {
         let (sector, RingLayout { middle, reach, turn, held, .. }) = (self.sector(), self.ring());
         let original = RepeatedChild::new(&self.child, held);
@@ -110,7 +108,6 @@ impl Sdf for PolarRepeat {
         let (_, _, nearest) = R::repeat(
             MAX_EVALUATED_COPIES,
             (angle.constant(1.0), place, RepeatedChild::start(p)),
-            #[inline(always)]
             |(looked_at, place, nearest)| {
                 let nearest = original.nearer(place, nearest);
                 let next = vec3(place.x.mul_add(cos, place.z * sin), place.y, place.z.mul_add(cos, -(place.x * sin)));

@@ -98,7 +98,6 @@ impl Axis {
 }
 
 /// Visits the copies along an axis that may be the nearest, each with the coordinate `c` in its own space.
-#[inline(always)]
 fn for_each_copy<R: Real, T: Bundle<R>>(axis: Option<&Axis>, c: R, found: T, mut visit: impl FnMut(R, T) -> T) -> T {
     let Some(axis) = axis else {
         return visit(c, found);
@@ -106,24 +105,19 @@ fn for_each_copy<R: Real, T: Bundle<R>>(axis: Option<&Axis>, c: R, found: T, mut
     let (near, side) =
         nearest_whole(c.mul_add(c.uniform(1.0 / axis.cell), c.uniform(-axis.middle / axis.cell - axis.shift)));
     let first = side.mul_add(c.uniform(-((axis.evaluated - 1.0) * 0.5).floor()), near);
-    let (_, _, found) = R::repeat(
-        MAX_EVALUATED_COPIES,
-        (first, c.constant(1.0), found),
-        #[inline(always)]
-        |(number, looked_at, found)| {
+    let (_, _, found) =
+        R::repeat(MAX_EVALUATED_COPIES, (first, c.constant(1.0), found), |(number, looked_at, found)| {
             let copy = match axis.ends {
                 Some((low, high)) => number.max(c.uniform(low)).min(c.uniform(high)),
                 None => number,
             };
             let found = visit((copy + c.uniform(axis.shift)).mul_add(c.uniform(-axis.cell), c), found);
             (looked_at.lt(c.uniform(axis.evaluated)), (number + side, looked_at + 1.0, found))
-        },
-    );
+        });
     found
 }
 
 impl Repeat {
-    #[inline(always)]
     fn grid(&self) -> &GridLayout {
         self.grid.get(|| {
             let held = ChildBounds::new(&self.child);
@@ -152,33 +146,14 @@ impl Sdf for Repeat {
         } } }"#,
     ];
 
-    #[inline(always)]
     fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>) -> V {
         let GridLayout { axes: [x_axis, y_axis, z_axis], held } = self.grid();
         let original = RepeatedChild::new(&self.child, held);
-        let nearest = for_each_copy(
-            x_axis.as_ref(),
-            p.x,
-            RepeatedChild::start(p),
-            #[inline(always)]
-            |x, found| {
-                for_each_copy(
-                    y_axis.as_ref(),
-                    p.y,
-                    found,
-                    #[inline(always)]
-                    |y, found| {
-                        for_each_copy(
-                            z_axis.as_ref(),
-                            p.z,
-                            found,
-                            #[inline(always)]
-                            |z, found| original.nearer(vec3(x, y, z), found),
-                        )
-                    },
-                )
-            },
-        );
+        let nearest = for_each_copy(x_axis.as_ref(), p.x, RepeatedChild::start(p), |x, found| {
+            for_each_copy(y_axis.as_ref(), p.y, found, |y, found| {
+                for_each_copy(z_axis.as_ref(), p.z, found, |z, found| original.nearer(vec3(x, y, z), found))
+            })
+        });
         original.sample(nearest)
     }
 

@@ -59,7 +59,6 @@ struct BoundingFrustum {
 }
 
 impl Taper {
-    #[inline(always)]
     fn frustum(&self) -> &BoundingFrustum {
         self.frustum.get(|| {
             let bounds = ended(self.child.bounds(0.0));
@@ -96,7 +95,6 @@ impl Sdf for Taper {
         "translate": { "by": [0.1, 0, 0], "child": { "cylinder": { "radius": 0.5, "height": 1.9 } } }
     } }"#];
 
-    #[inline(always)]
     fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>) -> V {
         let BoundingFrustum { radius, low, high, slope, slant, value_scale: shrink, stretch } = *self.frustum();
         let (bottom, top) = (self.bottom_factor.get(), self.top_factor.get());

@@ -48,7 +48,6 @@ macro_rules! at_a_distance {
 impl Sdf for Round {
     const EXAMPLE: &'static str = r#"{ "radius": 0.2, "child": { "pyramid": { "height": 0.9 } } }"#;
 
-    #[inline(always)]
     fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>) -> V {
         let child: V = self.child.sample(p);
         let distance = child.distance() - p.x.uniform(self.radius.get());
@@ -68,7 +67,6 @@ impl Sdf for Onion {
         "torus": { "radius": 0.7, "tube": 0.3 }
     } } } }"#];
 
-    #[inline(always)]
     fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>) -> V {
         let child: V = self.child.sample(p);
         let distance = child.distance().abs() - p.x.uniform(0.5 * self.thickness.get());

@@ -44,7 +44,6 @@ struct BoundingCylinder {
 }
 
 impl Twist {
-    #[inline(always)]
     fn cylinder(&self) -> &BoundingCylinder {
         self.cylinder.get(|| {
             let bounds = ended(self.child.bounds(0.0));
@@ -88,7 +87,6 @@ impl Sdf for Twist {
         { "translate": { "by": [-0.35, 0, 0], "child": { "cylinder": { "radius": 0.2, "height": 1.9 } } } }
     ] } } }"#];
 
-    #[inline(always)]
     fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>) -> V {
         let BoundingCylinder { radius, low, high, stretch } = *self.cylinder();
         let away = p.x.square_add(p.z.square()).sqrt();

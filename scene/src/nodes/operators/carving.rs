@@ -79,17 +79,11 @@ impl Sdf for Engrave {
         { "infinite_cylinder": { "radius": 0.5 } }
     ] }"#;
 
-    #[inline(always)]
     fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>) -> V {
         let (shape, pattern): (V, V) = (self.of[0].sample(p), self.of[1].sample(p));
         let uncut = shape.distance();
         let cut = (uncut + uncut.uniform(self.depth.get()) - pattern.distance().abs()) * FRAC_1_SQRT_2;
-        shape.blend(
-            pattern,
-            uncut.max(cut),
-            #[inline(always)]
-            || indicator(uncut, uncut.lt(cut)),
-        )
+        shape.blend(pattern, uncut.max(cut), || indicator(uncut, uncut.lt(cut)))
     }
 
     around_joined!();
@@ -115,18 +109,12 @@ impl Sdf for Groove {
         { "sphere": { "radius": 1 } }
     ] }"#;
 
-    #[inline(always)]
     fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>) -> V {
         let (shape, pattern): (V, V) = (self.of[0].sample(p), self.of[1].sample(p));
         let uncut = shape.distance();
         let wall = uncut.uniform(0.5 * self.width.get()) - pattern.distance().abs();
         let cut = wall.min(uncut + uncut.uniform(self.depth.get()));
-        shape.blend(
-            pattern,
-            uncut.max(cut),
-            #[inline(always)]
-            || indicator(uncut, uncut.lt(cut)),
-        )
+        shape.blend(pattern, uncut.max(cut), || indicator(uncut, uncut.lt(cut)))
     }
 
     around_joined!();
@@ -146,18 +134,12 @@ impl Sdf for Tongue {
         { "infinite_cylinder": { "radius": 0.5 } }
     ] }"#;
 
-    #[inline(always)]
     fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>) -> V {
         let (shape, pattern): (V, V) = (self.of[0].sample(p), self.of[1].sample(p));
         let bare = shape.distance();
         let wall = pattern.distance().abs() - bare.uniform(0.5 * self.width.get());
         let ridge = wall.max(bare - bare.uniform(self.height.get()));
-        shape.blend(
-            pattern,
-            bare.min(ridge),
-            #[inline(always)]
-            || indicator(bare, ridge.lt(bare)),
-        )
+        shape.blend(pattern, bare.min(ridge), || indicator(bare, ridge.lt(bare)))
     }
 
     around_joined!();
@@ -177,18 +159,12 @@ impl Sdf for Morph {
         { "torus": { "radius": 0.8, "tube": 0.3 } }
     ] }"#;
 
-    #[inline(always)]
     fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>) -> V {
         let (first, second): (V, V) = (self.of[0].sample(p), self.of[1].sample(p));
         let (start, end) = (first.distance(), second.distance());
         let amount = start.uniform(self.amount.get());
         let distance = end.mul_add(amount, start * start.uniform(1.0 - self.amount.get()));
-        first.blend(
-            second,
-            distance,
-            #[inline(always)]
-            || amount,
-        )
+        first.blend(second, distance, || amount)
     }
 
     around_joined!();

@@ -82,7 +82,6 @@ pub struct Columns {
 
 impl SeamKind {
     /// Combines two shapes by the seam of a union, which is a function of two distances.
-    #[inline(always)]
     fn combine<R: Real, V: SdfValue<R>>(self, a: V, b: V, size: &Length, seam: impl FnOnce(R, R) -> R) -> V {
         let (da, db) = match self {
             Self::Union => (a.distance(), b.distance()),
@@ -94,15 +93,10 @@ impl SeamKind {
             Self::Union => outside,
             Self::Intersection | Self::Difference => -outside,
         };
-        a.blend(
-            b,
-            distance,
-            #[inline(always)]
-            || {
-                let share = (da - db).mul_add(da.uniform(0.5 / size.get()), da.constant(0.5));
-                share.at_least(0.0).at_most(1.0)
-            },
-        )
+        a.blend(b, distance, || {
+            let share = (da - db).mul_add(da.uniform(0.5 / size.get()), da.constant(0.5));
+            share.at_least(0.0).at_most(1.0)
+        })
     }
 
     /// Box that contains every point whose value is at most `isolevel`, for shapes folded from the left. Where a
@@ -164,23 +158,11 @@ impl Sdf for Chamfer {
         ] }"#,
     ];
 
-    #[inline(always)]
     fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>) -> V {
         let size = self.size.get();
-        fold_children(
-            &self.of,
-            p,
-            #[inline(always)]
-            |a, b| {
-                self.kind.combine(
-                    a,
-                    b,
-                    &self.size,
-                    #[inline(always)]
-                    |a: R, b: R| a.min(b).min((a + b - a.uniform(size)) * FRAC_1_SQRT_2),
-                )
-            },
-        )
+        fold_children(&self.of, p, |a, b| {
+            self.kind.combine(a, b, &self.size, |a: R, b: R| a.min(b).min((a + b - a.uniform(size)) * FRAC_1_SQRT_2))
+        })
     }
 
     around_joined!();
@@ -213,31 +195,19 @@ impl Sdf for Stairs {
         ] }"#,
     ];
 
-    #[inline(always)]
     fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>) -> V {
         let size = self.size.get();
         let step = size / (self.steps + 1) as f32;
-        fold_children(
-            &self.of,
-            p,
-            #[inline(always)]
-            |a, b| {
-                self.kind.combine(
-                    a,
-                    b,
-                    &self.size,
-                    #[inline(always)]
-                    |a: R, b: R| {
-                        let past = b - a.uniform(size);
-                        let along = past - a + a.uniform(step);
-                        let step_number = (along * a.uniform(0.5 / step)).floor();
-                        let on_step = step_number.mul_add(a.uniform(-2.0 * step), along);
-                        let steps = (past + a + (on_step - a.uniform(step)).abs()) * 0.5;
-                        a.min(b).min(steps)
-                    },
-                )
-            },
-        )
+        fold_children(&self.of, p, |a, b| {
+            self.kind.combine(a, b, &self.size, |a: R, b: R| {
+                let past = b - a.uniform(size);
+                let along = past - a + a.uniform(step);
+                let step_number = (along * a.uniform(0.5 / step)).floor();
+                let on_step = step_number.mul_add(a.uniform(-2.0 * step), along);
+                let steps = (past + a + (on_step - a.uniform(step)).abs()) * 0.5;
+                a.min(b).min(steps)
+            })
+        })
     }
 
     // With the zigzag's slope of ±1 the steps are ½(b + a ± (b − a)): they change like a or like b, so the greatest
@@ -284,37 +254,24 @@ impl Sdf for Columns {
         ] }"#,
     ];
 
-    #[inline(always)]
     fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>) -> V {
         let (radius, depth) = self.column_layout();
         // The row is centered on the diagonal, with a column there if their number is odd.
         let start = if self.columns % 2 == 1 { 0.5 } else { 0.0 };
-        fold_children(
-            &self.of,
-            p,
-            #[inline(always)]
-            |a, b| {
-                self.kind.combine(
-                    a,
-                    b,
-                    &self.size,
-                    #[inline(always)]
-                    |a: R, b: R| {
-                        let across = (a + b).mul_add(a.constant(FRAC_1_SQRT_2), a.uniform(-depth));
-                        let along = (b - a) * FRAC_1_SQRT_2;
-                        let number =
-                            (along.mul_add(a.uniform(0.5 / radius), a.constant(start))).floor() + (0.5 - start);
-                        let beside = number.mul_add(a.uniform(-2.0 * radius), along);
-                        let column = across.square_add(beside.square()).sqrt() - a.uniform(radius);
-                        let row = match self.kind {
-                            SeamKind::Union => across.min(column),
-                            SeamKind::Intersection | SeamKind::Difference => across.max(-column),
-                        };
-                        a.min(b).min(row)
-                    },
-                )
-            },
-        )
+        fold_children(&self.of, p, |a, b| {
+            self.kind.combine(a, b, &self.size, |a: R, b: R| {
+                let across = (a + b).mul_add(a.constant(FRAC_1_SQRT_2), a.uniform(-depth));
+                let along = (b - a) * FRAC_1_SQRT_2;
+                let number = (along.mul_add(a.uniform(0.5 / radius), a.constant(start))).floor() + (0.5 - start);
+                let beside = number.mul_add(a.uniform(-2.0 * radius), along);
+                let column = across.square_add(beside.square()).sqrt() - a.uniform(radius);
+                let row = match self.kind {
+                    SeamKind::Union => across.min(column),
+                    SeamKind::Intersection | SeamKind::Difference => across.max(-column),
+                };
+                a.min(b).min(row)
+            })
+        })
     }
 
     around_joined!();

@@ -31,7 +31,6 @@ impl Sdf for Xor {
         { "box": { "size": [0.8, 3, 0.8] } }
     ] }"#];
 
-    #[inline(always)]
     fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>) -> V {
         fold_children(&self.of, p, xor_distance)
     }
@@ -46,17 +45,11 @@ impl Sdf for Xor {
 
 /// Exclusive or of two values: max(min(a, b), −max(a, b)), the nearer of the two surfaces with a sign of its own. The
 /// material of that surface is visible.
-#[inline(always)]
 fn xor_distance<R: Real, V: SdfValue<R>>(a: V, b: V) -> V {
     let (da, db) = (a.distance(), b.distance());
     let (less, greater) = (da.min(db), -da.max(db));
-    a.blend(
-        b,
-        less.max(greater),
-        #[inline(always)]
-        || {
-            let is_less = indicator(da, db.lt(da));
-            R::select(less.lt(greater), da.constant(1.0) - is_less, is_less)
-        },
-    )
+    a.blend(b, less.max(greater), || {
+        let is_less = indicator(da, db.lt(da));
+        R::select(less.lt(greater), da.constant(1.0) - is_less, is_less)
+    })
 }

@@ -29,24 +29,14 @@ impl Primitive for BoxFrame {
     const EXAMPLE: &str = r#"{ "size": [1.6, 1.2, 1.3], "thickness": 0.16 }"#;
     const MORE_EXAMPLES: &[&str] = &[r#"{ "size": [1.2, 1.8, 1], "thickness": 0.4 }"#];
 
-    #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
-        let half = vec3(self.size[0].get(), self.size[1].get(), self.size[2].get()).map(
-            #[inline(always)]
-            |c| c * 0.5,
-        );
+        let half = vec3(self.size[0].get(), self.size[1].get(), self.size[2].get()).map(|c| c * 0.5);
         let thickness = p.x.uniform(self.thickness.get());
         // Depth below the box's faces: by symmetry, from the corner where all coordinates are positive. A point is in
         // a beam if two of the three are at most its thickness, and none is below 0.
         let depth = Vec3::uniform(p.x, half) - vec3(p.x.abs(), p.y.abs(), p.z.abs());
-        let past_face = depth.map(
-            #[inline(always)]
-            |c| (-c).at_least(0.0),
-        );
-        let past_beam = depth.map(
-            #[inline(always)]
-            |c| (c - thickness).at_least(0.0),
-        );
+        let past_face = depth.map(|c| (-c).at_least(0.0));
+        let past_beam = depth.map(|c| (c - thickness).at_least(0.0));
         // Squares of each coordinate's distance from a beam's length and from its section.
         let (length, section) = (squares(past_face), squares(past_face + past_beam));
         let to_x = length.x + (section.y + section.z);
@@ -54,10 +44,7 @@ impl Primitive for BoxFrame {
         let to_z = length.z + (section.x + section.y);
         let outside = to_x.min(to_y).min(to_z);
         // Points of the box outside the beams are deeper than the thickness in two coordinates.
-        let left = squares(depth.map(
-            #[inline(always)]
-            |c| (thickness - c).at_least(0.0),
-        ));
+        let left = squares(depth.map(|c| (thickness - c).at_least(0.0)));
         let to_opening = (left.x + left.y).min(left.y + left.z).min(left.z + left.x);
         let is_outside = outside.above(0.0);
         let root = R::select(is_outside, outside, to_opening).sqrt();
@@ -99,7 +86,6 @@ impl Primitive for Rhombus {
     const EXAMPLE: &str = r#"{ "diagonals": [2, 1.2], "height": 0.7, "round": 0.06 }"#;
     const MORE_EXAMPLES: &[&str] = &[r#"{ "diagonals": [0.9, 1.9], "height": 0.5 }"#];
 
-    #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
         let round = self.round.get();
         let (x, z) = (self.diagonals[0].get() * 0.5 - round, self.diagonals[1].get() * 0.5 - round);
@@ -134,7 +120,6 @@ impl Primitive for Rhombus {
     }
 }
 
-#[inline(always)]
 fn squares<R: Real>(v: Vec3<R>) -> Vec3<R> {
     vec3(v.x.square(), v.y.square(), v.z.square())
 }

@@ -25,7 +25,6 @@ pub struct Cone {
 impl Primitive for Cone {
     const EXAMPLE: &str = r#"{ "radius": 0.8, "height": 1.8 }"#;
 
-    #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
         to_capped_cone(p, self.radius.get(), 0.0, self.height.get())
     }
@@ -55,7 +54,6 @@ impl Primitive for CappedCone {
 
     const MORE_EXAMPLES: &[&str] = &[r#"{ "bottom_radius": 0, "top_radius": 0.8, "height": 1.2 }"#];
 
-    #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
         to_capped_cone(p, self.bottom_radius.get(), self.top_radius.get(), self.height.get())
     }
@@ -77,7 +75,6 @@ impl Primitive for CappedCone {
 }
 
 /// Distance to a cone between two disks around the y axis: the lesser of the distances to a disk and to the side.
-#[inline(always)]
 fn to_capped_cone<R: Real>(p: Vec3<R>, bottom: f32, top: f32, height: f32) -> R {
     let half = height / 2.0;
     // In the half-plane of (away from the axis, up), the side runs from (bottom, −half) by `side`.
@@ -123,7 +120,6 @@ impl Precompute for InfiniteConeParams {
 impl Primitive for InfiniteCone {
     const EXAMPLE: &str = r#"{ "degrees": 30 }"#;
 
-    #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
         let (sine, cosine) = *self.derive();
         let across = distance_from_y_axis(p);
@@ -159,7 +155,6 @@ impl Primitive for RoundCone {
 
     const MORE_EXAMPLES: &[&str] = &[r#"{ "bottom_radius": 0.3, "top_radius": 0.6, "height": 1.7 }"#];
 
-    #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
         let (bottom, top, height) = (self.bottom_radius.get(), self.top_radius.get(), self.height.get());
         let apart = (height - bottom - top).max(0.0);
@@ -218,7 +213,6 @@ impl Primitive for SolidAngle {
 
     const MORE_EXAMPLES: &[&str] = &[r#"{ "degrees": 130, "radius": 0.9 }"#];
 
-    #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
         let (sine, cosine) = *self.derive();
         let across = distance_from_y_axis(p);

@@ -105,7 +105,6 @@ struct Cubic<R> {
 
 impl<R: Real> Cubic<R> {
     /// Value of the cubic, and one over its derivative. If the derivative is 0, a step by the latter leaves the curve.
-    #[inline(always)]
     fn newton(&self, t: R) -> (R, R) {
         let value = self.third.mul_add(t, self.second).mul_add(t, self.first).mul_add(t, self.constant);
         let rise = (self.third * 3.0).mul_add(t, self.second * 2.0).mul_add(t, self.first);
@@ -114,7 +113,6 @@ impl<R: Real> Cubic<R> {
 }
 
 /// Squared distance to the curve's point at t, from a point whose vector from the curve's start is `from_p`.
-#[inline(always)]
 fn distance_squared_at<R: Real>(from_p: Vec3<R>, curve: &BezierCoefficients, t: R) -> R {
     let (slope, bend) = (Vec3::uniform(t, curve.slope), Vec3::uniform(t, curve.bend));
     bend.mul_add(t, slope).mul_add(t, from_p).length_squared()
@@ -125,7 +123,6 @@ impl Primitive for BezierTube {
 
     const MORE_EXAMPLES: &[&str] = &[r#"{ "a": [-0.7, -0.8, 0], "b": [2, 0, 0], "c": [-0.7, 0.8, 0], "radius": 0.2 }"#];
 
-    #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
         let curve = self.derive();
         let vertex = p.x.uniform(curve.vertex);
@@ -136,26 +133,16 @@ impl Primitive for BezierTube {
         let first = from_p.dot_uniform(curve.bend_over_size) + p.x.uniform(first);
         let constant = from_p.dot_uniform(curve.slope_over_size);
         let cubic = Cubic { third, second, first, constant };
-        let last = R::repeat(
-            NEWTON_STEPS,
-            p.x.constant(1.0),
-            #[inline(always)]
-            |t| {
-                let (value, over_rise) = cubic.newton(t);
-                let next = (t - value.at_least(0.0) * over_rise).max(vertex);
-                ((t - next).above(NEWTON_TOLERANCE), next)
-            },
-        );
-        let first = R::repeat(
-            NEWTON_STEPS,
-            p.x.constant(0.0),
-            #[inline(always)]
-            |t| {
-                let (value, over_rise) = cubic.newton(t);
-                let next = (t - value.at_most(0.0) * over_rise).min(vertex);
-                ((next - t).above(NEWTON_TOLERANCE), next)
-            },
-        );
+        let last = R::repeat(NEWTON_STEPS, p.x.constant(1.0), |t| {
+            let (value, over_rise) = cubic.newton(t);
+            let next = (t - value.at_least(0.0) * over_rise).max(vertex);
+            ((t - next).above(NEWTON_TOLERANCE), next)
+        });
+        let first = R::repeat(NEWTON_STEPS, p.x.constant(0.0), |t| {
+            let (value, over_rise) = cubic.newton(t);
+            let next = (t - value.at_most(0.0) * over_rise).min(vertex);
+            ((next - t).above(NEWTON_TOLERANCE), next)
+        });
         let nearest = distance_squared_at(from_p, curve, first).min(distance_squared_at(from_p, curve, last));
         nearest.sqrt() - p.x.uniform(self.radius.get())
     }

@@ -27,7 +27,6 @@ impl Primitive for CutSphere {
 
     const MORE_EXAMPLES: &[&str] = &[r#"{ "radius": 1.2, "cut": 0.4 }"#];
 
-    #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
         let across = distance_from_y_axis(p);
         let radius = p.x.uniform(self.radius.get());
@@ -80,7 +79,6 @@ impl Primitive for CutHollowSphere {
     const MORE_EXAMPLES: &[&str] =
         &[r#"{ "radius": 1.1, "cut": -0.3, "thickness": 0.1 }"#, r#"{ "radius": 0.9, "cut": 0.85, "thickness": 0.7 }"#];
 
-    #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
         let across = distance_from_y_axis(p);
         let (cut, rim) = (p.x.uniform(self.cut.get()), p.x.uniform(rim(&self.radius, &self.cut)));
@@ -159,7 +157,6 @@ impl Primitive for DeathStar {
 
     const MORE_EXAMPLES: &[&str] = &[r#"{ "radius": 1, "bite": 1.2, "distance": 0.8 }"#];
 
-    #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
         let (rim, height) = self.rim();
         let across = distance_from_y_axis(p);

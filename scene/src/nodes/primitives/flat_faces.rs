@@ -40,7 +40,6 @@ impl Precompute for TriangleParams {
 impl Primitive for Triangle {
     const EXAMPLE: &str = r#"{ "a": [-1, -0.6, 0.3], "b": [0.9, -0.7, 0.1], "c": [0.1, 0.9, -0.4], "radius": 0.1 }"#;
 
-    #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
         self.derive().distance(p) - p.x.uniform(self.radius.get())
     }
@@ -140,7 +139,6 @@ impl Primitive for Quad {
         "a": [-1, -0.6, 0.4], "b": [0.8, -0.6, 0.4], "c": [0.6, 0.6, -0.4], "d": [-0.6, 0.6, -0.4], "radius": 0.1
     }"#;
 
-    #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
         self.derive().distance(p) - p.x.uniform(self.radius.get())
     }
@@ -186,7 +184,6 @@ impl<const N: usize> ConvexFace<N> {
     }
 
     /// Distance to the face: to its plane if the point projects into the face, else to its nearest side.
-    #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
         let height = (p - Vec3::uniform(p.x, self.sides[0].start)).dot_uniform(self.normal);
         // Depth inside the nearest side, seen along the normal.

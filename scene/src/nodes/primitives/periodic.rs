@@ -64,7 +64,6 @@ impl Primitive for Gyroid {
     const EXAMPLE: &str = r#"{ "cell": 1.2, "thickness": 0.08 }"#;
     const MORE_EXAMPLES: &[&str] = &[r#"{ "cell": 1.6 }"#];
 
-    #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
         // ∂f/∂x = cos x cos y − sin z sin x is the product of (cos x, −sin x) and (cos y, sin z): its
         // square is at most cos²y + sin²z. Likewise those of ∂f/∂y and ∂f/∂z are at most
@@ -92,7 +91,6 @@ impl Primitive for SchwarzP {
     const EXAMPLE: &str = r#"{ "cell": 1.1, "thickness": 0.1 }"#;
     const MORE_EXAMPLES: &[&str] = &[r#"{ "cell": 1.4 }"#];
 
-    #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
         // The gradient (−sin x, −sin y, −sin z) has a square of 3 at most.
         let (_, cosine) = cell_sin_cos(p, &self.cell);
@@ -116,7 +114,6 @@ impl Primitive for Diamond {
     const EXAMPLE: &str = r#"{ "cell": 1.5, "thickness": 0.08 }"#;
     const MORE_EXAMPLES: &[&str] = &[r#"{ "cell": 2 }"#];
 
-    #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
         // f = sin x cos(y − z) + cos x sin(y + z), and cyclically. Squaring ∂f/∂x = cos x cos(y − z) − sin x sin(y +
         // z) and the others, with products expanded to double angles: let c and s be the cosines and sines of 2x, 2y,
@@ -145,7 +142,6 @@ impl Primitive for Diamond {
 }
 
 /// Sines and cosines of a point's coordinates, scaled by 2π per cell.
-#[inline(always)]
 fn cell_sin_cos<R: Real>(p: Vec3<R>, cell: &Length) -> (Vec3<R>, Vec3<R>) {
     let per_cell = p.x.uniform(1.0 / cell.get());
     let (sine_x, cosine_x) = (p.x * per_cell).sin_cos_turns();
@@ -155,7 +151,6 @@ fn cell_sin_cos<R: Real>(p: Vec3<R>, cell: &Length) -> (Vec3<R>, Vec3<R>) {
 }
 
 /// Distance bound from `f`: of the side where it is negative, or of a wall around its zero set.
-#[inline(always)]
 fn slab_around_zero<R: Real>(f: R, cell: &Length, thickness: Option<&Length>) -> R {
     let scale = f.uniform(cell.get() / (TAU * MAX_GRADIENT));
     match thickness {

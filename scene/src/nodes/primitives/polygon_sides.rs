@@ -75,14 +75,12 @@ impl PolygonSides {
     }
 
     /// Distance of the edges from the center of a polygon, and half their length, for this circumradius.
-    #[inline(always)]
     pub(super) fn inradius_and_half_edge(&self, radius: f32) -> (f32, f32) {
         (radius * self.half_side.1, radius * self.half_side.0)
     }
 
     /// Folds the plane of x and z into the wedge from the +z axis to half a side's angle from it. Returns the point's
     /// position along the edge and its distance outward.
-    #[inline(always)]
     pub(super) fn fold<R: Real>(&self, x: R, z: R) -> (R, R) {
         let (mut along, mut out) = (x.abs(), if self.is_even() { z.abs() } else { z });
         for &(sine, cosine) in &self.fold_angles[..self.mirrors_used] {

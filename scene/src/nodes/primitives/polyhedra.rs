@@ -61,7 +61,6 @@ const ROOT_OF_THIRD: f32 = 0.577_350_26;
 impl Primitive for Tetrahedron {
     const EXAMPLE: &str = r#"{ "radius": 1.1 }"#;
 
-    #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
         // The base, relative to its center: its edges are √2/3 of the radius away, and half an edge is √(2/3) of the
         // radius.
@@ -84,7 +83,6 @@ impl Primitive for Tetrahedron {
 impl Primitive for Octahedron {
     const EXAMPLE: &str = r#"{ "radius": 1.1 }"#;
 
-    #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
         let (x, y, z) = (p.x.abs(), p.y.abs(), p.z.abs());
         let least = x.min(y).min(z);
@@ -107,7 +105,6 @@ impl Primitive for Octahedron {
 impl Primitive for Dodecahedron {
     const EXAMPLE: &str = r#"{ "radius": 1.1 }"#;
 
-    #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
         // A corner is along (1, 0, φ²), a face's center along (0, 1, φ).
         const TO_EDGE: f32 = 0.934_172_4;
@@ -129,7 +126,6 @@ impl Primitive for Dodecahedron {
 impl Primitive for Icosahedron {
     const EXAMPLE: &str = r#"{ "radius": 1.1 }"#;
 
-    #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
         // A corner is along (0, 1, φ), a face's center along (1, 0, φ²).
         const TO_EDGE: f32 = 0.850_650_8;
@@ -150,7 +146,6 @@ impl Primitive for Icosahedron {
 
 /// Distance to a face, given the point's offset from the center of the face's edge: `across` and `up`, in which
 /// `normal` is the face's normal; `past_end` is its distance beyond the edge's end.
-#[inline(always)]
 fn distance_to_face<R: Real>(normal: (f32, f32), across: R, up: R, past_end: R) -> R {
     let (normal_across, normal_up) = (up.constant(normal.0), up.constant(normal.1));
     let before = across.mul_add(normal_across, up * normal_up);
@@ -159,14 +154,12 @@ fn distance_to_face<R: Real>(normal: (f32, f32), across: R, up: R, past_end: R) 
 }
 
 /// Distance to a face: `before` its plane if the point projects into it, else to its edge or corner.
-#[inline(always)]
 fn distance_to_edge<R: Real>(before: R, past_edge: R, past_end: R) -> R {
     let to_edge = before.square_add(past_edge.square_add(past_end.at_least(0.0).square())).sqrt();
     R::select(past_edge.above(0.0), to_edge, before)
 }
 
 /// Reflects points behind a plane through the origin to its front.
-#[inline(always)]
 fn mirror<R: Real>(p: (R, R), normal: (f32, f32)) -> (R, R) {
     let (a, b) = p;
     let behind = a.mul_add(a.constant(normal.0), b * normal.1).at_most(0.0);
@@ -174,7 +167,6 @@ fn mirror<R: Real>(p: (R, R), normal: (f32, f32)) -> (R, R) {
 }
 
 /// Folds space into the wedge of the bottom face, with its edge across +z, and the end of that edge at +x.
-#[inline(always)]
 fn fold_tetrahedron<R: Real>(p: Vec3<R>) -> Vec3<R> {
     // Mirrors: x = 0, one through the y axis and the end of the edge, one through the full edge.
     const THROUGH_END: (f32, f32) = (-0.5, 0.866_025_4);
@@ -187,23 +179,16 @@ fn fold_tetrahedron<R: Real>(p: Vec3<R>) -> Vec3<R> {
 }
 
 /// Folds space into the wedge between (0, 0, 1), (0, 1, φ) and (1, 0, φ²).
-#[inline(always)]
 fn fold_icosahedron<R: Real>(p: Vec3<R>) -> Vec3<R> {
-    p.x.call(
-        "fold_icosahedron",
-        p,
-        #[inline(always)]
-        |p: Vec3<R>| {
-            // Mirrors: x = 0, y = 0, and the plane through the wedge's corners off the z axis. z = 0 is a mirror of
-            // the group too: with it, three rounds suffice instead of five.
-            let p = mirror_icosahedron(vec3(p.x.abs(), p.y.abs(), p.z.abs()));
-            let p = mirror_icosahedron(vec3(p.x.abs(), p.y.abs(), p.z));
-            mirror_icosahedron(vec3(p.x.abs(), p.y.abs(), p.z))
-        },
-    )
+    p.x.call("fold_icosahedron", p, |p: Vec3<R>| {
+        // Mirrors: x = 0, y = 0, and the plane through the wedge's corners off the z axis. z = 0 is a mirror of
+        // the group too: with it, three rounds suffice instead of five.
+        let p = mirror_icosahedron(vec3(p.x.abs(), p.y.abs(), p.z.abs()));
+        let p = mirror_icosahedron(vec3(p.x.abs(), p.y.abs(), p.z));
+        mirror_icosahedron(vec3(p.x.abs(), p.y.abs(), p.z))
+    })
 }
 
-#[inline(always)]
 fn mirror_icosahedron<R: Real>(p: Vec3<R>) -> Vec3<R> {
     const NORMAL: Vec3<f32> = vec3(-0.5 * GOLDEN_RATIO, -0.5, 0.5 / GOLDEN_RATIO);
     let like = p.x;

@@ -51,7 +51,6 @@ pub struct RegularPyramid {
 impl Primitive for HexagonalPrism {
     const EXAMPLE: &str = r#"{ "radius": 0.8, "height": 1.4 }"#;
 
-    #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
         prism(p, &PolygonSides::HEXAGON, &self.radius, &self.height)
     }
@@ -64,7 +63,6 @@ impl Primitive for HexagonalPrism {
 impl Primitive for OctagonalPrism {
     const EXAMPLE: &str = r#"{ "radius": 0.9, "height": 1 }"#;
 
-    #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
         prism(p, &PolygonSides::OCTAGON, &self.radius, &self.height)
     }
@@ -79,7 +77,6 @@ impl Primitive for RegularPyramid {
     const MORE_EXAMPLES: &[&str] =
         &[r#"{ "sides": 3, "radius": 1, "height": 0.6 }"#, r#"{ "sides": 12, "radius": 0.6, "height": 1.2 }"#];
 
-    #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
         let (along, out) = self.sides.fold(p.x, p.z);
         let (inradius, half_edge) = self.sides.inradius_and_half_edge(self.radius.get());
@@ -98,7 +95,6 @@ impl Primitive for RegularPyramid {
 }
 
 /// Distance to a prism over a regular polygon.
-#[inline(always)]
 fn prism<R: Real>(p: Vec3<R>, sides: &PolygonSides, radius: &Length, height: &Length) -> R {
     let (along, out) = sides.fold(p.x, p.z);
     let (inradius, half_edge) = sides.inradius_and_half_edge(radius.get());

@@ -33,7 +33,6 @@ impl PyramidFace {
     /// Squared distance to the triangle, for points next to the half of it with positive `along`, and the signed
     /// distance of the point from its plane. Below the edge of the base it is at most the distance to the corner,
     /// because the base is nearer there.
-    #[inline(always)]
     pub(super) fn distance_and_depth<R: Real>(&self, out: R, along: R, height: R) -> (R, R) {
         let (across, up) = (out.uniform(self.normal.0), out.uniform(self.normal.1));
         let from_edge = out - out.uniform(self.inradius);

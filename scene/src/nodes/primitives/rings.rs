@@ -46,7 +46,6 @@ impl Primitive for CappedTorus {
         r#"{ "radius": 0.8, "tube": 0.2, "degrees": 360 }"#,
     ];
 
-    #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
         let (end_x, end_z) = *self.derive();
         let (end_x, end_z) = (p.x.uniform(end_x), p.x.uniform(end_z));
@@ -101,7 +100,6 @@ impl Link {
 impl Primitive for Link {
     const EXAMPLE: &str = r#"{ "height": 2.1, "radius": 0.45, "tube": 0.16 }"#;
 
-    #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
         let past_side = (p.y.abs() - p.x.uniform(self.half_side())).at_least(0.0);
         let off_line = hypot(p.x, past_side) - p.x.uniform(self.radius.get());
@@ -170,7 +168,6 @@ impl Primitive for Horseshoe {
         r#"{ "radius": 0.9, "degrees": 300, "leg": 0, "width": 0.3, "thickness": 0.1 }"#,
     ];
 
-    #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
         self.derive().distance(p)
     }
@@ -203,7 +200,6 @@ pub struct U {
 impl Primitive for U {
     const EXAMPLE: &str = r#"{ "radius": 0.55, "leg": 0.8, "width": 0.28, "thickness": 0.4 }"#;
 
-    #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
         self.band().distance(p)
     }
@@ -247,7 +243,6 @@ impl Ribbon {
         (self.radius * sine + self.leg * cosine, self.leg * sine - self.radius * cosine)
     }
 
-    #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
         let (sine, cosine) = (p.x.uniform(self.turn.0), p.x.uniform(self.turn.1));
         let (radius, x) = (p.x.uniform(self.radius), p.x.abs());

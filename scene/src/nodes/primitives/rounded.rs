@@ -27,7 +27,6 @@ pub struct RoundedCylinder {
 impl Primitive for RoundedCylinder {
     const EXAMPLE: &str = r#"{ "radius": 0.8, "height": 1.4, "round": 0.25 }"#;
 
-    #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
         let round = self.round.get();
         let past_side = distance_from_y_axis(p) - p.x.uniform(self.radius.get() - round);
@@ -107,7 +106,6 @@ impl Primitive for Ellipsoid {
 
     const MORE_EXAMPLES: &[&str] = &[r#"{ "radii": [1, 0.1, 1] }"#, r#"{ "radii": [0.2, 1.1, 0.3] }"#];
 
-    #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
         let &ScaledRadii { largest, radius, over_radius, excess_squared: past_least } = self.derive();
         let (radius, over_radius) = (Vec3::uniform(p.x, radius), Vec3::uniform(p.x, over_radius));
@@ -115,27 +113,16 @@ impl Primitive for Ellipsoid {
         let place = vec3(p.x.abs(), p.y.abs(), p.z.abs()) * p.x.uniform(1.0 / largest);
         // A point on a plane of symmetry may have its nearest points on both sides: start from one
         // side.
-        let reach = times(
-            radius,
-            place.map(
-                #[inline(always)]
-                |c| c.at_least(1e-6),
-            ),
-        );
+        let reach = times(radius, place.map(|c| c.at_least(1e-6)));
         // No greater than the root: for one coordinate alone, and for all as if on the largest ball.
         let start = (reach - past_least).max_element().max(reach.length() - past_least.max_element());
-        let t = R::repeat(
-            ELLIPSOID_STEPS,
-            start,
-            #[inline(always)]
-            |t| {
-                let (ratio, inverse) = nearest_ratio(reach, past_least, t);
-                let size = ratio.length();
-                let slope = times(ratio, ratio).dot(inverse);
-                let step = (size - 1.0).at_least(0.0) * size.square() / slope;
-                (size.above(1.0 + ELLIPSOID_TOLERANCE), t + step)
-            },
-        );
+        let t = R::repeat(ELLIPSOID_STEPS, start, |t| {
+            let (ratio, inverse) = nearest_ratio(reach, past_least, t);
+            let size = ratio.length();
+            let slope = times(ratio, ratio).dot(inverse);
+            let step = (size - 1.0).at_least(0.0) * size.square() / slope;
+            (size.above(1.0 + ELLIPSOID_TOLERANCE), t + step)
+        });
         let (ratio, _) = nearest_ratio(reach, past_least, t);
         let normal = times(ratio, over_radius);
         (normal.dot(place) - ratio.length()) / normal.length() * p.x.uniform(largest)
@@ -148,17 +135,12 @@ impl Primitive for Ellipsoid {
 }
 
 /// Nearest point divided by the radii, if `t` is `excess_squared` beyond −least²; and 1/(t + radius²).
-#[inline(always)]
 fn nearest_ratio<R: Real>(reach: Vec3<R>, past_least: Vec3<R>, t: R) -> (Vec3<R>, Vec3<R>) {
-    let inverse = past_least.map(
-        #[inline(always)]
-        |c| t.constant(1.0) / (c + t),
-    );
+    let inverse = past_least.map(|c| t.constant(1.0) / (c + t));
     (times(reach, inverse), inverse)
 }
 
 /// Product of each coordinate.
-#[inline(always)]
 fn times<R: Real>(a: Vec3<R>, b: Vec3<R>) -> Vec3<R> {
     vec3(a.x * b.x, a.y * b.y, a.z * b.z)
 }
@@ -187,7 +169,6 @@ impl Vesica {
 impl Primitive for Vesica {
     const EXAMPLE: &str = r#"{ "a": [-0.5, -0.9, 0], "b": [0.5, 0.9, 0.2], "radius": 0.45 }"#;
 
-    #[inline(always)]
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
         let half_axis = self.half_axis();
         let (half, radius) = (half_axis.length(), self.radius.get());

@@ -1,0 +1,130 @@
+//! Kernels compute packets of pixels, by the reference or by a tape's evaluator. Evaluators are cached by their tapes,
+//! and with their inputs by the pixels that they compute.
+
+use std::collections::VecDeque;
+use std::sync::atomic::AtomicBool;
+use std::sync::{Arc, Mutex, PoisonError};
+
+use scene::integrator::Radiance;
+use scene::real::{Real, vec3};
+use scene::{Image, Integrator, JobAtFrame};
+
+use super::evaluator::{Evaluator, Frame, Inputs};
+use crate::picture_tape::{ACCUMULATE, LAYERS, MEAN, channels, layer_channels, record_picture};
+use crate::tape::Tape;
+use crate::{RenderError, Simd};
+
+/// Maximum number of cached evaluators.
+const MAX_EVALUATORS: usize = 16;
+/// Maximum number of cached frames.
+const MAX_FRAMES: usize = 4;
+
+/// An evaluator with its inputs.
+#[derive(Debug)]
+pub(super) struct Prepared {
+    pub(super) evaluator: Arc<Evaluator>,
+    pub(super) inputs: Inputs,
+}
+
+/// Evaluators in use, those used last first.
+#[derive(Debug, Default)]
+pub(super) struct KernelCache {
+    by_tape: Mutex<VecDeque<(Tape, Arc<Evaluator>)>>,
+    by_pixels: Mutex<VecDeque<(blake3::Hash, Arc<Prepared>)>>,
+}
+
+impl KernelCache {
+    /// Evaluator and inputs of a frame.
+    pub(super) fn prepare(&self, still: &JobAtFrame<'_>, simd: Simd) -> Result<Arc<Prepared>, RenderError> {
+        let key = still.pixels_cache_key();
+        if let Some(known) = find(&self.by_pixels, |other| *other == key) {
+            return Ok(known);
+        }
+        let tape = record_picture(still);
+        let known = find(&self.by_tape, |other| other.has_same_code(&tape));
+        let evaluator = match known {
+            Some(known) => known,
+            None => insert(&self.by_tape, tape.clone(), Arc::new(Evaluator::new(&tape, simd)?), MAX_EVALUATORS),
+        };
+        let inputs = evaluator.inputs(tape.uniforms());
+        Ok(insert(&self.by_pixels, key, Arc::new(Prepared { evaluator, inputs }), MAX_FRAMES))
+    }
+}
+
+fn find<K, V: Clone>(cache: &Mutex<VecDeque<(K, V)>>, is_wanted: impl Fn(&K) -> bool) -> Option<V> {
+    let mut cache = cache.lock().unwrap_or_else(PoisonError::into_inner);
+    let place = cache.iter().position(|(key, _)| is_wanted(key))?;
+    let found = cache.remove(place)?;
+    let value = found.1.clone();
+    cache.push_front(found);
+    Some(value)
+}
+
+fn insert<K, V: Clone>(cache: &Mutex<VecDeque<(K, V)>>, key: K, value: V, limit: usize) -> V {
+    let mut cache = cache.lock().unwrap_or_else(PoisonError::into_inner);
+    cache.push_front((key, value.clone()));
+    cache.truncate(limit);
+    value
+}
+
+/// Computes packets of pixels of one frame.
+#[derive(Debug)]
+pub(super) enum Kernel<'a> {
+    /// The scalar reference, a pixel at a time.
+    Reference(Box<Integrator<'a>>, &'a Image),
+    /// A tape's evaluator.
+    Prepared(Arc<Prepared>),
+}
+
+/// A thread's use of a [`Kernel`].
+pub(super) enum Thread<'a> {
+    Reference(&'a Integrator<'a>, &'a Image),
+    Prepared(&'a Prepared, Frame),
+}
+
+impl Kernel<'_> {
+    /// Pixels of a packet.
+    pub(super) fn lanes(&self) -> usize {
+        match self {
+            Self::Reference(..) => 1,
+            Self::Prepared(prepared) => prepared.evaluator.lanes(),
+        }
+    }
+
+    /// Memory for a thread.
+    pub(super) fn thread(&self) -> Thread<'_> {
+        match self {
+            Self::Reference(program, image) => Thread::Reference(program, image),
+            Self::Prepared(prepared) => Thread::Prepared(prepared, prepared.evaluator.frame()),
+        }
+    }
+}
+
+impl Thread<'_> {
+    /// Evaluates an entry of [`record_picture`], see [`Evaluator::run`].
+    pub(super) fn run(&mut self, entry: &str, cancel: &AtomicBool, arguments: &[f32], results: &mut [f32]) {
+        match self {
+            Self::Reference(program, image) => results.copy_from_slice(&reference(program, image, entry, arguments)),
+            Self::Prepared(prepared, frame) => {
+                prepared.evaluator.run(entry, frame, &prepared.inputs, cancel, arguments, results);
+            }
+        }
+    }
+}
+
+/// The same entries without a tape.
+fn reference(program: &Integrator<'_>, image: &Image, entry: &str, arguments: &[f32]) -> Vec<f32> {
+    let sum = |parts: &[f32]| Radiance {
+        color: vec3(parts[0], parts[1], parts[2]),
+        alpha: parts[3],
+        evaluations: parts[3].constant(0.0),
+    };
+    match (entry, arguments) {
+        (ACCUMULATE, &[x, y, first, end, ..]) => {
+            channels(program.accumulate(x, y, first, end, sum(&arguments[4..]))).to_vec()
+        }
+        (MEAN, all) => channels(program.mean(sum(all))).to_vec(),
+        (LAYERS, &[x, y]) => layer_channels(&program.aovs(x, y), &image.layers),
+        _ => panic!("{entry} has other arguments"),
+    }
+}

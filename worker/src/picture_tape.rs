@@ -1,0 +1,64 @@
+//! Records the formulas of a picture, for every compiler.
+
+use scene::integrator::{Aovs, Radiance};
+use scene::real::{Real, vec3};
+use scene::{Integrator, JobAtFrame, Layer};
+
+use crate::tape::{Expr, Tape, record};
+
+/// Adds samples to the sum of a pixel: column, row, first sample, end of the samples, red, green, blue, alpha. Results
+/// are the new sum.
+pub(crate) const ACCUMULATE: &str = "accumulate";
+/// Color of a pixel from the sum of its samples.
+pub(crate) const MEAN: &str = "mean";
+/// Layers of the pixel in a column and row, one result for each channel.
+pub(crate) const LAYERS: &str = "layers";
+/// Number of evaluations of the scene's distance for the pixel in a column and row.
+pub(crate) const EVALUATIONS: &str = "evaluations";
+/// The scene's distance at a point.
+pub(crate) const DISTANCE: &str = "distance";
+
+/// Records the entries [`ACCUMULATE`], [`MEAN`] and, if the job requests layers, [`LAYERS`].
+pub(crate) fn record_picture(still: &JobAtFrame<'_>) -> Tape {
+    let (program, image) = (Integrator::new(still), still.image());
+    let sum = |[r, g, b, alpha]: [Expr; 4]| Radiance { color: vec3(r, g, b), alpha, evaluations: alpha.constant(0.0) };
+    record(|recording| {
+        recording.entry(ACCUMULATE, |[x, y, first, end, r, g, b, alpha]| {
+            channels(program.accumulate(x, y, first, end, sum([r, g, b, alpha]))).to_vec()
+        });
+        recording.entry(MEAN, |all| channels(program.mean(sum(all))).to_vec());
+        if !image.layers.is_empty() {
+            recording.entry(LAYERS, |[x, y]| layer_channels(&program.aovs(x, y), &image.layers));
+        }
+    })
+}
+
+/// Records the entry [`EVALUATIONS`].
+pub(crate) fn record_evaluations(still: &JobAtFrame<'_>) -> Tape {
+    let program = Integrator::new(still);
+    record(|recording| recording.entry(EVALUATIONS, |[x, y]| vec![program.pixel(x, y).evaluations]))
+}
+
+/// Records the entry [`DISTANCE`].
+pub(crate) fn record_distance(still: &JobAtFrame<'_>) -> Tape {
+    let program = Integrator::new(still);
+    record(|recording| recording.entry(DISTANCE, |[x, y, z]| vec![program.distance(vec3(x, y, z))]))
+}
+
+/// The channels of every picture.
+pub(crate) fn channels<R: Real>(light: Radiance<R>) -> [R; 4] {
+    [light.color.x, light.color.y, light.color.z, light.alpha]
+}
+
+/// The channels of layers.
+pub(crate) fn layer_channels<R: Real>(met: &Aovs<R>, layers: &[Layer]) -> Vec<R> {
+    let of_layer = |&layer: &Layer| match layer {
+        Layer::Depth => vec![met.depth],
+        Layer::Object => vec![met.object],
+        Layer::Steps => vec![met.steps],
+        Layer::Normal => <[_; 3]>::from(met.normal).to_vec(),
+        Layer::Position => <[_; 3]>::from(met.position).to_vec(),
+        Layer::Albedo => <[_; 3]>::from(met.albedo).to_vec(),
+    };
+    layers.iter().flat_map(of_layer).collect()
+}

@@ -1,0 +1,479 @@
+//! Interpreter of a tape, for every CPU: each step is a loop over a batch of lanes, which the Rust compiler turns into
+//! vector instructions.
+
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use scene::real::{Real, SQRT_FLOOR};
+
+use crate::tape::{Allocation, Linear, LinearTape, Operation, Place, Registers, Step, Var, allocate};
+#[cfg(target_arch = "x86_64")]
+use crate::x86::{AVX2, AVX512};
+
+/// Lanes of a batch: enough to share the cost of a step, few enough that neighboring pixels remain similar.
+pub(crate) const LANES: usize = 64;
+
+/// One value of a batch. A mask is all ones or all zeros in each lane.
+type Batch = Box<[u32; LANES]>;
+
+/// Slots for operands that are one number for all lanes.
+const SCRATCH: usize = 3;
+
+/// Instructions that the interpreter's loops are compiled for.
+#[derive(Clone, Copy, Debug)]
+enum Instructions {
+    #[cfg(target_arch = "x86_64")]
+    Avx512,
+    #[cfg(target_arch = "x86_64")]
+    Avx2,
+    OfTheBuild,
+}
+
+impl Instructions {
+    /// The widest of this CPU.
+    fn available() -> Self {
+        #[cfg(target_arch = "x86_64")]
+        if AVX512.is_available() {
+            return Self::Avx512;
+        } else if AVX2.is_available() {
+            return Self::Avx2;
+        }
+        Self::OfTheBuild
+    }
+}
+
+/// A tape to be interpreted.
+#[derive(Debug)]
+pub(crate) struct Program {
+    instructions: Instructions,
+    functions: Vec<Option<Function>>,
+    entries: Vec<(&'static str, usize)>,
+    slots: usize,
+    counters: usize,
+}
+
+/// A function whose steps address slots of the frame.
+#[derive(Debug)]
+struct Function {
+    operations: Vec<Instruction>,
+    live: usize,
+    arguments: Vec<usize>,
+    /// Sources of its results, and the slots where the caller finds them.
+    results: Vec<(Source, usize)>,
+}
+
+/// An operand.
+#[derive(Clone, Copy, Debug)]
+enum Source {
+    Slot(usize),
+    /// The same bits in all lanes.
+    Constant(u32),
+    /// A uniform, by its index.
+    Uniform(usize),
+}
+
+/// A step, with branch targets as indices of instructions.
+#[derive(Debug)]
+enum Instruction {
+    Compute { to: usize, operation: Operation, operands: [Source; 3] },
+    Move { to: usize, from: Source },
+    MoveWhere { mask: Source, to: usize, from: Source },
+    SkipIfNone { mask: Source, end: usize },
+    Count { counter: usize, limit: u32 },
+    RepeatWhileAny { mask: Source, counter: usize, top: usize },
+    Call { callee: usize, moves: Vec<(usize, Source)>, results: Vec<(usize, usize)> },
+}
+
+/// Memory of a thread that runs a program.
+#[derive(Debug)]
+pub(crate) struct Frame {
+    slots: Vec<Batch>,
+    /// Becomes the target of an operation when it is complete.
+    spare: Batch,
+    counters: Vec<u32>,
+}
+
+/// Parts of a function in the frame, as indices of slots.
+#[derive(Clone, Copy, Debug, Default)]
+struct Layout {
+    live: usize,
+    arguments: usize,
+    results: usize,
+    slots: usize,
+    end: usize,
+    counters: usize,
+}
+
+impl Program {
+    /// Prepares a tape.
+    pub(crate) fn new(tape: &LinearTape) -> Self {
+        let allocated = |linear: &Linear| allocate(linear, Registers::default());
+        let allocations: Vec<Option<Allocation>> =
+            tape.functions.iter().map(|linear| linear.as_ref().map(allocated)).collect();
+        // As in machine code: a callee's part of the frame begins after those of all its callers.
+        let mut layouts = vec![Layout { live: SCRATCH, ..Layout::default() }; tape.functions.len()];
+        let (mut slots, mut counters) = (SCRATCH, 0);
+        for (index, linear) in tape.functions.iter().enumerate().rev() {
+            let (Some(linear), Some(allocation)) = (linear, &allocations[index]) else { continue };
+            let layout = &mut layouts[index];
+            layout.arguments = layout.live + 1;
+            layout.results = layout.arguments + linear.arguments.len();
+            layout.slots = layout.results + linear.results.len();
+            layout.end = layout.slots + allocation.slots as usize;
+            layout.counters = counters;
+            counters += linear.counters;
+            let end = layout.end;
+            slots = slots.max(end);
+            for step in &linear.steps {
+                if let Step::Call { callee, .. } = step {
+                    layouts[*callee].live = layouts[*callee].live.max(end);
+                }
+            }
+        }
+        let functions = tape.functions.iter().zip(&allocations).enumerate();
+        let functions = functions.map(|(index, (linear, allocation))| {
+            let places = Places { allocation: allocation.as_ref()?, layout: layouts[index] };
+            Some(places.function(linear.as_ref()?, &layouts))
+        });
+        let instructions = Instructions::available();
+        Self { instructions, functions: functions.collect(), entries: tape.entries.clone(), slots, counters }
+    }
+
+    /// The same, but without the instructions that a build does not assume.
+    #[cfg(test)]
+    pub(crate) fn of_the_build(self) -> Self {
+        Self { instructions: Instructions::OfTheBuild, ..self }
+    }
+
+    /// Memory to run it in.
+    pub(crate) fn frame(&self) -> Frame {
+        let batch = || Box::new([0; LANES]);
+        Frame {
+            slots: std::iter::repeat_with(batch).take(self.slots).collect(),
+            spare: batch(),
+            counters: vec![0; self.counters],
+        }
+    }
+
+    /// Evaluates an entry. Arguments and results are rows of one length, a multiple of [`LANES`]. Once `cancel` is set,
+    /// it returns early, with meaningless results.
+    ///
+    /// # Panics
+    /// If there is no such entry, or the arguments or results are not those of the entry.
+    pub(crate) fn run(
+        &self,
+        entry: &str,
+        frame: &mut Frame,
+        uniforms: &[u32],
+        cancel: &AtomicBool,
+        arguments: &[f32],
+        results: &mut [f32],
+    ) {
+        let (_, index) = *self.entries.iter().find(|(name, _)| *name == entry).expect("an entry of the tape");
+        let function = self.functions[index].as_ref().expect("an entry has results");
+        let length = results.len() / function.results.len();
+        assert!(length.is_multiple_of(LANES), "whole batches");
+        assert_eq!(arguments.len(), function.arguments.len() * length, "arguments of the entry");
+        assert_eq!(results.len(), function.results.len() * length, "results of the entry");
+        for first in (0..length).step_by(LANES) {
+            frame.slots[function.live].fill(u32::MAX);
+            for (&slot, argument) in function.arguments.iter().zip(arguments.chunks_exact(length)) {
+                let argument = &argument[first..first + LANES];
+                frame.slots[slot].iter_mut().zip(argument).for_each(|(to, from)| *to = from.to_bits());
+            }
+            Run { program: self, uniforms, cancel, frame }.call(index);
+            for (result, (_, slot)) in results.chunks_exact_mut(length).zip(&function.results) {
+                let result = &mut result[first..first + LANES];
+                result.iter_mut().zip(&*frame.slots[*slot]).for_each(|(to, from)| *to = f32::from_bits(*from));
+            }
+        }
+    }
+}
+
+/// Places of one function's variables in the frame.
+struct Places<'a> {
+    allocation: &'a Allocation,
+    layout: Layout,
+}
+
+impl Places<'_> {
+    fn source(&self, var: Var) -> Source {
+        match self.allocation.places[var as usize] {
+            Place::Constant(bits) => Source::Constant(bits),
+            Place::Uniform(index) => Source::Uniform(index as usize),
+            place => Source::Slot(self.in_frame(place).expect("there are no registers")),
+        }
+    }
+
+    fn in_frame(&self, place: Place) -> Option<usize> {
+        match place {
+            Place::Slot(slot) => Some(self.layout.slots + slot as usize),
+            Place::Argument(argument) => Some(self.layout.arguments + argument as usize),
+            Place::Live => Some(self.layout.live),
+            Place::Vector(_) | Place::Mask(_) | Place::Constant(_) | Place::Uniform(_) | Place::Nowhere => None,
+        }
+    }
+
+    fn target(&self, var: Var) -> Option<usize> {
+        self.in_frame(self.allocation.places[var as usize])
+    }
+
+    fn function(&self, linear: &Linear, layouts: &[Layout]) -> Function {
+        let mut operations = Vec::with_capacity(linear.steps.len());
+        let mut labels = vec![0; linear.labels];
+        for step in &linear.steps {
+            if let Step::Label(label) | Step::Top(label) = step {
+                labels[*label] = operations.len();
+            } else {
+                operations.extend(self.instruction(step, layouts));
+            }
+        }
+        // Labels that came later than their branches.
+        for operation in &mut operations {
+            if let Instruction::SkipIfNone { end: label, .. } | Instruction::RepeatWhileAny { top: label, .. } =
+                operation
+            {
+                *label = labels[*label];
+            }
+        }
+        let results = linear.results.iter().enumerate();
+        Function {
+            operations,
+            live: self.layout.live,
+            arguments: (0..linear.arguments.len()).map(|place| self.layout.arguments + place).collect(),
+            results: results.map(|(place, &var)| (self.source(var), self.layout.results + place)).collect(),
+        }
+    }
+
+    /// Instruction of a step that is not a label; `None` if nothing reads its result. Its branches go to labels.
+    fn instruction(&self, step: &Step, layouts: &[Layout]) -> Option<Instruction> {
+        Some(match step {
+            Step::Compute { to, operation, operands } => {
+                let count = operation.operand_count();
+                let mut sources = [Source::Constant(0); 3];
+                for (source, &var) in sources.iter_mut().zip(&operands[..count]) {
+                    *source = self.source(var);
+                }
+                Instruction::Compute { to: self.target(*to)?, operation: *operation, operands: sources }
+            }
+            Step::Move { to, from } => Instruction::Move { to: self.target(*to)?, from: self.source(*from) },
+            Step::MoveWhere { mask, to, from } => {
+                Instruction::MoveWhere { mask: self.source(*mask), to: self.target(*to)?, from: self.source(*from) }
+            }
+            Step::SkipIfNone { mask, end } => Instruction::SkipIfNone { mask: self.source(*mask), end: *end },
+            Step::Count { counter, limit } => {
+                Instruction::Count { counter: self.layout.counters + counter, limit: *limit }
+            }
+            Step::RepeatWhileAny { mask, counter, top } => Instruction::RepeatWhileAny {
+                mask: self.source(*mask),
+                counter: self.layout.counters + counter,
+                top: *top,
+            },
+            Step::Call { callee, live, arguments, results } => {
+                let layout = layouts[*callee];
+                let arguments = arguments.iter().enumerate();
+                let arguments = arguments.map(|(place, &var)| (layout.arguments + place, self.source(var)));
+                let results = results.iter().enumerate();
+                Instruction::Call {
+                    callee: *callee,
+                    moves: arguments.chain([(layout.live, self.source(*live))]).collect(),
+                    results: results
+                        .filter_map(|(place, &var)| Some((self.target(var)?, layout.results + place)))
+                        .collect(),
+                }
+            }
+            Step::Label(_) | Step::Top(_) => return None,
+        })
+    }
+}
+
+/// A program being run.
+struct Run<'a> {
+    program: &'a Program,
+    uniforms: &'a [u32],
+    cancel: &'a AtomicBool,
+    frame: &'a mut Frame,
+}
+
+impl Run<'_> {
+    fn call(&mut self, index: usize) {
+        #[cfg(target_arch = "x86_64")]
+        #[expect(unsafe_code, reason = "functions with more instructions than the build assumes")]
+        match self.program.instructions {
+            // SAFETY: this CPU has the instructions, as `available` found.
+            Instructions::Avx512 => return unsafe { self.steps_with_avx512(index) },
+            // SAFETY: as above.
+            Instructions::Avx2 => return unsafe { self.steps_with_avx2(index) },
+            Instructions::OfTheBuild => {}
+        }
+        self.steps::<{ cfg!(target_arch = "aarch64") }>(index);
+    }
+
+    #[cfg(target_arch = "x86_64")]
+    #[target_feature(enable = "avx512f,fma")]
+    fn steps_with_avx512(&mut self, index: usize) {
+        self.steps::<true>(index);
+    }
+
+    #[cfg(target_arch = "x86_64")]
+    #[target_feature(enable = "avx2,fma")]
+    fn steps_with_avx2(&mut self, index: usize) {
+        self.steps::<true>(index);
+    }
+
+    #[inline(always)]
+    fn steps<const HAS_FMA: bool>(&mut self, index: usize) {
+        let function = self.program.functions[index].as_ref().expect("functions that are called have results");
+        let mut next = 0;
+        while let Some(instruction) = function.operations.get(next) {
+            next += 1;
+            match instruction {
+                Instruction::Compute { to, operation, operands } => self.compute::<HAS_FMA>(*to, *operation, operands),
+                Instruction::Move { to, from } => self.copy(*to, *from),
+                Instruction::MoveWhere { mask, to, from } => {
+                    let (mask, from) = (self.slot(*mask, 0), self.slot(*from, 1));
+                    let Frame { slots, spare, .. } = &mut *self.frame;
+                    select(spare, &slots[mask], &slots[from], &slots[*to]);
+                    std::mem::swap(&mut slots[*to], spare);
+                }
+                Instruction::SkipIfNone { mask, end } => {
+                    if !self.has_lane(*mask) {
+                        next = *end;
+                    }
+                }
+                Instruction::Count { counter, limit } => self.frame.counters[*counter] = *limit,
+                Instruction::RepeatWhileAny { mask, counter, top } => {
+                    let left = &mut self.frame.counters[*counter];
+                    *left -= 1;
+                    if *left > 0 && self.has_lane(*mask) && !self.cancel.load(Ordering::Relaxed) {
+                        next = *top;
+                    }
+                }
+                Instruction::Call { callee, moves, results } => {
+                    for &(to, from) in moves {
+                        self.copy(to, from);
+                    }
+                    self.call(*callee);
+                    for &(to, from) in results {
+                        self.copy(to, Source::Slot(from));
+                    }
+                }
+            }
+        }
+        for &(from, to) in &function.results {
+            self.copy(to, from);
+        }
+    }
+
+    #[inline(always)]
+    fn has_lane(&mut self, mask: Source) -> bool {
+        let mask = self.slot(mask, 0);
+        self.frame.slots[mask].iter().fold(0, |any, lane| any | lane) != 0
+    }
+
+    /// Slot that has an operand's value; a number for all lanes is written to the scratch slot of the operand.
+    #[inline(always)]
+    fn slot(&mut self, source: Source, operand: usize) -> usize {
+        let word = match source {
+            Source::Slot(slot) => return slot,
+            Source::Constant(bits) => bits,
+            Source::Uniform(index) => self.uniforms[index],
+        };
+        self.frame.slots[operand].fill(word);
+        operand
+    }
+
+    #[inline(always)]
+    fn copy(&mut self, to: usize, from: Source) {
+        match from {
+            Source::Slot(from) if from == to => {}
+            Source::Slot(from) => {
+                let Frame { slots, spare, .. } = &mut *self.frame;
+                spare.copy_from_slice(&*slots[from]);
+                std::mem::swap(&mut slots[to], spare);
+            }
+            Source::Constant(bits) => self.frame.slots[to].fill(bits),
+            Source::Uniform(index) => self.frame.slots[to].fill(self.uniforms[index]),
+        }
+    }
+
+    #[inline(always)]
+    fn compute<const HAS_FMA: bool>(&mut self, to: usize, operation: Operation, operands: &[Source; 3]) {
+        // Written out, because a closure would not be compiled for these instructions.
+        let count = operation.operand_count();
+        let a = self.slot(operands[0], 0);
+        let b = if count > 1 { self.slot(operands[1], 1) } else { a };
+        let c = if count > 2 { self.slot(operands[2], 2) } else { a };
+        let Frame { slots, spare, .. } = &mut *self.frame;
+        apply::<HAS_FMA>(operation, spare, &slots[a], &slots[b], &slots[c], operands[1]);
+        std::mem::swap(&mut slots[to], spare);
+    }
+}
+
+type Lanes = [u32; LANES];
+
+#[inline(always)]
+fn apply<const HAS_FMA: bool>(operation: Operation, to: &mut Lanes, a: &Lanes, b: &Lanes, c: &Lanes, second: Source) {
+    let places = |source| if let Source::Constant(places) = source { places } else { 0 };
+    match operation {
+        Operation::Add => two(to, a, b, |a, b| a + b),
+        Operation::Sub => two(to, a, b, |a, b| a - b),
+        Operation::Mul => two(to, a, b, |a, b| a * b),
+        Operation::Div => two(to, a, b, |a, b| a / b),
+        Operation::Min => two(to, a, b, |a, b| if b < a { b } else { a }),
+        Operation::Max => two(to, a, b, |a, b| if a < b { b } else { a }),
+        Operation::Neg => one(to, a, |a| -a),
+        Operation::Abs => one(to, a, f32::abs),
+        Operation::Floor => one(to, a, f32::floor),
+        Operation::Sqrt => one(to, a, |a| if a < SQRT_FLOOR { 0.0 } else { a.sqrt() }),
+        Operation::Fma => {
+            for lane in 0..LANES {
+                let [a, b, c] = [a[lane], b[lane], c[lane]].map(f32::from_bits);
+                #[expect(clippy::disallowed_methods, reason = "with the instruction it rounds once")]
+                let fused = if HAS_FMA { a.mul_add(b, c) } else { Real::mul_add(a, b, c) };
+                to[lane] = fused.to_bits();
+            }
+        }
+        Operation::Less => words(to, a, b, |a, b| if f32::from_bits(a) < f32::from_bits(b) { u32::MAX } else { 0 }),
+        Operation::Select => select(to, a, b, c),
+        Operation::And | Operation::AndU32 => words(to, a, b, |a, b| a & b),
+        Operation::Or | Operation::OrU32 => words(to, a, b, |a, b| a | b),
+        Operation::Not => words(to, a, a, |a, _| !a),
+        Operation::Xor => words(to, a, b, |a, b| a ^ b),
+        Operation::AddU32 => words(to, a, b, u32::wrapping_add),
+        Operation::MulU32 => words(to, a, b, u32::wrapping_mul),
+        Operation::ShiftLeft => words(to, a, a, |a, _| a << places(second)),
+        Operation::ShiftRight => words(to, a, a, |a, _| a >> places(second)),
+        Operation::Constant(_)
+        | Operation::Uniform(_)
+        | Operation::Argument
+        | Operation::CallResult
+        | Operation::Variable
+        | Operation::ToBits
+        | Operation::FromBits => unreachable!("{operation:?} is not a step"),
+    }
+}
+
+#[inline(always)]
+fn words(to: &mut Lanes, a: &Lanes, b: &Lanes, operation: impl Fn(u32, u32) -> u32) {
+    for lane in 0..LANES {
+        to[lane] = operation(a[lane], b[lane]);
+    }
+}
+
+#[inline(always)]
+fn two(to: &mut Lanes, a: &Lanes, b: &Lanes, operation: impl Fn(f32, f32) -> f32) {
+    words(to, a, b, |a, b| operation(f32::from_bits(a), f32::from_bits(b)).to_bits());
+}
+
+#[inline(always)]
+fn one(to: &mut Lanes, a: &Lanes, operation: impl Fn(f32) -> f32) {
+    words(to, a, a, |a, _| operation(f32::from_bits(a)).to_bits());
+}
+
+/// `yes` in the lanes of the mask, `no` in the others.
+#[inline(always)]
+fn select(to: &mut Lanes, mask: &Lanes, yes: &Lanes, no: &Lanes) {
+    for lane in 0..LANES {
+        to[lane] = (mask[lane] & yes[lane]) | (!mask[lane] & no[lane]);
+    }
+}

@@ -1,0 +1,89 @@
+//! A tape as machine code of x86-64, for packets of 16 or 8 lanes.
+
+mod arithmetic;
+mod emit;
+mod isa;
+mod program;
+
+use std::io;
+
+use iced_x86::{BlockEncoder, BlockEncoderOptions, InstructionBlock};
+
+use crate::tape::{Allocation, Linear, LinearTape, Step, allocate};
+use emit::{Assembly, Emitter, FrameLayout};
+use program::{Entry, MachineCode};
+
+pub(crate) use isa::{AVX2, AVX512, Isa};
+pub(crate) use program::{Frame, Program, Uniforms};
+
+/// A function of the tape, with the places of its variables.
+type Allocated<'a> = Option<(&'a Linear, Allocation)>;
+
+/// Compiles a tape for a vector extension. Fails if this CPU does not have it, or where executable memory is refused.
+pub(crate) fn compile(tape: &LinearTape, isa: &'static Isa) -> io::Result<Program> {
+    if !isa.is_available() {
+        return Err(io::Error::other("this CPU does not have the instructions"));
+    }
+    let machine = assemble(tape, isa);
+    #[expect(unsafe_code, reason = "makes machine code callable")]
+    // SAFETY: the instructions are available. The emitter reaches memory through the addresses of the signature only:
+    // the parts of the layouts, the uniforms of the tape, its own constants, and the flag.
+    unsafe {
+        Program::new(machine, isa)
+    }
+}
+
+fn assemble(tape: &LinearTape, isa: &'static Isa) -> MachineCode {
+    let functions: Vec<Allocated<'_>> = tape
+        .functions
+        .iter()
+        .map(|linear| linear.as_ref().map(|linear| (linear, allocate(linear, isa.registers))))
+        .collect();
+    let layouts = layouts(&functions, isa);
+    let mut assembly = Assembly { functions: vec![None; functions.len()], ..Assembly::default() };
+    for (index, function) in functions.iter().enumerate() {
+        if let Some((linear, allocation)) = function {
+            let is_entry = tape.entries.iter().any(|&(_, entry)| entry == index);
+            Emitter::new(&mut assembly, isa, linear, allocation, &layouts, index).function(is_entry);
+        }
+    }
+    // Until it is encoded, the address of an instruction is its number.
+    for (index, instruction) in assembly.instructions.iter_mut().enumerate() {
+        instruction.set_ip(index as u64 + 1);
+    }
+    let block = InstructionBlock::new(&assembly.instructions, 0);
+    let options = BlockEncoderOptions::RETURN_NEW_INSTRUCTION_OFFSETS;
+    let encoded = BlockEncoder::encode(64, block, options).expect("every instruction can be encoded");
+    let entry = |&(name, index): &(&'static str, usize)| {
+        let (linear, _) = functions[index].as_ref()?;
+        let offset = encoded.new_instruction_offsets[assembly.functions[index]?] as usize;
+        let (arguments, results) = (linear.arguments.len(), linear.results.len());
+        Some((name, Entry { offset, layout: layouts[index], arguments, results }))
+    };
+    let entries = tape.entries.iter().filter_map(entry).collect();
+    MachineCode {
+        entries,
+        constants: assembly.constants.words,
+        frame_bytes: layouts.iter().map(|layout| layout.end as usize).max().unwrap_or(0),
+        uniforms: tape.uniforms,
+        code: encoded.code_buffer,
+    }
+}
+
+/// Parts of the functions in the frame: a callee's begins after those of all its callers, which come later in the
+/// tape.
+fn layouts(functions: &[Allocated<'_>], isa: &Isa) -> Vec<FrameLayout> {
+    let mut starts = vec![0_u32; functions.len()];
+    let mut layouts = vec![FrameLayout::default(); functions.len()];
+    for (index, function) in functions.iter().enumerate().rev() {
+        let Some((linear, allocation)) = function else { continue };
+        let layout = FrameLayout::new(starts[index], linear, allocation.slots, isa.vector_bytes());
+        for step in &linear.steps {
+            if let Step::Call { callee, .. } = step {
+                starts[*callee] = starts[*callee].max(layout.end);
+            }
+        }
+        layouts[index] = layout;
+    }
+    layouts
+}
