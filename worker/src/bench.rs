@@ -3,7 +3,8 @@
 use std::time::{Duration, Instant};
 
 use proto::Rect;
-use scene::Job;
+use scene::real::vec3;
+use scene::{Integrator, Job};
 use serde::Serialize;
 
 use crate::cpu::Evaluator;
@@ -136,27 +137,43 @@ const POINTS: usize = 1024;
 
 /// Evaluates the scene's distance at points around the camera's target, for about `time`, on one thread.
 pub fn points(job: &Job, simd: Simd, time: Duration) -> Result<PointsReport, RenderError> {
-    const ROUNDS: u32 = 64;
-    let tape = record_distance(&job.at(0)?);
-    let evaluator = Evaluator::new(&tape, simd)?;
-    let (inputs, cancel) = (evaluator.inputs(tape.uniforms()), CancelFlag::new());
-    let mut frame = evaluator.frame();
+    let still = job.at(0)?;
     let middle = job.scene.camera.look_at.get();
     let spread = |index: usize, step: u32| (index as u32).wrapping_mul(step) as f32 / u32::MAX as f32 * 4.0 - 2.0;
     let axis = |middle: f32, step: u32| (0..POINTS).map(move |index| middle + spread(index, step));
     let x = axis(middle.x, 0x9e37_79b9);
     let points: Vec<f32> = x.chain(axis(middle.y, 0xc13f_a9a9)).chain(axis(middle.z, 0x91e1_0da5)).collect();
+    let points_per_second = if simd == Simd::Scalar {
+        let program = Integrator::new(&still);
+        points_per_second(time, |distances| {
+            for (index, distance) in distances.iter_mut().enumerate() {
+                *distance = program.distance(vec3(points[index], points[POINTS + index], points[2 * POINTS + index]));
+            }
+        })
+    } else {
+        let tape = record_distance(&still);
+        let evaluator = Evaluator::new(&tape, simd)?;
+        let (inputs, cancel, mut frame) = (evaluator.inputs(tape.uniforms()), CancelFlag::new(), evaluator.frame());
+        points_per_second(time, |distances| {
+            evaluator.run(DISTANCE, &mut frame, &inputs, cancel.flag(), &points, distances);
+        })
+    };
+    Ok(PointsReport { job: job.name.clone(), simd: simd.resolve_auto().name(), points_per_second })
+}
+
+/// Calls `evaluate`, which writes [`POINTS`] distances, for about this time.
+fn points_per_second(time: Duration, mut evaluate: impl FnMut(&mut [f32])) -> f64 {
+    const ROUNDS: usize = 64;
     let mut distances = vec![0.0; POINTS];
-    let (mut done, start) = (0_u64, Instant::now());
+    let (mut done, start) = (0, Instant::now());
     while start.elapsed() < time {
         for _ in 0..ROUNDS {
-            evaluator.run(DISTANCE, &mut frame, &inputs, cancel.flag(), &points, &mut distances);
+            evaluate(&mut distances);
             std::hint::black_box(&distances);
         }
-        done += u64::from(ROUNDS) * POINTS as u64;
+        done += ROUNDS * POINTS;
     }
-    let points_per_second = done as f64 / start.elapsed().as_secs_f64();
-    Ok(PointsReport { job: job.name.clone(), simd: simd.resolve_auto().name(), points_per_second })
+    done as f64 / start.elapsed().as_secs_f64()
 }
 
 /// Renders a frame of `job` several times.
