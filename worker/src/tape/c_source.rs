@@ -157,7 +157,7 @@ impl Printer<'_> {
                 Statement::Emit(_) => {}
                 Statement::Call { function, arguments, returned } => self.call(depth, *function, arguments, returned),
                 Statement::When { condition, variables, otherwise, body, value: then } => {
-                    let live = self.live_assignments(variables, otherwise, then);
+                    let live = self.live.assignments(variables, otherwise, then);
                     if live.is_empty() {
                         continue;
                     }
@@ -169,7 +169,7 @@ impl Printer<'_> {
                     self.line(depth, "}");
                 }
                 Statement::Repeat { limit, variables, start, body, next, again } => {
-                    let live = self.live_assignments(variables, start, next);
+                    let live = self.live.assignments(variables, start, next);
                     if live.is_empty() {
                         continue;
                     }
@@ -199,17 +199,6 @@ impl Printer<'_> {
         }
         self.inlined_statements += self.inline_costs[function];
         self.line(depth, &format!("const {0}_result {result} = step_{0}({1});", callee.name, actual.join(", ")));
-    }
-
-    /// Variables that are used, each with its initial and its next value.
-    fn live_assignments(
-        &self,
-        variables: &[ValueId],
-        first: &[ValueId],
-        later: &[ValueId],
-    ) -> Vec<(ValueId, ValueId, ValueId)> {
-        let all = variables.iter().zip(first).zip(later).map(|((&id, &first), &later)| (id, first, later));
-        all.filter(|(id, ..)| self.live.is_live(*id)).collect()
     }
 
     fn declare(&mut self, depth: usize, variables: &[(ValueId, ValueId, ValueId)]) {

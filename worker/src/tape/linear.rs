@@ -55,7 +55,7 @@ pub(crate) enum Step {
     Top(usize),
     /// Goes on after label `top` if the mask has a lane, unless the counter has reached 0.
     RepeatWhileAny { mask: Var, counter: usize, top: usize },
-    /// Calls another function; places are those of its live arguments and results.
+    /// Calls another function, with its live arguments and results.
     Call { callee: usize, live: Var, arguments: Vec<Var>, results: Vec<Var> },
 }
 
@@ -243,13 +243,13 @@ impl Builder<'_> {
                 Statement::Emit(_) | Statement::Comment(_) => {}
                 Statement::Call { function, arguments, returned } => self.call(*function, arguments, returned),
                 Statement::When { condition, variables, otherwise, body, value } => {
-                    let live = self.live_assignments(variables, otherwise, value);
+                    let live = self.live.assignments(variables, otherwise, value);
                     if !live.is_empty() {
                         self.when(*condition, &live, body);
                     }
                 }
                 Statement::Repeat { limit, variables, start, body, next, again } => {
-                    let live = self.live_assignments(variables, start, next);
+                    let live = self.live.assignments(variables, start, next);
                     if !live.is_empty() {
                         self.repeat(*limit, &live, body, *again);
                     }
@@ -272,16 +272,6 @@ impl Builder<'_> {
         }
         let to = self.define(id);
         self.push(Step::Compute { to, operation: definition.operation, operands });
-    }
-
-    fn live_assignments(
-        &self,
-        variables: &[ValueId],
-        first: &[ValueId],
-        later: &[ValueId],
-    ) -> Vec<(ValueId, ValueId, ValueId)> {
-        let all = variables.iter().zip(first).zip(later).map(|((&id, &first), &later)| (id, first, later));
-        all.filter(|(id, ..)| self.live.is_live(*id)).collect()
     }
 
     fn when(&mut self, condition: ValueId, assigned: &[(ValueId, ValueId, ValueId)], body: &[Statement]) {

@@ -30,6 +30,17 @@ impl Liveness {
         self.values[id.0 as usize]
     }
 
+    /// Variables of a branch or loop that are used, each with its first and its later value.
+    pub(super) fn assignments(
+        &self,
+        variables: &[ValueId],
+        first: &[ValueId],
+        later: &[ValueId],
+    ) -> Vec<(ValueId, ValueId, ValueId)> {
+        let all = variables.iter().zip(first).zip(later).map(|((&id, &first), &later)| (id, first, later));
+        all.filter(|(id, ..)| self.is_live(*id)).collect()
+    }
+
     /// Results of a function that some call uses.
     fn live_results(&self, tape: &Tape, callee: usize) -> Vec<ValueId> {
         let results = &tape.functions[callee].results;
