@@ -1,7 +1,7 @@
 //! The number type in which formulas are written.
 //!
 //! Every formula of a picture is written once, generic over [`Real`], and runs in several arithmetics: `f32` is the
-//! reference, SIMD lanes render on CPUs, [`Interval`] gives bounds, and a recorder generates CUDA. All of them must be
+//! reference, [`Interval`] gives bounds, and a recorder makes the tape from which CPUs and GPUs run. All of them must be
 //! bit-identical to the reference. So every operation here is defined to the bit: IEEE-754 binary32, rounded to
 //! nearest even, fused only where [`Real::mul_add`] is written. No result may depend on the sign of a zero, and no
 //! formula may produce a NaN. There is no `if` on a value: use [`Real::select`], [`Real::when`], [`Real::repeat`].

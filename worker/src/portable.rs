@@ -1,22 +1,16 @@
 //! Interpreter of a tape, for every CPU: each step is a loop over a batch of lanes, which the Rust compiler turns into
 //! vector instructions.
 
-use std::sync::atomic::{AtomicBool, Ordering};
+mod arithmetic;
 
-use scene::real::{Real, SQRT_FLOOR};
+use std::collections::{HashMap, HashSet};
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use crate::tape::{Allocation, Linear, LinearTape, Operation, Place, Registers, Step, Var, allocate};
 #[cfg(target_arch = "x86_64")]
 use crate::x86::{AVX2, AVX512};
-
-/// Lanes of a batch: enough to share the cost of a step, few enough that neighboring pixels remain similar.
-pub(crate) const LANES: usize = 64;
-
-/// One value of a batch. A mask is all ones or all zeros in each lane.
-type Batch = Box<[u32; LANES]>;
-
-/// Slots for operands that are one number for all lanes.
-const SCRATCH: usize = 3;
+pub(crate) use arithmetic::LANES;
+use arithmetic::{Batch, apply, select};
 
 /// Instructions that the interpreter's loops are compiled for.
 #[derive(Clone, Copy, Debug)]
@@ -47,6 +41,8 @@ pub(crate) struct Program {
     instructions: Instructions,
     functions: Vec<Option<Function>>,
     entries: Vec<(&'static str, usize)>,
+    /// Constants and uniforms, which have the first slots.
+    inputs: Vec<Input>,
     slots: usize,
     counters: usize,
 }
@@ -57,38 +53,63 @@ struct Function {
     operations: Vec<Instruction>,
     live: usize,
     arguments: Vec<usize>,
-    /// Sources of its results, and the slots where the caller finds them.
-    results: Vec<(Source, usize)>,
+    /// Slots of its results, and those where the caller finds them.
+    results: Vec<(usize, usize)>,
 }
 
-/// An operand.
-#[derive(Clone, Copy, Debug)]
-enum Source {
-    Slot(usize),
-    /// The same bits in all lanes.
+/// A number that is the same in all lanes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+enum Input {
     Constant(u32),
-    /// A uniform, by its index.
-    Uniform(usize),
+    /// By its index.
+    Uniform(u32),
 }
 
-/// A step, with branch targets as indices of instructions.
+/// A step on slots, with branch targets as indices of instructions.
 #[derive(Debug)]
 enum Instruction {
-    Compute { to: usize, operation: Operation, operands: [Source; 3] },
-    Move { to: usize, from: Source },
-    MoveWhere { mask: Source, to: usize, from: Source },
-    SkipIfNone { mask: Source, end: usize },
-    Count { counter: usize, limit: u32 },
-    RepeatWhileAny { mask: Source, counter: usize, top: usize },
-    Call { callee: usize, moves: Vec<(usize, Source)>, results: Vec<(usize, usize)> },
+    Compute {
+        to: usize,
+        operation: Operation,
+        operands: [usize; 3],
+    },
+    Move {
+        to: usize,
+        from: usize,
+    },
+    MoveWhere {
+        mask: usize,
+        to: usize,
+        from: usize,
+    },
+    SkipIfNone {
+        mask: usize,
+        end: usize,
+    },
+    Count {
+        counter: usize,
+        limit: u32,
+    },
+    RepeatWhileAny {
+        mask: usize,
+        counter: usize,
+        top: usize,
+    },
+    /// Moves are pairs of a target and a source.
+    Call {
+        callee: usize,
+        moves: Vec<(usize, usize)>,
+        results: Vec<(usize, usize)>,
+    },
 }
 
 /// Memory of a thread that runs a program.
 #[derive(Debug)]
 pub(crate) struct Frame {
-    slots: Vec<Batch>,
+    #[expect(clippy::vec_box, reason = "a result is put in its slot without a copy")]
+    slots: Vec<Box<Batch>>,
     /// Becomes the target of an operation when it is complete.
-    spare: Batch,
+    spare: Box<Batch>,
     counters: Vec<u32>,
 }
 
@@ -109,9 +130,10 @@ impl Program {
         let allocated = |linear: &Linear| allocate(linear, Registers::default());
         let allocations: Vec<Option<Allocation>> =
             tape.functions.iter().map(|linear| linear.as_ref().map(allocated)).collect();
+        let inputs = inputs(&allocations);
         // As in machine code: a callee's part of the frame begins after those of all its callers.
-        let mut layouts = vec![Layout { live: SCRATCH, ..Layout::default() }; tape.functions.len()];
-        let (mut slots, mut counters) = (SCRATCH, 0);
+        let mut layouts = vec![Layout { live: inputs.len(), ..Layout::default() }; tape.functions.len()];
+        let (mut slots, mut counters) = (inputs.len(), 0);
         for (index, linear) in tape.functions.iter().enumerate().rev() {
             let (Some(linear), Some(allocation)) = (linear, &allocations[index]) else { continue };
             let layout = &mut layouts[index];
@@ -129,13 +151,21 @@ impl Program {
                 }
             }
         }
+        let slots_of_inputs: HashMap<Input, usize> =
+            inputs.iter().enumerate().map(|(slot, &input)| (input, slot)).collect();
         let functions = tape.functions.iter().zip(&allocations).enumerate();
         let functions = functions.map(|(index, (linear, allocation))| {
-            let places = Places { allocation: allocation.as_ref()?, layout: layouts[index] };
+            let places = Places { allocation: allocation.as_ref()?, layout: layouts[index], inputs: &slots_of_inputs };
             Some(places.function(linear.as_ref()?, &layouts))
         });
-        let instructions = Instructions::available();
-        Self { instructions, functions: functions.collect(), entries: tape.entries.clone(), slots, counters }
+        Self {
+            instructions: Instructions::available(),
+            functions: functions.collect(),
+            entries: tape.entries.clone(),
+            inputs,
+            slots,
+            counters,
+        }
     }
 
     /// The same, but without the instructions that a build does not assume.
@@ -146,7 +176,7 @@ impl Program {
 
     /// Memory to run it in.
     pub(crate) fn frame(&self) -> Frame {
-        let batch = || Box::new([0; LANES]);
+        let batch = || Box::new(Batch([0; LANES]));
         Frame {
             slots: std::iter::repeat_with(batch).take(self.slots).collect(),
             spare: batch(),
@@ -174,16 +204,44 @@ impl Program {
         assert!(length.is_multiple_of(LANES), "whole batches");
         assert_eq!(arguments.len(), function.arguments.len() * length, "arguments of the entry");
         assert_eq!(results.len(), function.results.len() * length, "results of the entry");
+        for (slot, input) in frame.slots.iter_mut().zip(&self.inputs) {
+            slot.0.fill(match *input {
+                Input::Constant(bits) => bits,
+                Input::Uniform(index) => uniforms[index as usize],
+            });
+        }
         for first in (0..length).step_by(LANES) {
-            frame.slots[function.live].fill(u32::MAX);
+            frame.slots[function.live].0.fill(u32::MAX);
             for (&slot, argument) in function.arguments.iter().zip(arguments.chunks_exact(length)) {
                 let argument = &argument[first..first + LANES];
-                frame.slots[slot].iter_mut().zip(argument).for_each(|(to, from)| *to = from.to_bits());
+                frame.slots[slot].0.iter_mut().zip(argument).for_each(|(to, from)| *to = from.to_bits());
             }
-            Run { program: self, uniforms, cancel, frame }.call(index);
+            Run { program: self, cancel, frame }.call(index);
             for (result, (_, slot)) in results.chunks_exact_mut(length).zip(&function.results) {
                 let result = &mut result[first..first + LANES];
-                result.iter_mut().zip(&*frame.slots[*slot]).for_each(|(to, from)| *to = f32::from_bits(*from));
+                result.iter_mut().zip(&frame.slots[*slot].0).for_each(|(to, from)| *to = f32::from_bits(*from));
+            }
+        }
+    }
+}
+
+/// Constants and uniforms of all functions, each once.
+fn inputs(allocations: &[Option<Allocation>]) -> Vec<Input> {
+    let mut inputs = Vec::new();
+    let mut known = HashSet::new();
+    for place in allocations.iter().flatten().flat_map(|allocation| &allocation.places) {
+        inputs.extend(Input::at(*place).filter(|input| known.insert(*input)));
+    }
+    inputs
+}
+
+impl Input {
+    fn at(place: Place) -> Option<Self> {
+        match place {
+            Place::Constant(bits) => Some(Self::Constant(bits)),
+            Place::Uniform(index) => Some(Self::Uniform(index)),
+            Place::Slot(_) | Place::Argument(_) | Place::Live | Place::Vector(_) | Place::Mask(_) | Place::Nowhere => {
+                None
             }
         }
     }
@@ -193,14 +251,15 @@ impl Program {
 struct Places<'a> {
     allocation: &'a Allocation,
     layout: Layout,
+    inputs: &'a HashMap<Input, usize>,
 }
 
 impl Places<'_> {
-    fn source(&self, var: Var) -> Source {
-        match self.allocation.places[var as usize] {
-            Place::Constant(bits) => Source::Constant(bits),
-            Place::Uniform(index) => Source::Uniform(index as usize),
-            place => Source::Slot(self.in_frame(place).expect("there are no registers")),
+    fn source(&self, var: Var) -> usize {
+        let place = self.allocation.places[var as usize];
+        match Input::at(place) {
+            Some(input) => self.inputs[&input],
+            None => self.in_frame(place).expect("there are no registers"),
         }
     }
 
@@ -249,7 +308,7 @@ impl Places<'_> {
         Some(match step {
             Step::Compute { to, operation, operands } => {
                 let count = operation.operand_count();
-                let mut sources = [Source::Constant(0); 3];
+                let mut sources = [0; 3];
                 for (source, &var) in sources.iter_mut().zip(&operands[..count]) {
                     *source = self.source(var);
                 }
@@ -289,7 +348,6 @@ impl Places<'_> {
 /// A program being run.
 struct Run<'a> {
     program: &'a Program,
-    uniforms: &'a [u32],
     cancel: &'a AtomicBool,
     frame: &'a mut Frame,
 }
@@ -327,12 +385,11 @@ impl Run<'_> {
         while let Some(instruction) = function.operations.get(next) {
             next += 1;
             match instruction {
-                Instruction::Compute { to, operation, operands } => self.compute::<HAS_FMA>(*to, *operation, operands),
+                Instruction::Compute { to, operation, operands } => self.compute::<HAS_FMA>(*to, *operation, *operands),
                 Instruction::Move { to, from } => self.copy(*to, *from),
                 Instruction::MoveWhere { mask, to, from } => {
-                    let (mask, from) = (self.slot(*mask, 0), self.slot(*from, 1));
                     let Frame { slots, spare, .. } = &mut *self.frame;
-                    select(spare, &slots[mask], &slots[from], &slots[*to]);
+                    select(spare, &slots[*mask], &slots[*from], &slots[*to]);
                     std::mem::swap(&mut slots[*to], spare);
                 }
                 Instruction::SkipIfNone { mask, end } => {
@@ -354,7 +411,7 @@ impl Run<'_> {
                     }
                     self.call(*callee);
                     for &(to, from) in results {
-                        self.copy(to, Source::Slot(from));
+                        self.copy(to, from);
                     }
                 }
             }
@@ -365,115 +422,20 @@ impl Run<'_> {
     }
 
     #[inline(always)]
-    fn has_lane(&mut self, mask: Source) -> bool {
-        let mask = self.slot(mask, 0);
-        self.frame.slots[mask].iter().fold(0, |any, lane| any | lane) != 0
-    }
-
-    /// Slot that has an operand's value; a number for all lanes is written to the scratch slot of the operand.
-    #[inline(always)]
-    fn slot(&mut self, source: Source, operand: usize) -> usize {
-        let word = match source {
-            Source::Slot(slot) => return slot,
-            Source::Constant(bits) => bits,
-            Source::Uniform(index) => self.uniforms[index],
-        };
-        self.frame.slots[operand].fill(word);
-        operand
+    fn has_lane(&self, mask: usize) -> bool {
+        self.frame.slots[mask].0.iter().fold(0, |any, lane| any | lane) != 0
     }
 
     #[inline(always)]
-    fn copy(&mut self, to: usize, from: Source) {
-        match from {
-            Source::Slot(from) if from == to => {}
-            Source::Slot(from) => {
-                let Frame { slots, spare, .. } = &mut *self.frame;
-                spare.copy_from_slice(&*slots[from]);
-                std::mem::swap(&mut slots[to], spare);
-            }
-            Source::Constant(bits) => self.frame.slots[to].fill(bits),
-            Source::Uniform(index) => self.frame.slots[to].fill(self.uniforms[index]),
-        }
+    fn copy(&mut self, to: usize, from: usize) {
+        let batch = *self.frame.slots[from];
+        *self.frame.slots[to] = batch;
     }
 
     #[inline(always)]
-    fn compute<const HAS_FMA: bool>(&mut self, to: usize, operation: Operation, operands: &[Source; 3]) {
-        // Written out, because a closure would not be compiled for these instructions.
-        let count = operation.operand_count();
-        let a = self.slot(operands[0], 0);
-        let b = if count > 1 { self.slot(operands[1], 1) } else { a };
-        let c = if count > 2 { self.slot(operands[2], 2) } else { a };
+    fn compute<const HAS_FMA: bool>(&mut self, to: usize, operation: Operation, [a, b, c]: [usize; 3]) {
         let Frame { slots, spare, .. } = &mut *self.frame;
-        apply::<HAS_FMA>(operation, spare, &slots[a], &slots[b], &slots[c], operands[1]);
+        apply::<HAS_FMA>(operation, spare, &slots[a], &slots[b], &slots[c]);
         std::mem::swap(&mut slots[to], spare);
-    }
-}
-
-type Lanes = [u32; LANES];
-
-#[inline(always)]
-fn apply<const HAS_FMA: bool>(operation: Operation, to: &mut Lanes, a: &Lanes, b: &Lanes, c: &Lanes, second: Source) {
-    let places = |source| if let Source::Constant(places) = source { places } else { 0 };
-    match operation {
-        Operation::Add => two(to, a, b, |a, b| a + b),
-        Operation::Sub => two(to, a, b, |a, b| a - b),
-        Operation::Mul => two(to, a, b, |a, b| a * b),
-        Operation::Div => two(to, a, b, |a, b| a / b),
-        Operation::Min => two(to, a, b, |a, b| if b < a { b } else { a }),
-        Operation::Max => two(to, a, b, |a, b| if a < b { b } else { a }),
-        Operation::Neg => one(to, a, |a| -a),
-        Operation::Abs => one(to, a, f32::abs),
-        Operation::Floor => one(to, a, f32::floor),
-        Operation::Sqrt => one(to, a, |a| if a < SQRT_FLOOR { 0.0 } else { a.sqrt() }),
-        Operation::Fma => {
-            for lane in 0..LANES {
-                let [a, b, c] = [a[lane], b[lane], c[lane]].map(f32::from_bits);
-                #[expect(clippy::disallowed_methods, reason = "with the instruction it rounds once")]
-                let fused = if HAS_FMA { a.mul_add(b, c) } else { Real::mul_add(a, b, c) };
-                to[lane] = fused.to_bits();
-            }
-        }
-        Operation::Less => words(to, a, b, |a, b| if f32::from_bits(a) < f32::from_bits(b) { u32::MAX } else { 0 }),
-        Operation::Select => select(to, a, b, c),
-        Operation::And | Operation::AndU32 => words(to, a, b, |a, b| a & b),
-        Operation::Or | Operation::OrU32 => words(to, a, b, |a, b| a | b),
-        Operation::Not => words(to, a, a, |a, _| !a),
-        Operation::Xor => words(to, a, b, |a, b| a ^ b),
-        Operation::AddU32 => words(to, a, b, u32::wrapping_add),
-        Operation::MulU32 => words(to, a, b, u32::wrapping_mul),
-        Operation::ShiftLeft => words(to, a, a, |a, _| a << places(second)),
-        Operation::ShiftRight => words(to, a, a, |a, _| a >> places(second)),
-        Operation::Constant(_)
-        | Operation::Uniform(_)
-        | Operation::Argument
-        | Operation::CallResult
-        | Operation::Variable
-        | Operation::ToBits
-        | Operation::FromBits => unreachable!("{operation:?} is not a step"),
-    }
-}
-
-#[inline(always)]
-fn words(to: &mut Lanes, a: &Lanes, b: &Lanes, operation: impl Fn(u32, u32) -> u32) {
-    for lane in 0..LANES {
-        to[lane] = operation(a[lane], b[lane]);
-    }
-}
-
-#[inline(always)]
-fn two(to: &mut Lanes, a: &Lanes, b: &Lanes, operation: impl Fn(f32, f32) -> f32) {
-    words(to, a, b, |a, b| operation(f32::from_bits(a), f32::from_bits(b)).to_bits());
-}
-
-#[inline(always)]
-fn one(to: &mut Lanes, a: &Lanes, operation: impl Fn(f32) -> f32) {
-    words(to, a, a, |a, _| operation(f32::from_bits(a)).to_bits());
-}
-
-/// `yes` in the lanes of the mask, `no` in the others.
-#[inline(always)]
-fn select(to: &mut Lanes, mask: &Lanes, yes: &Lanes, no: &Lanes) {
-    for lane in 0..LANES {
-        to[lane] = (mask[lane] & yes[lane]) | (!mask[lane] & no[lane]);
     }
 }

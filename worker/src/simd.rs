@@ -12,9 +12,9 @@ pub enum Simd {
     /// The fastest of this CPU.
     #[default]
     Auto,
-    /// Machine code for AVX-512: 16 lanes.
+    /// Machine code for AVX-512: two vectors of 16 lanes.
     Avx512,
-    /// Machine code for AVX2 and FMA: 8 lanes.
+    /// Machine code for AVX2 and FMA: one vector of 8 lanes.
     Avx2,
     /// The interpreter, on any CPU: 64 lanes.
     Portable,

@@ -1,8 +1,9 @@
-//! A tape as machine code of x86-64, for packets of 16 or 8 lanes.
+//! A tape as machine code of x86-64, for packets of 32 or 8 lanes.
 
 mod arithmetic;
 mod emit;
 mod isa;
+mod operands;
 mod program;
 
 use std::io;
@@ -58,7 +59,7 @@ fn assemble(tape: &LinearTape, isa: &'static Isa) -> MachineCode {
         let (linear, _) = functions[index].as_ref()?;
         let offset = encoded.new_instruction_offsets[assembly.functions[index]?] as usize;
         let (arguments, results) = (linear.arguments.len(), linear.results.len());
-        Some((name, Entry { offset, layout: layouts[index], arguments, results }))
+        Some((name, Entry { offset, arguments, results }))
     };
     let entries = tape.entries.iter().filter_map(entry).collect();
     MachineCode {
@@ -77,7 +78,7 @@ fn layouts(functions: &[Allocated<'_>], isa: &Isa) -> Vec<FrameLayout> {
     let mut layouts = vec![FrameLayout::default(); functions.len()];
     for (index, function) in functions.iter().enumerate().rev() {
         let Some((linear, allocation)) = function else { continue };
-        let layout = FrameLayout::new(starts[index], linear, allocation.slots, isa.vector_bytes());
+        let layout = FrameLayout::new(starts[index], linear, allocation.slots, isa.packet_bytes());
         for step in &linear.steps {
             if let Step::Call { callee, .. } = step {
                 starts[*callee] = starts[*callee].max(layout.end);

@@ -3,7 +3,8 @@
 use iced_x86::{Code, Instruction, Register};
 use scene::real::SQRT_FLOOR;
 
-use super::emit::{Emitter, MASK_SCRATCH, MASK_SCRATCH_2, Operand, valid};
+use super::emit::{Emitter, valid};
+use super::operands::{MASK_SCRATCH, MASK_SCRATCH_2, Operand};
 use crate::tape::{Operation, Place, Var};
 
 /// Predicates of a comparison. Without NaN, ordered and unordered ones agree.
@@ -25,7 +26,7 @@ impl Emitter<'_> {
 
     /// Instruction of a target and two operands, the second of which may be in memory.
     fn two(&mut self, code: Code, to: Register, a: Operand, b: Operand) {
-        let a = self.in_register(a, self.isa.scratch_2());
+        let a = self.in_register(a, self.isa.scratch_2);
         self.three(code, to, a, b);
     }
 
@@ -60,7 +61,7 @@ impl Emitter<'_> {
 
     fn compare(&mut self, to: Register, [a, b, _]: [Var; 3]) {
         let (a, b) = (self.operand(a), self.operand(b));
-        let a = self.in_register(a, self.isa.scratch_2());
+        let a = self.in_register(a, self.isa.scratch_2);
         self.compare_with(to, a, b, LESS);
     }
 
@@ -89,13 +90,13 @@ impl Emitter<'_> {
         let (yes, no) = (self.operand(yes), self.operand(no));
         if self.isa.has_masks() {
             let lanes = self.mask_in_register(lanes, MASK_SCRATCH);
-            let no = self.in_register(no, self.isa.scratch_2());
+            let no = self.in_register(no, self.isa.scratch_2);
             self.three(Code::EVEX_Vblendmps_zmm_k1z_zmm_zmmm512b32, to, no, yes);
             self.assembly.instructions.last_mut().expect("it was pushed").set_op_mask(lanes);
         } else {
             let lanes = self.operand(lanes);
-            let lanes = self.in_register(lanes, self.isa.scratch());
-            let no = self.in_register(no, self.isa.scratch_2());
+            let lanes = self.in_register(lanes, self.isa.scratch);
+            let no = self.in_register(no, self.isa.scratch_2);
             self.blend(to, lanes, yes, no);
         }
     }
@@ -137,7 +138,7 @@ impl Emitter<'_> {
             Operation::ShiftLeft | Operation::ShiftRight => {
                 let Place::Constant(by) = self.place(operands[1]) else { unreachable!("shifts are by constants") };
                 let code = if operation == Operation::ShiftLeft { isa.shift_left } else { isa.shift_right };
-                let a = self.in_register(a, isa.scratch_2());
+                let a = self.in_register(a, isa.scratch_2);
                 self.push(valid(Instruction::with3(code, to, a, by)));
             }
             Operation::Fma => self.fma(to, a, b, operands[2]),
@@ -148,7 +149,7 @@ impl Emitter<'_> {
     /// The root; 0 below the floor.
     fn sqrt(&mut self, to: Register, a: Operand) {
         let floor = self.constant(SQRT_FLOOR.to_bits());
-        let a = self.in_register(a, self.isa.scratch_2());
+        let a = self.in_register(a, self.isa.scratch_2);
         if self.isa.has_masks() {
             self.compare_with(MASK_SCRATCH, a, floor, NOT_LESS);
             let mut root = valid(Instruction::with2(self.isa.sqrt, to, a));
@@ -156,7 +157,7 @@ impl Emitter<'_> {
             root.set_zeroing_masking(true);
             self.push(root);
         } else {
-            let (above, root) = (self.isa.scratch(), self.isa.scratch_2());
+            let (above, root) = (self.isa.scratch, self.isa.scratch_2);
             self.compare_with(above, a, floor, NOT_LESS);
             self.push(valid(Instruction::with2(self.isa.sqrt, root, a)));
             self.three(self.isa.and, to, above, Operand::Register(root));
@@ -173,7 +174,7 @@ impl Emitter<'_> {
             self.fma_into_factor(to, b, c);
         } else if is_target(&c) {
             let (a, b) = if matches!(a, Operand::Register(_)) { (a, b) } else { (b, a) };
-            let a = self.in_register(a, isa.scratch_2());
+            let a = self.in_register(a, isa.scratch_2);
             self.three(isa.fma231, to, a, b);
         } else {
             // The target takes an operand that is in memory, if any.
@@ -181,7 +182,7 @@ impl Emitter<'_> {
             if in_memory(&c) || !(in_memory(&a) || in_memory(&b)) {
                 self.load(to, c);
                 let (a, b) = if in_memory(&a) { (b, a) } else { (a, b) };
-                let a = self.in_register(a, isa.scratch_2());
+                let a = self.in_register(a, isa.scratch_2);
                 self.three(isa.fma231, to, a, b);
             } else {
                 let (a, b) = if in_memory(&a) { (a, b) } else { (b, a) };
@@ -197,7 +198,7 @@ impl Emitter<'_> {
             (Operand::Register(b), c) => self.three(self.isa.fma213, to, b, c),
             (b, Operand::Register(c)) => self.three(self.isa.fma132, to, c, b),
             (b, c) => {
-                let b = self.in_register(b, self.isa.scratch_2());
+                let b = self.in_register(b, self.isa.scratch_2);
                 self.three(self.isa.fma213, to, b, c);
             }
         }

@@ -1,22 +1,27 @@
-//! Machine code of a function: its frame, its steps, and the moves between registers and memory.
+//! Machine code of a function: its frame and its steps.
 //!
-//! Registers: `rdi` the thread's frame, `rsi` the uniforms, `rdx` the constants, `rcx` the cancel flag. The last two
-//! vector registers, k0, k6, k7 and `eax` are scratch. Nothing else is used, and memory is reached through these four only.
+//! Registers: `rdi` the thread's frame, `rsi` the uniforms, `rdx` the constants, `rcx` the cancel flag. Entries also have
+//! `r8` the arguments, `r9` the results, `r10` the bytes of a row, `r11` the packets that remain. The last two vector
+//! registers, k0, k7 and `rax` are scratch. Nothing else is used, and memory is reached through these only.
 
 use std::collections::HashMap;
 
 use iced_x86::{Code, Instruction, MemoryOperand, Register};
 
 use super::isa::Isa;
-use crate::tape::{Allocation, Class, Linear, Place, Step, Var};
+use super::operands::{MASK_SCRATCH, MASK_SCRATCH_2};
+use crate::tape::{Allocation, Linear, Place, Step, Var};
 
-const FRAME: Register = Register::RDI;
-const UNIFORMS: Register = Register::RSI;
-const CONSTANTS: Register = Register::RDX;
+pub(super) const FRAME: Register = Register::RDI;
+pub(super) const UNIFORMS: Register = Register::RSI;
+pub(super) const CONSTANTS: Register = Register::RDX;
 const CANCEL: Register = Register::RCX;
-pub(super) const MASK_SCRATCH: Register = Register::K6;
-pub(super) const MASK_SCRATCH_2: Register = Register::K7;
-const MASK_SCRATCH_3: Register = Register::K0;
+const ARGUMENTS: Register = Register::R8;
+const RESULTS: Register = Register::R9;
+const ROW_BYTES: Register = Register::R10;
+const PACKETS: Register = Register::R11;
+/// The address of a row.
+const ROW: Register = Register::RAX;
 /// Round to nearest, keep subnormal numbers, report nothing.
 const MXCSR: u32 = 0x1f80;
 /// Its bits that are no flags of past operations.
@@ -29,20 +34,20 @@ pub(super) struct FrameLayout {
     pub(super) live: u32,
     pub(super) arguments: u32,
     pub(super) results: u32,
-    slots: u32,
-    /// Counters of loops, then the caller's rounding mode.
+    pub(super) slots: u32,
+    /// Counters of loops, then the rounding mode of an entry's caller.
     counters: u32,
     /// End of all parts.
     pub(super) end: u32,
 }
 
 impl FrameLayout {
-    pub(super) fn new(start: u32, linear: &Linear, slots: u32, vector_bytes: u32) -> Self {
-        let arguments = start + vector_bytes;
-        let results = arguments + vector_bytes * linear.arguments.len() as u32;
-        let first_slot = results + vector_bytes * linear.results.len() as u32;
-        let counters = first_slot + vector_bytes * slots;
-        let end = (counters + 4 * (linear.counters as u32 + 1)).next_multiple_of(vector_bytes);
+    pub(super) fn new(start: u32, linear: &Linear, slots: u32, packet_bytes: u32) -> Self {
+        let arguments = start + packet_bytes;
+        let results = arguments + packet_bytes * linear.arguments.len() as u32;
+        let first_slot = results + packet_bytes * linear.results.len() as u32;
+        let counters = first_slot + packet_bytes * slots;
+        let end = (counters + 4 * (linear.counters as u32 + 1)).next_multiple_of(packet_bytes);
         Self { live: start, arguments, results, slots: first_slot, counters, end }
     }
 }
@@ -78,28 +83,22 @@ impl Assembly {
     }
 }
 
-/// Operand of an instruction.
-#[derive(Clone, Copy)]
-pub(super) enum Operand {
-    Register(Register),
-    /// A vector, or one number for all lanes.
-    Memory(MemoryOperand),
-}
-
 /// Emits one function.
 pub(super) struct Emitter<'a> {
     pub(super) assembly: &'a mut Assembly,
     pub(super) isa: &'static Isa,
-    linear: &'a Linear,
-    allocation: &'a Allocation,
+    pub(super) linear: &'a Linear,
+    pub(super) allocation: &'a Allocation,
     layouts: &'a [FrameLayout],
     index: usize,
+    /// The vector of the packet for which code is emitted.
+    pub(super) vector: u32,
     labels: Vec<u64>,
     /// Branches to labels that come later: instruction and label.
     open: Vec<(usize, usize)>,
 }
 
-fn memory(base: Register, offset: u32) -> MemoryOperand {
+pub(super) fn memory(base: Register, offset: u32) -> MemoryOperand {
     MemoryOperand::with_base_displ(base, i64::from(offset))
 }
 
@@ -117,44 +116,105 @@ impl<'a> Emitter<'a> {
         layouts: &'a [FrameLayout],
         index: usize,
     ) -> Self {
-        Self { assembly, isa, linear, allocation, layouts, index, labels: vec![0; linear.labels], open: Vec::new() }
+        let labels = vec![0; linear.labels];
+        Self { assembly, isa, linear, allocation, layouts, index, vector: 0, labels, open: Vec::new() }
     }
 
-    /// Emits the function; an entry also saves, sets and restores the rounding mode.
+    /// Emits the function. An entry saves, sets and restores the rounding mode, and goes from packet to packet.
     pub(super) fn function(mut self, is_entry: bool) {
         self.assembly.functions[self.index] = Some(self.assembly.instructions.len());
-        let saved_mode = memory(FRAME, self.layout().counters + 4 * self.linear.counters as u32);
         if is_entry {
-            self.push(valid(Instruction::with1(Code::VEX_Vstmxcsr_m32, saved_mode)));
-            let place = self.assembly.constants.place(MXCSR);
-            self.set_mode_unless_usual(saved_mode, self.constant_at(place, false));
-        }
-        // In the order in which they were given registers: one that nothing reads may have that of a later one.
-        let mut inputs = vec![(self.linear.live, memory(FRAME, self.layout().live))];
-        let arguments = self.linear.arguments.iter().enumerate();
-        inputs.extend(arguments.map(|(place, &var)| (var, self.argument(place as u32))));
-        for (var, from) in inputs {
-            match self.place(var) {
-                Place::Vector(register) => self.load(self.isa.vector(register), Operand::Memory(from)),
-                Place::Mask(register) => self.load_mask(Register::K0 + u32::from(register), from),
-                _ => {}
+            self.entry();
+        } else {
+            self.take_inputs();
+            self.steps();
+            for (place, &var) in self.linear.results.iter().enumerate() {
+                self.store_to(var, self.layout().results + self.isa.packet_bytes() * place as u32);
             }
-        }
-        for step in &self.linear.steps {
-            self.step(step);
-        }
-        for (place, &var) in self.linear.results.iter().enumerate() {
-            let to = memory(FRAME, self.layout().results + self.isa.vector_bytes() * place as u32);
-            self.store_to(var, to);
-        }
-        if is_entry {
-            self.set_mode_unless_usual(saved_mode, saved_mode);
-            self.push(Instruction::with(Code::VEX_Vzeroupper));
         }
         self.push(Instruction::with(Code::Retnq));
         for (instruction, label) in std::mem::take(&mut self.open) {
             self.assembly.instructions[instruction].set_near_branch64(self.labels[label]);
         }
+    }
+
+    /// Loads what a caller left in the frame.
+    fn take_inputs(&mut self) {
+        // In the order in which they were given registers: one that nothing reads may have that of a later one.
+        self.load_from(self.linear.live, self.layout().live);
+        for (place, &var) in self.linear.arguments.iter().enumerate() {
+            if !matches!(self.place(var), Place::Argument(_)) {
+                self.load_from(var, self.layout().arguments + self.isa.packet_bytes() * place as u32);
+            }
+        }
+    }
+
+    fn steps(&mut self) {
+        for step in &self.linear.steps {
+            self.step(step);
+        }
+    }
+
+    fn entry(&mut self) {
+        let saved_mode = memory(FRAME, self.layout().counters + 4 * self.linear.counters as u32);
+        self.push(valid(Instruction::with1(Code::VEX_Vstmxcsr_m32, saved_mode)));
+        let place = self.assembly.constants.place(MXCSR);
+        self.set_mode_unless_usual(saved_mode, self.constant_at(place, false));
+        // Above the return address.
+        for (register, offset) in [(ROW_BYTES, 8), (PACKETS, 16)] {
+            let from = memory(Register::RSP, offset);
+            self.push(valid(Instruction::with2(Code::Mov_r64_rm64, register, from)));
+        }
+        let top = self.assembly.next();
+        self.for_each_vector(|this| {
+            let all = this.target(this.linear.live);
+            let code =
+                if this.isa.has_masks() { Code::VEX_Kxnorw_kr_kr_kr } else { Code::VEX_Vpcmpeqd_ymm_ymm_ymmm256 };
+            this.push(valid(Instruction::with3(code, all, all, all)));
+            this.store(this.linear.live, all);
+        });
+        let linear = self.linear;
+        self.for_each_row(ARGUMENTS, &linear.arguments, |this, var, row| {
+            let to = this.target(var);
+            this.push(valid(Instruction::with2(this.isa.load_unaligned, to, row)));
+            this.store(var, to);
+        });
+        self.steps();
+        self.for_each_row(RESULTS, &linear.results, |this, var, row| {
+            let operand = this.operand(var);
+            let from = this.in_register(operand, this.isa.scratch);
+            this.push(valid(Instruction::with2(this.isa.store_unaligned, row, from)));
+        });
+        for rows in [ARGUMENTS, RESULTS] {
+            self.push(valid(Instruction::with2(Code::Add_rm64_imm32, rows, self.isa.packet_bytes())));
+        }
+        self.push(valid(Instruction::with1(Code::Dec_rm64, PACKETS)));
+        self.push(valid(Instruction::with_branch(Code::Jne_rel32_64, top)));
+        self.set_mode_unless_usual(saved_mode, saved_mode);
+        self.push(Instruction::with(Code::VEX_Vzeroupper));
+    }
+
+    /// Emits code for each variable and the packet's part of its row.
+    fn for_each_row(&mut self, first: Register, rows: &[Var], emit: impl Fn(&mut Self, Var, MemoryOperand)) {
+        self.push(valid(Instruction::with2(Code::Mov_r64_rm64, ROW, first)));
+        for (place, &var) in rows.iter().enumerate() {
+            if place > 0 {
+                self.push(valid(Instruction::with2(Code::Add_r64_rm64, ROW, ROW_BYTES)));
+            }
+            self.for_each_vector(|this| emit(this, var, this.in_packet(ROW, 0)));
+        }
+    }
+
+    pub(super) fn for_each_vector(&mut self, mut emit: impl FnMut(&mut Self)) {
+        for vector in 0..self.isa.vectors {
+            self.vector = vector;
+            emit(self);
+        }
+    }
+
+    /// The vector's part of a packet's values at an offset.
+    pub(super) fn in_packet(&self, base: Register, offset: u32) -> MemoryOperand {
+        memory(base, offset + self.isa.vector_bytes() * self.vector)
     }
 
     /// Sets the rounding mode, which is slow, if the caller's is not the usual one.
@@ -173,135 +233,8 @@ impl<'a> Emitter<'a> {
         self.assembly.instructions.push(instruction);
     }
 
-    fn layout(&self) -> FrameLayout {
+    pub(super) fn layout(&self) -> FrameLayout {
         self.layouts[self.index]
-    }
-
-    fn argument(&self, place: u32) -> MemoryOperand {
-        memory(FRAME, self.layout().arguments + self.isa.vector_bytes() * place)
-    }
-
-    pub(super) fn place(&self, var: Var) -> Place {
-        self.allocation.places[var as usize]
-    }
-
-    /// Whether the variable is in a mask register, or would be if there were enough.
-    pub(super) fn is_mask(&self, var: Var) -> bool {
-        self.isa.has_masks() && self.linear.variables[var as usize].class == Class::Mask
-    }
-
-    fn in_frame(&self, place: Place) -> Option<MemoryOperand> {
-        match place {
-            Place::Slot(slot) => Some(memory(FRAME, self.layout().slots + self.isa.vector_bytes() * slot)),
-            Place::Argument(argument) => Some(self.argument(argument)),
-            Place::Live => Some(memory(FRAME, self.layout().live)),
-            _ => None,
-        }
-    }
-
-    /// Constants and uniforms have one word each for AVX-512, which broadcasts it, and a vector for AVX2.
-    fn input(&self, base: Register, place: u32, broadcasts: bool) -> MemoryOperand {
-        let stride = if self.isa.has_masks() { 4 } else { self.isa.vector_bytes() };
-        let mut at = memory(base, stride * place);
-        at.is_broadcast = broadcasts && self.isa.has_masks();
-        at
-    }
-
-    fn constant_at(&self, place: u32, broadcasts: bool) -> MemoryOperand {
-        self.input(CONSTANTS, place, broadcasts)
-    }
-
-    pub(super) fn constant(&mut self, bits: u32) -> Operand {
-        let place = self.assembly.constants.place(bits);
-        Operand::Memory(self.constant_at(place, true))
-    }
-
-    pub(super) fn operand(&mut self, var: Var) -> Operand {
-        match self.place(var) {
-            Place::Vector(register) => Operand::Register(self.isa.vector(register)),
-            Place::Constant(bits) => self.constant(bits),
-            Place::Uniform(index) => Operand::Memory(self.input(UNIFORMS, index, true)),
-            place => Operand::Memory(self.in_frame(place).expect("a number is a vector or in the frame")),
-        }
-    }
-
-    /// Loads an operand into a register.
-    pub(super) fn load(&mut self, to: Register, from: Operand) {
-        let instruction = self.loading(to, from);
-        if !matches!(from, Operand::Register(from) if from == to) {
-            self.push(instruction);
-        }
-    }
-
-    fn loading(&self, to: Register, from: Operand) -> Instruction {
-        valid(match from {
-            Operand::Register(from) => Instruction::with2(self.isa.load, to, from),
-            Operand::Memory(mut from) if from.is_broadcast => {
-                from.is_broadcast = false;
-                Instruction::with2(Code::EVEX_Vbroadcastss_zmm_k1z_xmmm32, to, from)
-            }
-            Operand::Memory(from) => Instruction::with2(self.isa.load, to, from),
-        })
-    }
-
-    fn load_mask(&mut self, to: Register, from: MemoryOperand) {
-        self.push(valid(Instruction::with2(Code::VEX_Kmovw_kr_km16, to, from)));
-    }
-
-    /// Register that has the operand's value.
-    pub(super) fn in_register(&mut self, operand: Operand, scratch: Register) -> Register {
-        match operand {
-            Operand::Register(register) => register,
-            Operand::Memory(_) => {
-                self.load(scratch, operand);
-                scratch
-            }
-        }
-    }
-
-    pub(super) fn mask_in_register(&mut self, var: Var, scratch: Register) -> Register {
-        match self.place(var) {
-            Place::Mask(register) => Register::K0 + u32::from(register),
-            place => {
-                let from = self.in_frame(place).expect("a mask is in a register or in the frame");
-                self.load_mask(scratch, from);
-                scratch
-            }
-        }
-    }
-
-    /// Register for a result: that of the variable, or scratch to be stored by [`Self::store`].
-    pub(super) fn target(&self, var: Var) -> Register {
-        match self.place(var) {
-            Place::Vector(register) => self.isa.vector(register),
-            Place::Mask(register) => Register::K0 + u32::from(register),
-            _ if self.is_mask(var) => MASK_SCRATCH,
-            _ => self.isa.scratch(),
-        }
-    }
-
-    /// Stores a result from its register to its place, if that is in the frame.
-    pub(super) fn store(&mut self, var: Var, from: Register) {
-        if let Some(to) = self.in_frame(self.place(var)) {
-            self.store_register(self.is_mask(var), to, from);
-        }
-    }
-
-    fn store_register(&mut self, is_mask: bool, to: MemoryOperand, from: Register) {
-        let code = if is_mask { Code::VEX_Kmovw_m16_kr } else { self.isa.store };
-        self.push(valid(Instruction::with2(code, to, from)));
-    }
-
-    /// Stores a variable to another place in the frame.
-    fn store_to(&mut self, var: Var, to: MemoryOperand) {
-        let is_mask = self.is_mask(var);
-        let from = if is_mask {
-            self.mask_in_register(var, MASK_SCRATCH)
-        } else {
-            let operand = self.operand(var);
-            self.in_register(operand, self.isa.scratch())
-        };
-        self.store_register(is_mask, to, from);
     }
 
     fn branch(&mut self, code: Code, label: usize) {
@@ -311,15 +244,17 @@ impl<'a> Emitter<'a> {
 
     /// Sets the zero flag if no lane is in the mask.
     fn test_mask(&mut self, mask: Var) {
-        let instruction = if self.isa.has_masks() {
-            let mask = self.mask_in_register(mask, MASK_SCRATCH);
-            Instruction::with2(Code::VEX_Kortestw_kr_kr, mask, mask)
+        if self.isa.has_masks() {
+            self.vector = 0;
+            let first = self.mask_in_register(mask, MASK_SCRATCH);
+            self.vector = self.isa.vectors - 1;
+            let last = self.mask_in_register(mask, MASK_SCRATCH_2);
+            self.push(valid(Instruction::with2(Code::VEX_Kortestw_kr_kr, first, last)));
         } else {
             let operand = self.operand(mask);
-            let mask = self.in_register(operand, self.isa.scratch());
-            Instruction::with2(Code::VEX_Vtestps_ymm_ymmm256, mask, mask)
-        };
-        self.push(valid(instruction));
+            let mask = self.in_register(operand, self.isa.scratch);
+            self.push(valid(Instruction::with2(Code::VEX_Vtestps_ymm_ymmm256, mask, mask)));
+        }
     }
 
     fn counter(&self, counter: usize) -> MemoryOperand {
@@ -328,9 +263,11 @@ impl<'a> Emitter<'a> {
 
     fn step(&mut self, step: &Step) {
         match step {
-            Step::Compute { to, operation, operands } => self.compute(*to, *operation, *operands),
-            Step::Move { to, from } => self.copy(*to, *from),
-            Step::MoveWhere { mask, to, from } => self.copy_where(*mask, *to, *from),
+            Step::Compute { to, operation, operands } => {
+                self.for_each_vector(|this| this.compute(*to, *operation, *operands));
+            }
+            Step::Move { to, from } => self.for_each_vector(|this| this.copy(*to, *from)),
+            Step::MoveWhere { mask, to, from } => self.for_each_vector(|this| this.copy_where(*mask, *to, *from)),
             Step::SkipIfNone { mask, end } => {
                 self.test_mask(*mask);
                 self.branch(Code::Je_rel32_64, *end);
@@ -364,81 +301,15 @@ impl<'a> Emitter<'a> {
     }
 
     fn call(&mut self, callee: usize, live: Var, arguments: &[Var], results: &[Var]) {
-        let (layout, bytes) = (self.layouts[callee], self.isa.vector_bytes());
+        let (layout, bytes) = (self.layouts[callee], self.isa.packet_bytes());
         for (place, &var) in arguments.iter().enumerate() {
-            self.store_to(var, memory(FRAME, layout.arguments + bytes * place as u32));
+            self.store_to(var, layout.arguments + bytes * place as u32);
         }
-        self.store_to(live, memory(FRAME, layout.live));
+        self.store_to(live, layout.live);
         let target = self.assembly.functions[callee].expect("callees come first");
         self.push(valid(Instruction::with_branch(Code::Call_rel32_64, target as u64 + 1)));
         for (place, &var) in results.iter().enumerate() {
-            if self.place(var) == Place::Nowhere {
-                continue;
-            }
-            let from = memory(FRAME, layout.results + bytes * place as u32);
-            let to = self.target(var);
-            if self.is_mask(var) {
-                self.load_mask(to, from);
-            } else {
-                self.load(to, Operand::Memory(from));
-            }
-            self.store(var, to);
+            self.load_from(var, layout.results + bytes * place as u32);
         }
-    }
-
-    fn copy(&mut self, to: Var, from: Var) {
-        if self.place(to) == Place::Nowhere {
-            return;
-        }
-        let target = self.target(to);
-        if self.is_mask(to) {
-            let from = self.mask_in_register(from, target);
-            if from != target {
-                self.push(valid(Instruction::with2(Code::VEX_Kmovw_kr_km16, target, from)));
-            }
-        } else {
-            let from = self.operand(from);
-            self.load(target, from);
-        }
-        self.store(to, target);
-    }
-
-    fn copy_where(&mut self, lanes: Var, to: Var, from: Var) {
-        if self.place(to) == Place::Nowhere {
-            return;
-        }
-        if self.is_mask(to) {
-            self.copy_mask_where(lanes, to, from);
-        } else if self.isa.has_masks() {
-            let lanes = self.mask_in_register(lanes, MASK_SCRATCH);
-            let from = self.operand(from);
-            let mut instruction = if let Some(to) = self.in_frame(self.place(to)) {
-                let from = self.in_register(from, self.isa.scratch());
-                valid(Instruction::with2(self.isa.store, to, from))
-            } else {
-                self.loading(self.target(to), from)
-            };
-            instruction.set_op_mask(lanes);
-            self.push(instruction);
-        } else {
-            let lanes = self.operand(lanes);
-            let lanes = self.in_register(lanes, self.isa.scratch());
-            let (old, new) = (self.operand(to), self.operand(from));
-            let old = self.in_register(old, self.isa.scratch_2());
-            self.blend(old, lanes, new, old);
-            self.store(to, old);
-        }
-    }
-
-    fn copy_mask_where(&mut self, lanes: Var, to: Var, from: Var) {
-        let lanes = self.mask_in_register(lanes, MASK_SCRATCH);
-        let old = self.mask_in_register(to, MASK_SCRATCH_2);
-        // Lanes that keep the old value, then those that take the new one.
-        self.push(valid(Instruction::with3(Code::VEX_Kandnw_kr_kr_kr, MASK_SCRATCH_2, lanes, old)));
-        let new = self.mask_in_register(from, MASK_SCRATCH_3);
-        self.push(valid(Instruction::with3(Code::VEX_Kandw_kr_kr_kr, MASK_SCRATCH, lanes, new)));
-        let target = self.target(to);
-        self.push(valid(Instruction::with3(Code::VEX_Korw_kr_kr_kr, target, MASK_SCRATCH, MASK_SCRATCH_2)));
-        self.store(to, target);
     }
 }

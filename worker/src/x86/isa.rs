@@ -7,14 +7,22 @@ use crate::tape::Registers;
 /// A vector extension of x86-64.
 #[derive(Debug)]
 pub(crate) struct Isa {
-    /// Numbers in a vector.
+    /// Lanes of a packet.
     pub(crate) lanes: usize,
-    /// Registers that variables may have: all vectors but the last two, k1 to k5.
+    /// Vectors of a packet. Each step is emitted for one after the other, so that one computes while another waits.
+    pub(super) vectors: u32,
+    /// Groups of registers, one for each vector of a packet, that variables may have: all vectors but the last two,
+    /// k1 to k6.
     pub(super) registers: Registers,
     pub(super) first: Register,
+    pub(super) scratch: Register,
+    pub(super) scratch_2: Register,
     /// Also loads from memory.
     pub(super) load: Code,
     pub(super) store: Code,
+    /// From addresses of any alignment.
+    pub(super) load_unaligned: Code,
+    pub(super) store_unaligned: Code,
     pub(super) add: Code,
     pub(super) sub: Code,
     pub(super) mul: Code,
@@ -53,9 +61,19 @@ impl Isa {
         is_available
     }
 
+    /// Bytes of a packet's values.
+    pub(super) fn packet_bytes(&self) -> u32 {
+        4 * self.lanes as u32
+    }
+
     /// Bytes of a vector.
     pub(super) fn vector_bytes(&self) -> u32 {
-        4 * self.lanes as u32
+        self.packet_bytes() / self.vectors
+    }
+
+    /// Words in which the code expects each constant and uniform.
+    pub(super) fn copies(&self) -> usize {
+        if self.has_masks() { 1 } else { self.lanes }
     }
 
     /// Whether masks have registers of their own, and instructions take one number for all lanes from memory.
@@ -63,24 +81,27 @@ impl Isa {
         self.registers.masks > 0
     }
 
-    pub(super) fn vector(&self, register: u8) -> Register {
-        self.first + u32::from(register)
+    /// Register of a group for one of the packet's vectors.
+    pub(super) fn vector(&self, group: u8, vector: u32) -> Register {
+        self.first + (u32::from(group) * self.vectors + vector)
     }
 
-    pub(super) fn scratch(&self) -> Register {
-        self.vector(self.registers.vectors)
-    }
-
-    pub(super) fn scratch_2(&self) -> Register {
-        self.vector(self.registers.vectors + 1)
+    /// Mask register of a group, from 1, for one of the packet's vectors.
+    pub(super) fn mask(&self, group: u8, vector: u32) -> Register {
+        Register::K1 + (u32::from(group - 1) * self.vectors + vector)
     }
 }
 
 /// AVX-512F.
 pub(crate) static AVX512: Isa = Isa {
-    lanes: 16,
-    registers: Registers { vectors: 30, masks: 5 },
+    lanes: 32,
+    vectors: 2,
+    registers: Registers { vectors: 15, masks: 3 },
     first: Register::ZMM0,
+    scratch: Register::ZMM30,
+    scratch_2: Register::ZMM31,
+    load_unaligned: Code::EVEX_Vmovups_zmm_k1z_zmmm512,
+    store_unaligned: Code::EVEX_Vmovups_zmmm512_k1z_zmm,
     load: Code::EVEX_Vmovaps_zmm_k1z_zmmm512,
     store: Code::EVEX_Vmovaps_zmmm512_k1z_zmm,
     add: Code::EVEX_Vaddps_zmm_k1z_zmm_zmmm512b32_er,
@@ -107,8 +128,13 @@ pub(crate) static AVX512: Isa = Isa {
 /// AVX2 and FMA.
 pub(crate) static AVX2: Isa = Isa {
     lanes: 8,
+    vectors: 1,
     registers: Registers { vectors: 14, masks: 0 },
     first: Register::YMM0,
+    scratch: Register::YMM14,
+    scratch_2: Register::YMM15,
+    load_unaligned: Code::VEX_Vmovups_ymm_ymmm256,
+    store_unaligned: Code::VEX_Vmovups_ymmm256_ymm,
     load: Code::VEX_Vmovaps_ymm_ymmm256,
     store: Code::VEX_Vmovaps_ymmm256_ymm,
     add: Code::VEX_Vaddps_ymm_ymm_ymmm256,

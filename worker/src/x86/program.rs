@@ -7,19 +7,28 @@ use std::sync::atomic::AtomicBool;
 
 use memmap2::{Mmap, MmapMut};
 
-use super::emit::FrameLayout;
 use super::isa::Isa;
 
 /// Words of a [`Packet`].
 const WORDS: usize = 16;
 
-/// Memory of one vector of AVX-512, or two of AVX2.
+/// Memory of a vector, aligned for every extension.
 #[derive(Clone, Copy, Debug)]
 #[repr(C, align(64))]
 struct Packet([f32; WORDS]);
 
-/// Signature of an entry: frame, uniforms, constants, cancel flag.
-type Function = unsafe extern "sysv64" fn(*mut Packet, *const Packet, *const Packet, *const bool);
+/// Signature of an entry: frame, uniforms, constants, cancel flag; arguments, results, bytes of their rows, packets in a
+/// row.
+type Function = unsafe extern "sysv64" fn(
+    *mut Packet,
+    *const Packet,
+    *const Packet,
+    *const bool,
+    *const f32,
+    *mut f32,
+    usize,
+    usize,
+);
 
 /// A compiled tape.
 #[derive(Debug)]
@@ -37,7 +46,6 @@ pub(crate) struct Program {
 pub(super) struct Entry {
     /// Of its code, in bytes.
     pub(super) offset: usize,
-    pub(super) layout: FrameLayout,
     pub(super) arguments: usize,
     pub(super) results: usize,
 }
@@ -60,21 +68,13 @@ pub(crate) struct Uniforms(Vec<Packet>);
 #[derive(Debug)]
 pub(crate) struct Frame(Vec<Packet>);
 
-impl Frame {
-    /// The vector at an offset in bytes.
-    fn vector(&mut self, offset: u32, lanes: usize) -> &mut [f32] {
-        let word = offset as usize / 4;
-        &mut self.0[word / WORDS].0[word % WORDS..][..lanes]
-    }
-}
-
 impl Program {
     /// Maps machine code: pages are written, then made executable, never both. Fails where executable memory is
     /// refused.
     ///
     /// # Safety
     /// This CPU has the instructions. Each entry begins at its offset, has the signature of [`Function`], and touches
-    /// only its frame of `frame_bytes`, the uniforms, the constants and the flag.
+    /// only its frame of `frame_bytes`, the uniforms, the constants, the flag, and the rows of its arguments and results.
     pub(super) unsafe fn new(machine: MachineCode, isa: &'static Isa) -> io::Result<Self> {
         let mut pages = MmapMut::map_anon(machine.code.len())?;
         pages.copy_from_slice(&machine.code);
@@ -128,39 +128,37 @@ impl Program {
         results: &mut [f32],
     ) {
         let (_, entry) = *self.entries.iter().find(|(name, _)| *name == entry).expect("an entry of the tape");
-        let (lanes, bytes) = (self.isa.lanes, self.isa.vector_bytes());
         let length = results.len() / entry.results;
-        assert!(length.is_multiple_of(lanes), "whole packets");
+        assert!(length.is_multiple_of(self.isa.lanes), "whole packets");
         assert_eq!(arguments.len(), entry.arguments * length, "arguments of the entry");
         assert_eq!(results.len(), entry.results * length, "results of the entry");
         assert_eq!(frame.0.len(), self.frame_packets, "frame of the program");
         assert_eq!(uniforms.0.len(), packet_count(self.uniforms, self.isa), "uniforms of the program");
+        if length == 0 {
+            return;
+        }
         let address = self.code[entry.offset..].as_ptr();
         // SAFETY: `new` was promised that an entry with this signature begins there.
         let function = unsafe { std::mem::transmute::<*const u8, Function>(address) };
-        let (uniforms, constants) = (uniforms.0.as_ptr(), self.constants.as_ptr());
-        let all = f32::from_bits(if self.isa.has_masks() { 0xffff } else { u32::MAX });
-        for first in (0..length).step_by(lanes) {
-            frame.vector(entry.layout.live, lanes).fill(all);
-            let mut at = entry.layout.arguments;
-            for argument in arguments.chunks_exact(length) {
-                frame.vector(at, lanes).copy_from_slice(&argument[first..first + lanes]);
-                at += bytes;
-            }
-            // SAFETY: `new` was promised that it touches only this memory, whose sizes were asserted above.
-            unsafe { function(frame.0.as_mut_ptr(), uniforms, constants, cancel.as_ptr()) };
-            let mut at = entry.layout.results;
-            for result in results.chunks_exact_mut(length) {
-                result[first..first + lanes].copy_from_slice(frame.vector(at, lanes));
-                at += bytes;
-            }
+        // SAFETY: `new` was promised that it touches only this memory, whose sizes were asserted above.
+        unsafe {
+            function(
+                frame.0.as_mut_ptr(),
+                uniforms.0.as_ptr(),
+                self.constants.as_ptr(),
+                cancel.as_ptr(),
+                arguments.as_ptr(),
+                results.as_mut_ptr(),
+                length * size_of::<f32>(),
+                length / self.isa.lanes,
+            );
         }
     }
 }
 
 /// Words as the code of an extension reads them: one after the other, or each in all lanes of a vector.
 fn packets(words: &[u32], isa: &Isa) -> Vec<Packet> {
-    let copies = if isa.has_masks() { 1 } else { isa.lanes };
+    let copies = isa.copies();
     let mut packets = vec![Packet([0.0; WORDS]); packet_count(words.len(), isa)];
     let places = packets.iter_mut().flat_map(|packet| &mut packet.0);
     let values = words.iter().flat_map(|word| std::iter::repeat_n(*word, copies));
@@ -170,6 +168,6 @@ fn packets(words: &[u32], isa: &Isa) -> Vec<Packet> {
 
 /// Length of [`packets`] of this number of words; at least one, so that there is an address.
 fn packet_count(words: usize, isa: &Isa) -> usize {
-    let copies = if isa.has_masks() { 1 } else { isa.lanes };
+    let copies = isa.copies();
     (words * copies).div_ceil(WORDS).max(1)
 }
