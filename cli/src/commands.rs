@@ -36,16 +36,25 @@ mod watch;
 mod webhook;
 mod worker;
 
+use std::fs::Permissions;
 use std::future::Future;
+use std::os::unix::fs::PermissionsExt;
 use std::time::Duration;
 
 use anyhow::Context;
 use clap::Subcommand;
+use tempfile::TempDir;
 
 use crate::signals::Signals;
 
 /// How long blocking calls may go on after a command has finished.
 const SHUTDOWN_TIMEOUT: Duration = Duration::from_millis(500);
+
+/// Folder for a farm that is deleted with it; only its owner can read it.
+fn temporary_farm_folder() -> anyhow::Result<TempDir> {
+    let folder = tempfile::Builder::new().permissions(Permissions::from_mode(0o700)).tempdir();
+    folder.context("could not create a folder for the farm: free some space there")
+}
 
 /// Command to run.
 #[derive(Debug, Subcommand)]

@@ -56,7 +56,7 @@ pub(crate) use events::Event;
 pub(crate) use finish::{CancelOutcome, DeleteOutcome};
 pub(crate) use frames::{FrameSet, StoredFrame};
 pub(crate) use idempotency::{IdempotencyKey, NewWebhook, SubmitOptions, SubmitOutcome};
-pub(crate) use job_changes::ChangeOutcome;
+pub(crate) use job_changes::{ChangeOutcome, RetryOutcome};
 pub(crate) use lease::{LeaseEnd, jitter};
 pub(crate) use open_frame::{FrameOpening, OpenOutcome};
 pub(crate) use pause::PauseOutcome;

@@ -4,13 +4,14 @@
 //! The file is deleted when the disk is full and room must be made. Until there is room for it again, nothing is
 //! accepted and no work is granted, so that only deletions use the space.
 
-use std::fs::{self, File};
+use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use rustix::fs::FallocateFlags;
 
+use crate::private_files;
 use crate::telemetry::host::disk;
 
 /// Name of the file in the data folder.
@@ -87,7 +88,7 @@ fn size_bytes(disk_bytes: u64) -> u64 {
 
 /// Creates a file whose blocks are allocated.
 fn allocate(path: &Path, size_bytes: u64) -> io::Result<()> {
-    let mut file = File::create(path)?;
+    let mut file = private_files::create_file(path)?;
     match rustix::fs::fallocate(&file, FallocateFlags::empty(), 0, size_bytes) {
         Ok(()) => Ok(()),
         Err(rustix::io::Errno::OPNOTSUPP) => {

@@ -13,6 +13,7 @@ use server::{Config, Server};
 use tokio_util::sync::CancellationToken;
 
 use crate::commands::serve::current_executable;
+use crate::commands::temporary_farm_folder;
 use crate::counted::counted;
 use crate::error::UsageError;
 use crate::output_file::{OutputFile, check_writable};
@@ -57,7 +58,7 @@ pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     check_writable("./")?;
     let mut signals = Signals::install()?;
 
-    let data = tempfile::tempdir().context("could not create a folder for the farm: free some space there")?;
+    let data = temporary_farm_folder()?;
     let config = Config {
         listen: ([127, 0, 0, 1], 0).into(),
         data: data.path().to_owned(),

@@ -18,6 +18,7 @@ use std::time::Duration;
 use anyhow::Context;
 use clap::Args;
 
+use crate::commands::temporary_farm_folder;
 use crate::signals::Signals;
 use crate::terminal::{print_line, print_note};
 use kills::SoakPlan;
@@ -73,7 +74,7 @@ impl Arguments {
 /// Runs the soak; any violation is an error.
 pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     let mut signals = Signals::install()?;
-    let temporary = tempfile::tempdir().context("could not create a folder for the farm: free some space there")?;
+    let temporary = temporary_farm_folder()?;
     let data = arguments.data.clone().unwrap_or_else(|| temporary.path().join("data"));
     std::fs::create_dir_all(&data).with_context(|| format!("could not create {}", data.display()))?;
     print_note("rendering the expected pictures");

@@ -16,7 +16,7 @@ use super::error::ApiError;
 use super::jobs::{job_id, view};
 use super::{body, quota};
 use crate::farm::Farm;
-use crate::queue::{ChangeOutcome, DeleteOutcome};
+use crate::queue::{ChangeOutcome, DeleteOutcome, RetryOutcome};
 
 /// Maximum size of a request body; valid ones are smaller.
 const MAX_BYTES: usize = 4096;
@@ -47,12 +47,11 @@ pub(super) async fn retry(
     Path(id): Path<String>,
 ) -> Result<Json<JobView>, ApiError> {
     let job = job_id(&id)?;
-    // A failed job that runs again is unfinished work like a new one.
-    quota::check_jobs(&farm, &caller).await?;
-    match farm.queue.retry(job).await? {
-        ChangeOutcome::Done => view(&farm, job).await,
-        ChangeOutcome::WrongState(state) => Err(ApiError::NoDeadTiles { job, state }),
-        ChangeOutcome::Unknown => Err(ApiError::UnknownJob(id)),
+    match farm.queue.retry(job, quota::limits(&farm, &caller)).await? {
+        RetryOutcome::Changed(ChangeOutcome::Done) => view(&farm, job).await,
+        RetryOutcome::Changed(ChangeOutcome::WrongState(state)) => Err(ApiError::NoDeadTiles { job, state }),
+        RetryOutcome::Changed(ChangeOutcome::Unknown) => Err(ApiError::UnknownJob(id)),
+        RetryOutcome::Rejected(limit) => Err(quota::exceeded(&caller, limit)),
     }
 }
 

@@ -5,7 +5,9 @@ use proto::job::JobState;
 use proto::job::{DeleteDryRun, JobPatch};
 use sqlx::Row;
 
-use super::{Connection, Queue, Result, TransitionContext, Wake, cleanup, expect_rows, finish};
+use super::{
+    BacklogLimits, Connection, ExceededLimit, Queue, Result, TransitionContext, Wake, cleanup, expect_rows, finish,
+};
 use crate::database::Durability;
 
 /// Outcome of a change to a job.
@@ -19,23 +21,32 @@ pub(crate) enum ChangeOutcome {
     Unknown,
 }
 
-/// Result of an attempt to retry a job.
+/// Outcome of an attempt to retry a job.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum RetryOutcome {
+    /// The job is running again, or can't.
+    Changed(ChangeOutcome),
+    /// It would exceed a limit.
+    Rejected(ExceededLimit),
+}
+
+/// Step of an attempt to retry a job.
 enum RetryStep {
     /// It was decided.
-    Outcome(ChangeOutcome),
+    Outcome(RetryOutcome),
     /// The open work of this job must be voided completely first.
     CleanUpFirst(i64),
 }
 
 impl Queue {
-    /// Requeues the dead tiles of a failed job.
-    pub(crate) async fn retry(&self, job: JobId) -> Result<ChangeOutcome> {
+    /// Requeues the dead tiles of a failed job, which is unfinished work like a new job.
+    pub(crate) async fn retry(&self, job: JobId, limits: BacklogLimits) -> Result<RetryOutcome> {
         loop {
             let moment = self.context();
             let step = self
                 .database
                 .write(Durability::Full, move |connection| {
-                    Box::pin(async move { retry(connection, job, moment).await })
+                    Box::pin(async move { retry(connection, job, limits, moment).await })
                 })
                 .await?;
             match step {
@@ -107,17 +118,31 @@ async fn state(connection: &mut Connection, id: JobId) -> Result<ChangeOutcome> 
 
 /// Marks a failed job as running; its dead tiles, and the tiles skipped because of them, become ready: the first piece
 /// of them now.
-async fn retry(connection: &mut Connection, id: JobId, moment: TransitionContext) -> Result<RetryStep> {
-    let job: Option<(i64, Option<String>)> =
-        sqlx::query_as("SELECT number, cleanup FROM job WHERE id = ? AND state = 'failed' AND tiles_dead > 0")
-            .bind(id.to_string())
-            .fetch_optional(&mut *connection)
-            .await?;
-    let job = match job {
-        None => return state(connection, id).await.map(RetryStep::Outcome),
-        Some((job, Some(_))) => return Ok(RetryStep::CleanUpFirst(job)),
-        Some((job, None)) => job,
+async fn retry(
+    connection: &mut Connection,
+    id: JobId,
+    limits: BacklogLimits,
+    moment: TransitionContext,
+) -> Result<RetryStep> {
+    let failed = sqlx::query(
+        "SELECT number, cleanup, submitter, rays_total FROM job WHERE id = ? AND state = 'failed' AND tiles_dead > 0",
+    )
+    .bind(id.to_string())
+    .fetch_optional(&mut *connection)
+    .await?;
+    let Some(failed) = failed else {
+        let outcome = state(connection, id).await?;
+        return Ok(RetryStep::Outcome(RetryOutcome::Changed(outcome)));
     };
+    let job: i64 = failed.try_get("number")?;
+    let rays: i64 = failed.try_get("rays_total")?;
+    let submitter: String = failed.try_get("submitter")?;
+    if let Some(limit) = limits.find_exceeded(connection, &submitter, rays.unsigned_abs()).await? {
+        return Ok(RetryStep::Outcome(RetryOutcome::Rejected(limit)));
+    }
+    if failed.try_get::<Option<String>, _>("cleanup")?.is_some() {
+        return Ok(RetryStep::CleanUpFirst(job));
+    }
     let retried = sqlx::query(
         "UPDATE job SET state = 'running', error = NULL, finished_at_ms = NULL, events_kept = 1, cleanup = 'requeue',
                         retried_at_ms = ?1, started_at_ms = coalesce(started_at_ms, ?1)
@@ -129,7 +154,7 @@ async fn retry(connection: &mut Connection, id: JobId, moment: TransitionContext
     .await?;
     expect_rows("job: failed to running", 1, &retried)?;
     cleanup::piece(connection, job, moment).await?;
-    Ok(RetryStep::Outcome(ChangeOutcome::Done))
+    Ok(RetryStep::Outcome(RetryOutcome::Changed(ChangeOutcome::Done)))
 }
 
 async fn change(connection: &mut Connection, id: JobId, patch: &JobPatch) -> Result<ChangeOutcome> {

@@ -200,6 +200,26 @@ async fn fail(farm: &Farm) {
     }
 }
 
+#[tokio::test(flavor = "multi_thread")]
+async fn concurrent_retries_do_not_overfill_the_queue() {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let farm = Farm::start_in(folder, |config| config.max_queued_jobs = 1).await;
+    let mut retries = Vec::new();
+    for seed in 0..8 {
+        let posted = farm.submit(&small_job(seed)).await;
+        while farm.job(posted.id).await.state != JobState::Failed {
+            fail(&farm).await;
+        }
+        retries.push(format!("/v1/jobs/{}/retry", posted.id));
+    }
+    let responses = join_all(retries.iter().map(|retry| farm.post(retry, ""))).await;
+    assert_eq!(responses.iter().filter(|response| response.status() == StatusCode::OK).count(), 1);
+    for response in responses.into_iter().filter(|response| response.status() != StatusCode::OK) {
+        refused(response, 429, "queue_full").await;
+    }
+    farm.stop().await;
+}
+
 #[tokio::test]
 async fn retrying_a_failed_job_keeps_its_finished_tiles() {
     let farm = Farm::start().await;

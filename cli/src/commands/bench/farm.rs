@@ -10,6 +10,7 @@ use server::{Config, Server};
 use tokio_util::sync::CancellationToken;
 
 use crate::commands::serve::current_executable;
+use crate::commands::temporary_farm_folder;
 
 /// Interval between two reads of a measured job.
 const POLL_INTERVAL: Duration = Duration::from_millis(1);
@@ -37,7 +38,7 @@ pub(crate) struct FarmReport {
 
 /// Starts a farm in a new folder, and submits a job many times, then once with many frames.
 pub(crate) async fn measure(text: &[u8], devices: Vec<String>, jobs: usize, frames: u32) -> anyhow::Result<FarmReport> {
-    let data = tempfile::tempdir().context("could not create a folder for the farm: free some space there")?;
+    let data = temporary_farm_folder()?;
     let config = Config {
         listen: ([127, 0, 0, 1], 0).into(),
         data: data.path().to_owned(),

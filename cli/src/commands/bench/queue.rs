@@ -17,6 +17,7 @@ use server::{Config, Server};
 use tokio_util::sync::CancellationToken;
 
 use crate::commands::serve::current_executable;
+use crate::commands::temporary_farm_folder;
 use crate::terminal::{print_line, print_note};
 
 /// Arguments of `bench queue`.
@@ -87,7 +88,7 @@ pub(super) struct BenchFarm {
 
 impl BenchFarm {
     pub(super) async fn start(workers: u32, tile_px: Option<u32>) -> anyhow::Result<Self> {
-        let data = tempfile::tempdir().context("could not create a folder for the farm: free some space there")?;
+        let data = temporary_farm_folder()?;
         let config = Config {
             listen: ([127, 0, 0, 1], 0).into(),
             data: data.path().to_owned(),

@@ -8,7 +8,7 @@ use proto::worker_protocol::{Batch, LeaseOutcome, LeaseReport};
 use proto::{JobId, WorkerId};
 
 use super::{Fixture, execute, leases, speed, turn};
-use crate::queue::{ChangeOutcome, DeleteOutcome, NextWork, SyncInput, SyncOutcome};
+use crate::queue::{BacklogLimits, ChangeOutcome, DeleteOutcome, NextWork, RetryOutcome, SyncInput, SyncOutcome};
 
 /// Rows of a piece in the quick tests.
 const FEW_ROWS: i64 = 5;
@@ -164,7 +164,10 @@ async fn a_failed_job_is_voided_and_retried_in_pieces() {
         sync(&bench, SyncInput { reports: results(&run, &failed), ..turn(worker) }).await;
     }
     // Retrying waits until everything is void.
-    assert_eq!(bench.queue.retry(job).await.expect("retries"), ChangeOutcome::Done);
+    assert_eq!(
+        bench.queue.retry(job, BacklogLimits::default()).await.expect("retries"),
+        RetryOutcome::Changed(ChangeOutcome::Done)
+    );
     assert_eq!(state(&bench, job).await, Some(JobState::Running));
     clean_up(&bench).await;
     bench.check().await;
@@ -259,7 +262,10 @@ async fn no_transaction_is_long_whatever_is_deleted_cancelled_or_retried() {
     execute(&bench, "UPDATE job SET state = 'failed', error = 'no', tiles_dead = 1").await;
     execute(&bench, "UPDATE tile SET state = 'dead' WHERE id = (SELECT min(id) FROM tile WHERE state = 'void')").await;
     reset();
-    assert_eq!(bench.queue.retry(job).await.expect("retries"), ChangeOutcome::Done);
+    assert_eq!(
+        bench.queue.retry(job, BacklogLimits::default()).await.expect("retries"),
+        RetryOutcome::Changed(ChangeOutcome::Done)
+    );
     all.push(("retry", finish(&bench, worker).await));
     assert_eq!(count(&bench, "SELECT count(*) FROM tile WHERE state IN ('dead', 'void')").await, 0);
 

@@ -12,7 +12,7 @@ use proto::{JobId, LeaseId, WorkerId};
 
 use super::model::{Model, TILES};
 use super::{Fixture, leases, new_job, turn};
-use crate::queue::{DeleteOutcome, FrameOpening, LeaseEnd, NewJob, NextWork, SyncInput};
+use crate::queue::{BacklogLimits, DeleteOutcome, FrameOpening, LeaseEnd, NewJob, NextWork, SyncInput};
 
 /// Number of sequences in every run of the tests.
 const SEQUENCES: u32 = 100;
@@ -276,7 +276,7 @@ impl Pair {
                     }
                     Operation::Pause(_, paused) => self.pause(id, paused).await,
                     Operation::Retry(_) => {
-                        queue.retry(id).await.expect("a response");
+                        queue.retry(id, BacklogLimits::default()).await.expect("a response");
                         self.model.retry(id);
                     }
                     Operation::Move(_, priority) => {
