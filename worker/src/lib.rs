@@ -12,6 +12,8 @@ pub mod frame;
 pub mod image;
 mod picture_tape;
 mod portable;
+#[cfg(test)]
+mod random_formula;
 pub mod renderer;
 pub mod simd;
 pub mod srgb;

@@ -7,6 +7,7 @@ use std::fmt::Write;
 use scene::nodes::snake_case;
 
 use super::liveness::Liveness;
+use super::verify::InvalidTape;
 use super::{Function, Instruction, Operation, Statement, Tape, ValueId, ValueType};
 
 /// Inlining limit: a step that would add more statements stays a function.
@@ -22,9 +23,9 @@ pub struct CSource {
 }
 
 impl Tape {
-    /// Generates C source.
-    pub fn to_c(&self) -> CSource {
-        let live = Liveness::new(self);
+    /// Generates C source. Fails if the tape is invalid.
+    pub fn to_c(&self) -> Result<CSource, InvalidTape> {
+        let live = Liveness::new(self.verify()?);
         let calls = self.call_counts(&live);
         let mut text = CSource { code: String::new(), statements: 0 };
         // Statements that each function adds where it is called.
@@ -47,7 +48,7 @@ impl Tape {
                 lengths[index] = added;
             }
         }
-        text
+        Ok(text)
     }
 
     /// Number of calls of each function.
