@@ -6,6 +6,8 @@
 pub mod agent;
 pub mod bench;
 pub mod blob;
+#[cfg(test)]
+mod c_program;
 pub mod cpu;
 pub mod cuda;
 pub mod frame;
@@ -16,6 +18,9 @@ mod portable;
 mod random_formula;
 pub mod renderer;
 pub mod simd;
+#[cfg(test)]
+#[path = "../../tests/skip.rs"]
+mod skip;
 pub mod srgb;
 pub mod stitch;
 pub mod tape;

@@ -6,6 +6,8 @@ use super::*;
 use crate::random_formula::{Generator, random_formula};
 use crate::tape::{Expr, record};
 
+mod c_text;
+
 pub(super) const ENTRY: &str = "entry";
 
 /// Each way to evaluate a tape on this CPU.
