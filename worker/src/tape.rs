@@ -9,7 +9,11 @@ mod c_source;
 mod expr;
 mod linear;
 mod liveness;
+#[cfg(test)]
+mod mutants;
 mod recorder;
+#[cfg(test)]
+mod scalar;
 mod verify;
 
 pub(crate) use allocate::{Allocation, Place, Registers, allocate};
