@@ -10,10 +10,10 @@ use iced_x86::{Code, Instruction, MemoryOperand, Register};
 use super::isa::Isa;
 use crate::tape::{Allocation, Class, Linear, Place, Step, Var};
 
-const FRAME: Register = Register::RDI;
-const UNIFORMS: Register = Register::RSI;
-const CONSTANTS: Register = Register::RDX;
-const CANCEL: Register = Register::RCX;
+pub(super) const FRAME: Register = Register::RDI;
+pub(super) const UNIFORMS: Register = Register::RSI;
+pub(super) const CONSTANTS: Register = Register::RDX;
+pub(super) const CANCEL: Register = Register::RCX;
 pub(super) const MASK_SCRATCH: Register = Register::K6;
 pub(super) const MASK_SCRATCH_2: Register = Register::K7;
 const MASK_SCRATCH_3: Register = Register::K0;

@@ -58,6 +58,11 @@ impl Isa {
         4 * self.lanes as u32
     }
 
+    /// Bytes of constants or uniforms: of a word each, or of a vector.
+    pub(super) fn input_bytes(&self, words: usize) -> usize {
+        words * if self.has_masks() { 4 } else { self.vector_bytes() as usize }
+    }
+
     /// Whether masks have registers of their own, and instructions take one number for all lanes from memory.
     pub(super) fn has_masks(&self) -> bool {
         self.registers.masks > 0
