@@ -1,6 +1,10 @@
-//! A compiled tape and its memory. The only unsafe code of the CPU's back ends.
+//! A compiled tape and its memory. The only unsafe code of the CPU's back ends, apart from memory for tests.
 
 #![expect(unsafe_code, reason = "runs machine code")]
+
+#[cfg(test)]
+mod guarded;
+mod memory;
 
 use std::io;
 use std::sync::atomic::AtomicBool;
@@ -9,6 +13,7 @@ use memmap2::{Mmap, MmapMut};
 
 use super::emit::FrameLayout;
 use super::isa::Isa;
+use memory::Memory;
 
 /// Words of a [`Packet`].
 const WORDS: usize = 16;
@@ -26,7 +31,7 @@ type Function = unsafe extern "sysv64" fn(*mut Packet, *const Packet, *const Pac
 pub(crate) struct Program {
     isa: &'static Isa,
     code: Mmap,
-    constants: Vec<Packet>,
+    constants: Memory,
     frame_packets: usize,
     entries: Vec<(&'static str, Entry)>,
     uniforms: usize,
@@ -53,18 +58,18 @@ pub(super) struct MachineCode {
 }
 
 /// Values of the uniforms, as a program reads them.
-#[derive(Clone, Debug)]
-pub(crate) struct Uniforms(Vec<Packet>);
+#[derive(Debug)]
+pub(crate) struct Uniforms(Memory);
 
 /// Memory of a thread that runs a program.
 #[derive(Debug)]
-pub(crate) struct Frame(Vec<Packet>);
+pub(crate) struct Frame(Memory);
 
 impl Frame {
     /// The vector at an offset in bytes.
     fn vector(&mut self, offset: u32, lanes: usize) -> &mut [f32] {
         let word = offset as usize / 4;
-        &mut self.0[word / WORDS].0[word % WORDS..][..lanes]
+        &mut self.0.packets()[word / WORDS].0[word % WORDS..][..lanes]
     }
 }
 
@@ -101,7 +106,7 @@ impl Program {
 
     /// Memory to run it in.
     pub(crate) fn frame(&self) -> Frame {
-        Frame(vec![Packet([0.0; WORDS]); self.frame_packets])
+        Frame(Memory::zeroed(self.frame_packets))
     }
 
     /// Values of the tape's uniforms, as bits.
@@ -133,12 +138,12 @@ impl Program {
         assert!(length.is_multiple_of(lanes), "whole packets");
         assert_eq!(arguments.len(), entry.arguments * length, "arguments of the entry");
         assert_eq!(results.len(), entry.results * length, "results of the entry");
-        assert_eq!(frame.0.len(), self.frame_packets, "frame of the program");
-        assert_eq!(uniforms.0.len(), packet_count(self.uniforms, self.isa), "uniforms of the program");
+        assert_eq!(frame.0.bytes(), self.frame_packets * size_of::<Packet>(), "frame of the program");
+        assert_eq!(uniforms.0.bytes(), self.isa.input_bytes(self.uniforms), "uniforms of the program");
         let address = self.code[entry.offset..].as_ptr();
         // SAFETY: `new` was promised that an entry with this signature begins there.
         let function = unsafe { std::mem::transmute::<*const u8, Function>(address) };
-        let (uniforms, constants) = (uniforms.0.as_ptr(), self.constants.as_ptr());
+        let (uniforms, constants) = (uniforms.0.address(), self.constants.address());
         let all = f32::from_bits(if self.isa.has_masks() { 0xffff } else { u32::MAX });
         for first in (0..length).step_by(lanes) {
             frame.vector(entry.layout.live, lanes).fill(all);
@@ -148,7 +153,7 @@ impl Program {
                 at += bytes;
             }
             // SAFETY: `new` was promised that it touches only this memory, whose sizes were asserted above.
-            unsafe { function(frame.0.as_mut_ptr(), uniforms, constants, cancel.as_ptr()) };
+            unsafe { function(frame.0.packets().as_mut_ptr(), uniforms, constants, cancel.as_ptr()) };
             let mut at = entry.layout.results;
             for result in results.chunks_exact_mut(length) {
                 result[first..first + lanes].copy_from_slice(frame.vector(at, lanes));
@@ -158,18 +163,14 @@ impl Program {
     }
 }
 
-/// Words as the code of an extension reads them: one after the other, or each in all lanes of a vector.
-fn packets(words: &[u32], isa: &Isa) -> Vec<Packet> {
-    let copies = if isa.has_masks() { 1 } else { isa.lanes };
-    let mut packets = vec![Packet([0.0; WORDS]); packet_count(words.len(), isa)];
-    let places = packets.iter_mut().flat_map(|packet| &mut packet.0);
+/// Words as the code of an extension reads them: one after the other, or each in all lanes of a vector. At least one
+/// packet, so that there is an address.
+fn packets(words: &[u32], isa: &Isa) -> Memory {
+    let bytes = isa.input_bytes(words.len());
+    let copies = bytes / (4 * words.len().max(1));
+    let mut memory = Memory::zeroed(bytes.div_ceil(size_of::<Packet>()).max(1));
+    let places = memory.packets().iter_mut().flat_map(|packet| &mut packet.0);
     let values = words.iter().flat_map(|word| std::iter::repeat_n(*word, copies));
     places.zip(values).for_each(|(to, from)| *to = f32::from_bits(from));
-    packets
-}
-
-/// Length of [`packets`] of this number of words; at least one, so that there is an address.
-fn packet_count(words: usize, isa: &Isa) -> usize {
-    let copies = if isa.has_masks() { 1 } else { isa.lanes };
-    (words * copies).div_ceil(WORDS).max(1)
+    memory.limited(bytes)
 }
