@@ -1,5 +1,6 @@
 //! Evaluates a tape on this CPU: as machine code, or by the interpreter.
 
+use std::sync::Once;
 use std::sync::atomic::AtomicBool;
 
 use crate::tape::{InvalidTape, LinearTape, Tape};
@@ -36,12 +37,13 @@ pub(crate) enum Frame {
 impl Evaluator {
     /// Evaluator of a tape with these instructions; `scalar` has none.
     pub(crate) fn new(tape: &Tape, simd: Simd) -> Result<Self, RenderError> {
+        simd.check()?;
         let linear = LinearTape::new(tape)?;
         let compiled = |isa: &'static Isa| match x86::compile(&linear, isa) {
             Ok(program) => Ok(Self::X86(program)),
             Err(error) => Err(RenderError::Unavailable {
                 requested: format!("--simd {simd}"),
-                reason: format!("machine code can't be run ({error}); use --simd portable"),
+                reason: format!("executable memory is refused ({error}); allow it, or use --simd portable"),
             }),
         };
         match simd {
@@ -61,7 +63,7 @@ impl Evaluator {
         let isa = [&AVX512, &AVX2].into_iter().find(|isa| isa.is_available());
         match isa.map(|isa| x86::compile(linear, isa)) {
             Some(Ok(program)) => return Self::X86(program),
-            Some(Err(error)) => tracing::warn!(%error, "executable memory is refused: rendering by interpreter"),
+            Some(Err(error)) => warn_of_refusal(&error),
             None => {}
         }
         Self::Portable(portable::Program::new(linear))
@@ -115,6 +117,18 @@ impl Evaluator {
             _ => panic!("the frame and the inputs are another evaluator's"),
         }
     }
+}
+
+/// Warns, once in this process, that machine code can't be run.
+fn warn_of_refusal(error: &std::io::Error) {
+    static WARNED: Once = Once::new();
+    WARNED.call_once(|| {
+        tracing::warn!(
+            %error,
+            "this system refuses executable memory, so pictures are computed by the interpreter: the same bytes, but \
+             slower; allow it (systemd: MemoryDenyWriteExecute=no), or request this with --simd portable"
+        );
+    });
 }
 
 #[cfg(test)]
