@@ -12,6 +12,7 @@ mod command_line;
 mod compose;
 mod cuda;
 mod documented;
+mod executable_memory;
 mod exr_reader;
 mod faults;
 mod first_steps;

@@ -87,7 +87,7 @@ pub struct GpuReport {
 pub fn render_on_gpu(job: &Job, gpu: &CudaRenderer, cpu: &CpuRenderer, runs: usize) -> Result<GpuReport, RenderError> {
     let run = TileRequest { job, frame: 0, rect: Rect::full(job.image.width, job.image.height) };
     let source_time = Instant::now();
-    let source = KernelSource::new(&job.at(0)?);
+    let source = KernelSource::new(&job.at(0)?)?;
     let source_time = source_time.elapsed();
     gpu.clear_kernels();
     let first = gpu.compile(&run)?;

@@ -160,7 +160,7 @@ impl CudaRenderer {
 
     /// Prepares the kernel of a tile, and reports the time that took.
     pub fn compile(&self, run: &TileRequest<'_>) -> Result<CompileReport, RenderError> {
-        let source = KernelSource::new(&run.job.at(run.frame)?);
+        let source = KernelSource::new(&run.job.at(run.frame)?)?;
         let start = Instant::now();
         let (program, was_kept) =
             self.program(&source, run, &CancelFlag::new()).map_err(|trouble| self.render_error(&trouble))?;
@@ -240,7 +240,7 @@ impl CudaRenderer {
         if nodes > MAX_NODES {
             return Err(CudaError::TooLarge { nodes, most: MAX_NODES });
         }
-        let source = KernelSource::new(&first.job.at(first.frame)?);
+        let source = KernelSource::new(&first.job.at(first.frame)?)?;
         let planes = first.job.image.channels().len();
         let numbers = |run: &TileRequest<'_>| run.rect.pixels() as usize * planes;
         let mut underway: Option<InFlight> = None;
@@ -379,6 +379,7 @@ impl CudaRenderer {
         match trouble {
             CudaError::Cancelled => RenderError::Cancelled,
             CudaError::InvalidFrame(refusal) => RenderError::InvalidFrame(refusal.clone()),
+            CudaError::InvalidTape(refusal) => RenderError::InvalidTape(*refusal),
             _ => RenderError::Device { device: self.name.clone(), reason: trouble.to_string() },
         }
     }

@@ -19,6 +19,7 @@ pub use provenance::Provenance;
 
 use crate::renderer::CancelFlag;
 use crate::stitch::{RowSource, StitchError};
+use crate::tape::InvalidTape;
 
 /// Everything about a picture except its pixels.
 #[derive(Clone, Debug)]
@@ -93,6 +94,9 @@ pub enum ImageError {
     /// The job is invalid at this frame.
     #[error("the job is invalid in this frame")]
     Frame(#[from] ::scene::FrameError),
+    /// The display transform was recorded wrongly.
+    #[error("the recorded formulas are invalid, which is a fault of sdfarm")]
+    InvalidTape(#[from] InvalidTape),
     /// The format cannot represent the picture.
     #[error("could not encode the picture: {0}")]
     Format(String),

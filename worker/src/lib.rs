@@ -6,14 +6,21 @@
 pub mod agent;
 pub mod bench;
 pub mod blob;
+#[cfg(test)]
+mod c_program;
 pub mod cpu;
 pub mod cuda;
 pub mod frame;
 pub mod image;
 mod picture_tape;
 mod portable;
+#[cfg(test)]
+mod random_formula;
 pub mod renderer;
 pub mod simd;
+#[cfg(test)]
+#[path = "../../tests/skip.rs"]
+mod skip;
 pub mod srgb;
 pub mod stitch;
 pub mod tape;

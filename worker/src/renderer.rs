@@ -8,6 +8,8 @@ use std::time::Duration;
 
 use proto::Rect;
 
+use crate::tape::InvalidTape;
+
 /// Renders tiles on one device, of which it has exclusive use.
 ///
 /// The pixels depend only on the tiles requested: all renderers are bit-identical.
@@ -151,6 +153,9 @@ pub enum RenderError {
     /// The job is invalid at this frame.
     #[error("the job is invalid in this frame")]
     InvalidFrame(#[from] scene::FrameError),
+    /// The formulas were recorded wrongly.
+    #[error("the recorded formulas are invalid, which is a fault of sdfarm")]
+    InvalidTape(#[from] InvalidTape),
     /// The device failed.
     #[error("{device} could not render: {reason}")]
     Device {

@@ -4,7 +4,7 @@ use scene::color::{DisplayTransform, srgb_from_linear};
 
 use crate::CancelFlag;
 use crate::cpu::{Evaluator, Inputs};
-use crate::tape::{Tape, record};
+use crate::tape::{InvalidTape, Tape, record};
 
 const ENCODE: &str = "encode";
 
@@ -16,11 +16,11 @@ pub struct SrgbEncoder {
 }
 
 impl SrgbEncoder {
-    /// Compiles the transform.
-    pub fn new(grade: DisplayTransform) -> Self {
+    /// Compiles the transform. Fails if it was recorded wrongly.
+    pub fn new(grade: DisplayTransform) -> Result<Self, InvalidTape> {
         let tape = tape(grade);
-        let evaluator = Evaluator::fastest(&tape);
-        Self { inputs: evaluator.inputs(tape.uniforms()), evaluator }
+        let evaluator = Evaluator::fastest(&tape)?;
+        Ok(Self { inputs: evaluator.inputs(tape.uniforms()), evaluator })
     }
 
     /// Applies the display transform and the sRGB curve to linear values in place; results are 0 to 1.

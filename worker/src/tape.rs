@@ -2,20 +2,26 @@
 //! formula once on symbols; source for a compiler is generated from the tape.
 //!
 //! The tape is typed and in static single assignment form: each value is defined once, before its uses, in a
-//! block that encloses them. Nothing here depends on GPUs.
+//! block that encloses them. `verify.rs` checks that before a back end reads the tape. Nothing here depends on GPUs.
 
 mod allocate;
 mod c_source;
 mod expr;
 mod linear;
 mod liveness;
+#[cfg(test)]
+mod mutants;
 mod recorder;
+#[cfg(test)]
+mod scalar;
+mod verify;
 
 pub(crate) use allocate::{Allocation, Place, Registers, allocate};
 pub use c_source::CSource;
 pub use expr::{BoolExpr, Expr, U32Expr};
 pub(crate) use linear::{Class, Linear, LinearTape, Step, Var};
 pub use recorder::{Recording, record};
+pub use verify::InvalidTape;
 
 /// A value of the tape.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -103,29 +109,33 @@ impl Operation {
         matches!(self, Self::Constant(_) | Self::Uniform(_))
     }
 
-    /// Number of its operands.
-    pub(crate) fn operand_count(self) -> usize {
+    /// Types of its operands and of its result; `None` for values that have any type.
+    fn signature(self) -> (&'static [ValueType], Option<ValueType>) {
+        use ValueType::{Bool, F32, U32};
         match self {
-            Self::Constant(_) | Self::Uniform(_) | Self::Argument | Self::CallResult | Self::Variable => 0,
-            Self::Neg | Self::Abs | Self::Floor | Self::Sqrt | Self::Not | Self::ToBits | Self::FromBits => 1,
-            Self::Add
-            | Self::Sub
-            | Self::Mul
-            | Self::Div
-            | Self::Min
-            | Self::Max
-            | Self::Less
-            | Self::And
-            | Self::Or
-            | Self::AddU32
+            Self::Constant(_) | Self::Uniform(_) | Self::Argument | Self::CallResult | Self::Variable => (&[], None),
+            Self::Neg | Self::Abs | Self::Floor | Self::Sqrt => (&[F32], Some(F32)),
+            Self::Add | Self::Sub | Self::Mul | Self::Div | Self::Min | Self::Max => (&[F32, F32], Some(F32)),
+            Self::Fma => (&[F32, F32, F32], Some(F32)),
+            Self::Less => (&[F32, F32], Some(Bool)),
+            Self::And | Self::Or => (&[Bool, Bool], Some(Bool)),
+            Self::Not => (&[Bool], Some(Bool)),
+            Self::Select => (&[Bool, F32, F32], Some(F32)),
+            Self::ToBits => (&[F32], Some(U32)),
+            Self::FromBits => (&[U32], Some(F32)),
+            Self::AddU32
             | Self::MulU32
             | Self::Xor
             | Self::AndU32
             | Self::OrU32
             | Self::ShiftLeft
-            | Self::ShiftRight => 2,
-            Self::Fma | Self::Select => 3,
+            | Self::ShiftRight => (&[U32, U32], Some(U32)),
         }
+    }
+
+    /// Number of its operands.
+    pub(crate) fn operand_count(self) -> usize {
+        self.signature().0.len()
     }
 
     /// See [`Tape::flops_per_call`].

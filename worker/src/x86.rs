@@ -1,6 +1,7 @@
 //! A tape as machine code of x86-64, for packets of 32 or 8 lanes.
 
 mod arithmetic;
+mod bounds;
 mod emit;
 mod isa;
 mod operands;
@@ -52,6 +53,14 @@ fn assemble(tape: &LinearTape, isa: &'static Isa) -> MachineCode {
     for (index, instruction) in assembly.instructions.iter_mut().enumerate() {
         instruction.set_ip(index as u64 + 1);
     }
+    let frame_bytes = layouts.iter().map(|layout| layout.end as usize).max().unwrap_or(0);
+    let sizes = bounds::Sizes {
+        frame: frame_bytes as u64,
+        uniforms: isa.input_bytes(tape.uniforms) as u64,
+        constants: isa.input_bytes(assembly.constants.words.len()) as u64,
+        packet: isa.packet_bytes().into(),
+    };
+    debug_assert_eq!(bounds::violation(&assembly.instructions, sizes), None, "code stays in its memory");
     let block = InstructionBlock::new(&assembly.instructions, 0);
     let options = BlockEncoderOptions::RETURN_NEW_INSTRUCTION_OFFSETS;
     let encoded = BlockEncoder::encode(64, block, options).expect("every instruction can be encoded");
@@ -65,7 +74,7 @@ fn assemble(tape: &LinearTape, isa: &'static Isa) -> MachineCode {
     MachineCode {
         entries,
         constants: assembly.constants.words,
-        frame_bytes: layouts.iter().map(|layout| layout.end as usize).max().unwrap_or(0),
+        frame_bytes,
         uniforms: tape.uniforms,
         code: encoded.code_buffer,
     }

@@ -25,7 +25,7 @@ pub(crate) struct Arguments {
 pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let job = JobFile::read(&arguments.job)?.parse()?;
     check_frame(&job, arguments.frame)?;
-    let source = KernelSource::new(&job.at(arguments.frame)?);
+    let source = KernelSource::new(&job.at(arguments.frame)?)?;
     if arguments.cuda {
         return print_line(source.text.trim_end());
     }

@@ -5,6 +5,8 @@ use std::path::PathBuf;
 use cudarc::driver::DriverError;
 use cudarc::driver::sys::CUresult;
 
+use crate::tape::InvalidTape;
+
 /// Error of a GPU operation.
 #[derive(Debug, thiserror::Error)]
 pub enum CudaError {
@@ -102,6 +104,9 @@ pub enum CudaError {
     /// The job is invalid at this frame.
     #[error("the job is invalid in this frame")]
     InvalidFrame(#[from] scene::FrameError),
+    /// The formulas were recorded wrongly.
+    #[error("the recorded formulas are invalid, which is a fault of sdfarm")]
+    InvalidTape(#[from] InvalidTape),
     /// The render was cancelled.
     #[error("the render was cancelled")]
     Cancelled,

@@ -5,6 +5,7 @@ use std::fmt::Write;
 use scene::{Image, JobAtFrame};
 
 use crate::picture_tape::record_picture;
+use crate::tape::InvalidTape;
 
 const KERNEL_TEMPLATE: &str = include_str!("kernel.cu");
 const INSERTION_POINT: &str = "// ---- the picture ----\n";
@@ -23,21 +24,21 @@ pub struct KernelSource {
 }
 
 impl KernelSource {
-    /// Kernel source of a job's frame.
-    pub fn new(still: &JobAtFrame<'_>) -> Self {
+    /// Kernel source of a job's frame. Fails if its recorded formulas are invalid.
+    pub fn new(still: &JobAtFrame<'_>) -> Result<Self, InvalidTape> {
         let image = still.image();
         let tape = record_picture(still);
-        let steps = tape.to_c();
+        let steps = tape.to_c()?;
         let (before, after) =
             KERNEL_TEMPLATE.split_once(INSERTION_POINT).expect("kernel.cu has a place for the picture");
         let numbers = tape.uniforms().len().max(1);
         let (has_layers, write_layers) = layers(image);
-        Self {
+        Ok(Self {
             text: format!("#define UNIFORM_COUNT {numbers}\n{has_layers}{before}{}{write_layers}{after}", steps.code),
             parameters: tape.uniforms().to_vec(),
             statements: steps.statements,
             distance_operations: tape.flops_per_call("distance"),
-        }
+        })
     }
 }
 

@@ -37,7 +37,7 @@ pub fn write(
 ) -> Result<(), ImageError> {
     let PictureSpec { opaque, bits, display_transform, .. } = *picture;
     let layout = PixelLayout { width: picture.width as usize, opaque, bits };
-    let srgb = SrgbEncoder::new(display_transform);
+    let srgb = SrgbEncoder::new(display_transform)?;
     let mut encoder = Encoder::new(out, picture.width, picture.height);
     encoder.set_color(if picture.opaque { ColorType::Rgb } else { ColorType::Rgba });
     encoder.set_depth(match picture.bits {

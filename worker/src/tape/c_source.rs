@@ -7,6 +7,7 @@ use std::fmt::Write;
 use scene::nodes::snake_case;
 
 use super::liveness::Liveness;
+use super::verify::InvalidTape;
 use super::{Function, Instruction, Operation, Statement, Tape, ValueId, ValueType};
 
 /// Inlining limit: a step that would add more statements stays a function.
@@ -22,9 +23,9 @@ pub struct CSource {
 }
 
 impl Tape {
-    /// Generates C source.
-    pub fn to_c(&self) -> CSource {
-        let live = Liveness::new(self);
+    /// Generates C source. Fails if the tape is invalid.
+    pub fn to_c(&self) -> Result<CSource, InvalidTape> {
+        let live = Liveness::new(self.verify()?);
         let calls = self.call_counts(&live);
         let mut text = CSource { code: String::new(), statements: 0 };
         // Statements that each function adds where it is called.
@@ -47,7 +48,7 @@ impl Tape {
                 lengths[index] = added;
             }
         }
-        text
+        Ok(text)
     }
 
     /// Number of calls of each function.
@@ -165,7 +166,7 @@ impl Printer<'_> {
                     let condition = self.operand(*condition);
                     self.line(depth, &format!("if ({condition}) {{"));
                     self.block(body, depth + 1);
-                    self.assign(depth + 1, &live);
+                    self.assign(depth + 1, &live, Vec::new());
                     self.line(depth, "}");
                 }
                 Statement::Repeat { limit, variables, start, body, next, again } => {
@@ -176,8 +177,9 @@ impl Printer<'_> {
                     self.declare(depth, &live);
                     self.line(depth, &format!("for (unsigned i = 0; i < {limit}u; ++i) {{"));
                     self.block(body, depth + 1);
-                    let again = self.copied_operand(depth + 1, *again, variables);
-                    self.assign(depth + 1, &live);
+                    let mut copied = Vec::new();
+                    let again = self.copied_operand(depth + 1, *again, variables, &mut copied);
+                    self.assign(depth + 1, &live, copied);
                     self.line(depth + 1, &format!("if (!{again}) break;"));
                     self.line(depth, "}");
                 }
@@ -209,25 +211,37 @@ impl Printer<'_> {
         }
     }
 
-    /// Assigns to all variables at once, so that no assignment reads another's new value.
-    fn assign(&mut self, depth: usize, variables: &[(ValueId, ValueId, ValueId)]) {
+    /// Assigns to all variables at once, so that no assignment reads another's new value. Some have been copied.
+    fn assign(&mut self, depth: usize, variables: &[(ValueId, ValueId, ValueId)], mut copied: Vec<ValueId>) {
         let ids: Vec<ValueId> = variables.iter().map(|&(id, ..)| id).collect();
         let changed: Vec<_> = variables.iter().filter(|(id, _, later)| id != later).collect();
-        let later: Vec<String> = changed.iter().map(|(.., later)| self.copied_operand(depth, *later, &ids)).collect();
+        let mut later = Vec::new();
+        for (.., id) in &changed {
+            later.push(self.copied_operand(depth, *id, &ids, &mut copied));
+        }
         for ((id, ..), later) in changed.into_iter().zip(later) {
             let name = self.operand(*id);
             self.line(depth, &format!("{name} = {later};"));
         }
     }
 
-    /// Expression of a value that remains valid while `variables` change.
-    fn copied_operand(&mut self, depth: usize, id: ValueId, variables: &[ValueId]) -> String {
+    /// Expression of a value that remains valid while `variables` change. Each is copied once in a block.
+    fn copied_operand(
+        &mut self,
+        depth: usize,
+        id: ValueId,
+        variables: &[ValueId],
+        copied: &mut Vec<ValueId>,
+    ) -> String {
         let value = self.operand(id);
         if !variables.contains(&id) {
             return value;
         }
         let (kind, copy) = (self.kind(id), format!("{value}_before"));
-        self.line(depth, &format!("const {kind} {copy} = {value};"));
+        if !copied.contains(&id) {
+            copied.push(id);
+            self.line(depth, &format!("const {kind} {copy} = {value};"));
+        }
         copy
     }
 
@@ -279,7 +293,7 @@ impl Printer<'_> {
 
 /// C literal of a number, exact to the bit.
 fn number(value: f32) -> String {
-    if value.is_infinite() {
+    if !value.is_finite() {
         return format!("float_from_bits({:#010x}u)", value.to_bits());
     }
     // The shortest digits that parse to this number.

@@ -4,6 +4,7 @@
 use std::collections::HashMap;
 
 use super::liveness::Liveness;
+use super::verify::{InvalidTape, MAX_VALUES, too_many_variables};
 use super::{Operation, Statement, Tape, ValueId, ValueType};
 
 /// Index of a variable of a [`Linear`].
@@ -113,9 +114,10 @@ pub(crate) struct LinearTape {
 const MAX_INLINED_STEPS: usize = 2500;
 
 impl LinearTape {
-    /// Lists the steps of all functions; those that would add few steps become part of their callers.
-    pub(crate) fn new(tape: &Tape) -> Self {
-        let live = Liveness::new(tape);
+    /// Lists the steps of all functions; those that would add few steps become part of their callers. Fails if the
+    /// tape is invalid.
+    pub(crate) fn new(tape: &Tape) -> Result<Self, InvalidTape> {
+        let live = Liveness::new(tape.verify()?);
         let calls = tape.call_counts(&live);
         let count = tape.functions.len();
         let (mut lengths, mut inlined) = (vec![0; count], vec![false; count]);
@@ -130,11 +132,16 @@ impl LinearTape {
             is_used.then(|| Linear::new(tape, &live, &inlined, index))
         };
         let entries = tape.functions.iter().enumerate().filter(|(_, function)| function.is_entry);
-        Self {
-            functions: (0..count).map(linear).collect(),
+        let functions: Vec<Option<Linear>> = (0..count).map(linear).collect();
+        let variables = functions.iter().flatten().map(|linear| linear.variables.len()).sum();
+        if variables > MAX_VALUES {
+            return Err(too_many_variables(variables));
+        }
+        Ok(Self {
+            functions,
             entries: entries.map(|(index, function)| (function.name, index)).collect(),
             uniforms: tape.uniforms.len(),
-        }
+        })
     }
 }
 

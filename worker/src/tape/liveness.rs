@@ -1,5 +1,6 @@
 //! Liveness: the values of a tape that its results depend on; no code is generated for the others.
 
+use super::verify::VerifiedTape;
 use super::{Function, Statement, Tape, ValueId};
 
 /// Values of a tape that its results depend on.
@@ -9,18 +10,18 @@ pub(super) struct Liveness {
 
 impl Liveness {
     /// Finds the values that the tape's entries depend on.
-    pub(super) fn new(tape: &Tape) -> Self {
+    pub(super) fn new(tape: VerifiedTape<'_>) -> Self {
         let all = |function: &Function| function.results.clone();
         // Arguments that each function needs, callees first, as if all its results were used.
         let mut needs = Self { values: vec![false; tape.instructions.len()] };
         for function in &tape.functions {
-            needs.mark(tape, function, all(function), &|id, needs| needs.is_live(id));
+            needs.mark(&tape, function, all(function), &|id, needs| needs.is_live(id));
         }
         // Values that are used, callers first.
         let mut live = Self { values: vec![false; tape.instructions.len()] };
         for (index, function) in tape.functions.iter().enumerate().rev() {
-            let wanted = if function.is_entry { all(function) } else { live.live_results(tape, index) };
-            live.mark(tape, function, wanted, &|id, _| needs.is_live(id));
+            let wanted = if function.is_entry { all(function) } else { live.live_results(&tape, index) };
+            live.mark(&tape, function, wanted, &|id, _| needs.is_live(id));
         }
         live
     }

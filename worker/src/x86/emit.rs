@@ -15,13 +15,14 @@ use crate::tape::{Allocation, Linear, Place, Step, Var};
 pub(super) const FRAME: Register = Register::RDI;
 pub(super) const UNIFORMS: Register = Register::RSI;
 pub(super) const CONSTANTS: Register = Register::RDX;
-const CANCEL: Register = Register::RCX;
-const ARGUMENTS: Register = Register::R8;
-const RESULTS: Register = Register::R9;
-const ROW_BYTES: Register = Register::R10;
-const PACKETS: Register = Register::R11;
+pub(super) const CANCEL: Register = Register::RCX;
+pub(super) const ARGUMENTS: Register = Register::R8;
+pub(super) const RESULTS: Register = Register::R9;
+pub(super) const ROW_BYTES: Register = Register::R10;
+pub(super) const PACKETS: Register = Register::R11;
 /// The address of a row.
-const ROW: Register = Register::RAX;
+pub(super) const ROW: Register = Register::RAX;
+pub(super) const STACK: Register = Register::RSP;
 /// Round to nearest, keep subnormal numbers, report nothing.
 const MXCSR: u32 = 0x1f80;
 /// Its bits that are no flags of past operations.
@@ -162,7 +163,7 @@ impl<'a> Emitter<'a> {
         self.set_mode_unless_usual(saved_mode, self.constant_at(place, false));
         // Above the return address.
         for (register, offset) in [(ROW_BYTES, 8), (PACKETS, 16)] {
-            let from = memory(Register::RSP, offset);
+            let from = memory(STACK, offset);
             self.push(valid(Instruction::with2(Code::Mov_r64_rm64, register, from)));
         }
         let top = self.assembly.next();

@@ -76,6 +76,11 @@ impl Isa {
         if self.has_masks() { 1 } else { self.lanes }
     }
 
+    /// Bytes of constants or uniforms.
+    pub(super) fn input_bytes(&self, words: usize) -> usize {
+        4 * words * self.copies()
+    }
+
     /// Whether masks have registers of their own, and instructions take one number for all lanes from memory.
     pub(super) fn has_masks(&self) -> bool {
         self.registers.masks > 0

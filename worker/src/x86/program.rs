@@ -1,6 +1,10 @@
-//! A compiled tape and its memory. The only unsafe code of the CPU's back ends.
+//! A compiled tape and its memory. The only unsafe code of the CPU's back ends, apart from memory for tests.
 
 #![expect(unsafe_code, reason = "runs machine code")]
+
+#[cfg(test)]
+mod guarded;
+mod memory;
 
 use std::io;
 use std::sync::atomic::AtomicBool;
@@ -8,6 +12,7 @@ use std::sync::atomic::AtomicBool;
 use memmap2::{Mmap, MmapMut};
 
 use super::isa::Isa;
+use memory::Memory;
 
 /// Words of a [`Packet`].
 const WORDS: usize = 16;
@@ -35,7 +40,7 @@ type Function = unsafe extern "sysv64" fn(
 pub(crate) struct Program {
     isa: &'static Isa,
     code: Mmap,
-    constants: Vec<Packet>,
+    constants: Memory,
     frame_packets: usize,
     entries: Vec<(&'static str, Entry)>,
     uniforms: usize,
@@ -61,12 +66,12 @@ pub(super) struct MachineCode {
 }
 
 /// Values of the uniforms, as a program reads them.
-#[derive(Clone, Debug)]
-pub(crate) struct Uniforms(Vec<Packet>);
+#[derive(Debug)]
+pub(crate) struct Uniforms(Memory);
 
 /// Memory of a thread that runs a program.
 #[derive(Debug)]
-pub(crate) struct Frame(Vec<Packet>);
+pub(crate) struct Frame(Memory);
 
 impl Program {
     /// Maps machine code: pages are written, then made executable, never both. Fails where executable memory is
@@ -101,7 +106,7 @@ impl Program {
 
     /// Memory to run it in.
     pub(crate) fn frame(&self) -> Frame {
-        Frame(vec![Packet([0.0; WORDS]); self.frame_packets])
+        Frame(Memory::zeroed(self.frame_packets))
     }
 
     /// Values of the tape's uniforms, as bits.
@@ -132,8 +137,8 @@ impl Program {
         assert!(length.is_multiple_of(self.isa.lanes), "whole packets");
         assert_eq!(arguments.len(), entry.arguments * length, "arguments of the entry");
         assert_eq!(results.len(), entry.results * length, "results of the entry");
-        assert_eq!(frame.0.len(), self.frame_packets, "frame of the program");
-        assert_eq!(uniforms.0.len(), packet_count(self.uniforms, self.isa), "uniforms of the program");
+        assert_eq!(frame.0.bytes(), self.frame_packets * size_of::<Packet>(), "frame of the program");
+        assert_eq!(uniforms.0.bytes(), self.isa.input_bytes(self.uniforms), "uniforms of the program");
         if length == 0 {
             return;
         }
@@ -143,9 +148,9 @@ impl Program {
         // SAFETY: `new` was promised that it touches only this memory, whose sizes were asserted above.
         unsafe {
             function(
-                frame.0.as_mut_ptr(),
-                uniforms.0.as_ptr(),
-                self.constants.as_ptr(),
+                frame.0.packets().as_mut_ptr(),
+                uniforms.0.address(),
+                self.constants.address(),
                 cancel.as_ptr(),
                 arguments.as_ptr(),
                 results.as_mut_ptr(),
@@ -156,18 +161,12 @@ impl Program {
     }
 }
 
-/// Words as the code of an extension reads them: one after the other, or each in all lanes of a vector.
-fn packets(words: &[u32], isa: &Isa) -> Vec<Packet> {
-    let copies = isa.copies();
-    let mut packets = vec![Packet([0.0; WORDS]); packet_count(words.len(), isa)];
-    let places = packets.iter_mut().flat_map(|packet| &mut packet.0);
-    let values = words.iter().flat_map(|word| std::iter::repeat_n(*word, copies));
+/// Words as the code of an extension reads them. At least one packet, so that there is an address.
+fn packets(words: &[u32], isa: &Isa) -> Memory {
+    let bytes = isa.input_bytes(words.len());
+    let mut memory = Memory::zeroed(bytes.div_ceil(size_of::<Packet>()).max(1));
+    let places = memory.packets().iter_mut().flat_map(|packet| &mut packet.0);
+    let values = words.iter().flat_map(|word| std::iter::repeat_n(*word, isa.copies()));
     places.zip(values).for_each(|(to, from)| *to = f32::from_bits(from));
-    packets
-}
-
-/// Length of [`packets`] of this number of words; at least one, so that there is an address.
-fn packet_count(words: usize, isa: &Isa) -> usize {
-    let copies = isa.copies();
-    (words * copies).div_ceil(WORDS).max(1)
+    memory.limited(bytes)
 }

@@ -132,7 +132,8 @@ fn fields_without_effect_on_bytes_change_no_key() {
 /// scene.
 #[test]
 fn different_pictures_have_different_kernels_or_uniforms() {
-    let source = |job: &Value| KernelSource::new(&scene::parse(job.to_string().as_bytes()).unwrap().at(FRAME).unwrap());
+    let source =
+        |job: &Value| KernelSource::new(&scene::parse(job.to_string().as_bytes()).unwrap().at(FRAME).unwrap()).unwrap();
     let jobs = corpus::jobs();
     let mut seen = BTreeMap::new();
     let renderer = CpuRenderer::new(Some(1), Simd::Auto).unwrap();

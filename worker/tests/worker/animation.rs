@@ -62,7 +62,7 @@ fn all_frames_of_a_job_share_one_kernel_source() {
         let shape: Value = serde_json::from_str(&node).unwrap();
         let job = job(&moving(&scene_of(&shape)), 3);
         assert!(job.is_animated(), "{kind} {number} has numbers");
-        let [first, second, third] = [0, 1, 2].map(|frame| KernelSource::new(&job.at(frame).unwrap()));
+        let [first, second, third] = [0, 1, 2].map(|frame| KernelSource::new(&job.at(frame).unwrap()).unwrap());
         assert!(
             first.text == second.text && first.text == third.text,
             "{kind} {number}: frames differ in their source"
@@ -102,7 +102,7 @@ fn scenes_around_objects() -> Vec<(String, Value)> {
 fn frames_share_one_source_for_any_animated_part() {
     for (name, scene) in scenes_around_objects() {
         let job = job(&moving(&scene), 3);
-        let [first, second, third] = [0, 1, 2].map(|frame| KernelSource::new(&job.at(frame).unwrap()));
+        let [first, second, third] = [0, 1, 2].map(|frame| KernelSource::new(&job.at(frame).unwrap()).unwrap());
         assert!(first.text == second.text && first.text == third.text, "{name}: frames differ in their source");
         assert_ne!(first.parameters, second.parameters, "{name} moves");
     }
@@ -127,7 +127,7 @@ fn numbers_that_pass_a_special_value_share_one_source() {
         let mut scene = scene_of(&shape);
         scene["objects"][0]["material"]["diffuse"]["ks"] = json!([through(0.5, 0.0, 0.5), 0, 0]);
         let job = job(&scene, 3);
-        let [first, second, third] = [0, 1, 2].map(|frame| KernelSource::new(&job.at(frame).unwrap()));
+        let [first, second, third] = [0, 1, 2].map(|frame| KernelSource::new(&job.at(frame).unwrap()).unwrap());
         assert!(first.text == second.text && first.text == third.text, "{shape}: frames differ in their source");
     }
 }

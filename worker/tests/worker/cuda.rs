@@ -72,7 +72,7 @@ fn compile_text(source: &str, folder: &Path) -> PathBuf {
 }
 
 fn render_on_host(job: &Job, folder: &Path) -> TilePixels {
-    let source = KernelSource::new(&job.at(0).expect("a shipped scene is valid"));
+    let source = KernelSource::new(&job.at(0).expect("a shipped scene is valid")).expect("a recorded tape is valid");
     let program = compile_text(&format!("{}{HOST_MAIN}", source.text), folder);
     let planes = job.image.channels().len();
     let Image { width, height, samples, .. } = job.image;
@@ -128,6 +128,7 @@ fn assert_compiled(scenes: &[Shipped]) {
     };
     for shipped in scenes {
         let source = KernelSource::new(&shipped.job().at(0).expect("a shipped scene is valid"));
+        let source = source.expect("a recorded tape is valid");
         for architecture in [75, 90] {
             let code = compiler.compile(&source.text, architecture);
             let code = code.unwrap_or_else(|trouble| panic!("{} for sm_{architecture}: {trouble}", shipped.name));
@@ -236,9 +237,9 @@ fn kernel_source_does_not_depend_on_a_scenes_numbers() {
         let mut changed: Value = serde_json::from_slice(&text).expect("a scene is JSON");
         nudge(&mut changed["scene"]);
         let before = scene::parse(&text).expect("a shipped scene is valid");
-        let before = KernelSource::new(&before.at(0).expect("it is not animated"));
+        let before = KernelSource::new(&before.at(0).expect("it is not animated")).expect("a recorded tape is valid");
         let after = scene::parse(changed.to_string().as_bytes()).expect("a little larger is in range");
-        let after = KernelSource::new(&after.at(3).expect("it is not animated"));
+        let after = KernelSource::new(&after.at(3).expect("it is not animated")).expect("a recorded tape is valid");
         assert_ne!(before.parameters, after.parameters, "{name} has other uniforms");
         assert!(before.text == after.text, "numbers of {name} are in its source");
     }
@@ -257,7 +258,7 @@ fn loop_variables_change_together_and_unused_values_are_omitted() {
             vec![a, b]
         });
     });
-    let text = tape.to_c().code;
+    let text = tape.to_c().expect("a recorded tape is valid").code;
     assert!(!text.contains("sqrt_rn") && !text.contains("* 2.0f"), "{text}");
     let main = r"
 #include <stdio.h>

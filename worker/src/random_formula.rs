@@ -1,0 +1,80 @@
+//! Random formulas for the tests of tapes and of their back ends.
+
+use scene::real::Real;
+
+/// Pseudo-random numbers (a linear congruential generator).
+#[derive(Clone)]
+pub(crate) struct Generator(pub(crate) u64);
+
+impl Generator {
+    pub(crate) fn word(&mut self) -> u32 {
+        self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        (self.0 >> 32) as u32
+    }
+
+    pub(crate) fn below(&mut self, count: usize) -> usize {
+        self.word() as usize % count
+    }
+}
+
+/// A random formula: equal generators give equal formulas for every arithmetic. `depth` bounds its branches and loops.
+pub(crate) fn random_formula<R: Real>(random: &mut Generator, given: &[R], depth: usize) -> R {
+    let mut known = given.to_vec();
+    for _ in 0..4 + random.below(12) {
+        let [a, b, c] = std::array::from_fn(|_| known[random.below(known.len())]);
+        let [d, e] = std::array::from_fn(|_| known[random.below(known.len())]);
+        let number = random.below(100) as f32 / 32.0 - 1.5;
+        let mask = match random.below(4) {
+            0 => d.lt(e),
+            1 => d.lt(e) & a.lt(b),
+            2 => !d.below(number) | e.lt(a),
+            // No lane, or all of them.
+            _ => d.abs().below(if number < 0.0 { -1.0 } else { f32::MAX }),
+        };
+        let next = match random.below(if depth > 0 { 18 } else { 14 }) {
+            0 => a + b,
+            1 => a - b,
+            2 => a * b,
+            3 => a.mul_add(b, c),
+            4 => a.mul_add(b.constant(number), c),
+            5 => a.uniform(number).mul_add(b, c),
+            6 => a.min(b),
+            7 => a.max(b),
+            8 => (a * number).floor(),
+            9 => a.abs().sqrt(),
+            10 => -a / (b.abs() + 0.5),
+            11 => R::select(mask, a, b),
+            // The sign of a zero is not defined.
+            12 => {
+                let mixed = ((a + 0.0).to_bits() ^ (b + 0.0).to_bits()) * 0x9e37_79b9;
+                R::from_bits(((mixed >> 9) | 0x3f80_0000) & 0x3fff_ffff)
+            }
+            13 => a * a.constant(number),
+            14 | 15 => {
+                let mut inner = random.clone();
+                random.word();
+                R::when(mask, a, || random_formula(&mut inner, &known, depth - 1))
+            }
+            16 => {
+                let inner = random.clone();
+                random.word();
+                let step = |(x, y): (R, R)| {
+                    let known: Vec<R> = known.iter().copied().chain([x, y]).collect();
+                    let next = random_formula(&mut inner.clone(), &known, depth - 1);
+                    // Lanes leave at different times, with exchanged state.
+                    (next.lt(c) | mask, (y, next))
+                };
+                R::repeat(1 + (number.abs() * 4.0) as u32, (a, b), step).1
+            }
+            _ => {
+                let (name, inner) =
+                    (["step_of_0", "step_of_1", "step_of_2", "step_of_3"][depth], Generator(depth as u64));
+                let step = |(x, y): (R, R)| random_formula(&mut inner.clone(), &[x, y], depth - 1);
+                a.call(name, (a, b), step) + b.call(name, (b, c), step)
+            }
+        };
+        // Small and no NaN, as in pictures.
+        known.push(next.max(next.constant(-3.0)).min(next.constant(3.0)));
+    }
+    known[known.len() - 1]
+}

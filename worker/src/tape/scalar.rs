@@ -1,0 +1,144 @@
+//! Evaluates a valid tape as it is written, one lane at a time, for tests: the meaning that all back ends must share.
+//!
+//! NaN is computed by no formula of a picture, and the sign of a zero is not defined. A value that depends on either is
+//! *vague*: back ends may differ in it.
+
+use scene::real::{Real, SQRT_FLOOR};
+
+use super::{Operation, Statement, Tape, ValueId, ValueType};
+
+/// Bits of a value (0 or 1 for a condition), and whether back ends may differ in it.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Word {
+    pub(crate) bits: u32,
+    pub(crate) is_vague: bool,
+}
+
+/// Results of an entry.
+pub(crate) fn evaluate(tape: &Tape, entry: &str, arguments: &[f32]) -> Vec<Word> {
+    let index = tape.functions.iter().position(|function| function.name == entry).expect("an entry of the tape");
+    let arguments: Vec<Word> =
+        arguments.iter().map(|number| Word { bits: number.to_bits(), is_vague: false }).collect();
+    Run { tape, values: vec![Word::default(); tape.instructions.len()] }.call(index, &arguments)
+}
+
+struct Run<'a> {
+    tape: &'a Tape,
+    values: Vec<Word>,
+}
+
+impl Run<'_> {
+    fn call(&mut self, index: usize, arguments: &[Word]) -> Vec<Word> {
+        let function = &self.tape.functions[index];
+        self.assign(&function.arguments, arguments);
+        self.block(&function.body);
+        self.read(&function.results)
+    }
+
+    fn value(&self, id: ValueId) -> Word {
+        match self.tape.definition(id).operation {
+            Operation::Constant(bits) => Word { bits, is_vague: false },
+            Operation::Uniform(place) => Word { bits: self.tape.uniforms[place as usize], is_vague: false },
+            _ => self.values[id.0 as usize],
+        }
+    }
+
+    fn read(&self, ids: &[ValueId]) -> Vec<Word> {
+        ids.iter().map(|&id| self.value(id)).collect()
+    }
+
+    fn assign(&mut self, ids: &[ValueId], words: &[Word]) {
+        for (id, word) in ids.iter().zip(words) {
+            self.values[id.0 as usize] = *word;
+        }
+    }
+
+    fn block(&mut self, block: &[Statement]) {
+        for statement in block {
+            match statement {
+                Statement::Comment(_) => {}
+                Statement::Emit(id) => self.values[id.0 as usize] = self.operation(*id),
+                Statement::Call { function, arguments, returned } => {
+                    let results = self.call(*function, &self.read(arguments));
+                    self.assign(returned, &results);
+                }
+                Statement::When { condition, variables, otherwise, body, value } => {
+                    let condition = self.value(*condition);
+                    let mut words = self.read(otherwise);
+                    if condition.bits != 0 {
+                        self.block(body);
+                        words = self.read(value);
+                    }
+                    for word in &mut words {
+                        word.is_vague |= condition.is_vague;
+                    }
+                    self.assign(variables, &words);
+                }
+                Statement::Repeat { limit, variables, start, body, next, again } => {
+                    self.assign(variables, &self.read(start));
+                    for _ in 0..*limit {
+                        self.block(body);
+                        let again = self.value(*again);
+                        let mut words = self.read(next);
+                        for word in &mut words {
+                            word.is_vague |= again.is_vague;
+                        }
+                        self.assign(variables, &words);
+                        if again.bits == 0 || again.is_vague {
+                            break;
+                        }
+                    }
+                }
+            }
+        }
+    }
+
+    fn operation(&self, id: ValueId) -> Word {
+        let definition = self.tape.definition(id);
+        let words = definition.operands.map(|operand| operand.map(|id| self.value(id)).unwrap_or_default());
+        let [a, b, c] = words.map(|word| word.bits);
+        let [x, y, z] = [a, b, c].map(f32::from_bits);
+        let bits = match definition.operation {
+            Operation::Add => (x + y).to_bits(),
+            Operation::Sub => (x - y).to_bits(),
+            Operation::Mul => (x * y).to_bits(),
+            Operation::Div => (x / y).to_bits(),
+            Operation::Fma => Real::mul_add(x, y, z).to_bits(),
+            Operation::Min => (if y < x { y } else { x }).to_bits(),
+            Operation::Max => (if x < y { y } else { x }).to_bits(),
+            Operation::Neg => (-x).to_bits(),
+            Operation::Abs => x.abs().to_bits(),
+            Operation::Floor => x.floor().to_bits(),
+            Operation::Sqrt => (if x < SQRT_FLOOR { 0.0 } else { x.sqrt() }).to_bits(),
+            Operation::Less => u32::from(x < y),
+            Operation::Select => {
+                if a != 0 {
+                    b
+                } else {
+                    c
+                }
+            }
+            Operation::And | Operation::AndU32 => a & b,
+            Operation::Or | Operation::OrU32 => a | b,
+            Operation::Not => 1 - a,
+            Operation::Xor => a ^ b,
+            Operation::ToBits | Operation::FromBits => a,
+            Operation::AddU32 => a.wrapping_add(b),
+            Operation::MulU32 => a.wrapping_mul(b),
+            Operation::ShiftLeft => a << b,
+            Operation::ShiftRight => a >> b,
+            Operation::Constant(_)
+            | Operation::Uniform(_)
+            | Operation::Argument
+            | Operation::CallResult
+            | Operation::Variable => panic!("no statement computes it"),
+        };
+        let is_nan = definition.kind == ValueType::F32 && f32::from_bits(bits).is_nan();
+        let shows_sign = match definition.operation {
+            Operation::ToBits => x == 0.0,
+            Operation::Div => y == 0.0,
+            _ => false,
+        };
+        Word { bits, is_vague: is_nan || shows_sign || words.iter().any(|word| word.is_vague) }
+    }
+}
