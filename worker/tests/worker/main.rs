@@ -7,6 +7,7 @@ mod blobs;
 mod cancel;
 mod cuda;
 mod docs;
+mod evaluations;
 mod fake_renderer;
 mod fake_server;
 mod frames;
