@@ -16,8 +16,8 @@ pub(crate) const LAYERS: &str = "layers";
 /// Number of evaluations of the scene's distance for some samples of a pixel: column, row, first sample, end of the
 /// samples.
 pub(crate) const EVALUATIONS: &str = "evaluations";
-/// The scene's distance at a point.
-pub(crate) const DISTANCE: &str = "distance";
+/// The scene's distance at a point. Not "distance": that is the name of a step of the scene.
+pub(crate) const DISTANCE: &str = "distance_at_point";
 
 /// Records the entries [`ACCUMULATE`], [`MEAN`] and, if the job requests layers, [`LAYERS`].
 pub(crate) fn record_picture(still: &JobAtFrame<'_>) -> Tape {

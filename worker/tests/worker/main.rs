@@ -2,6 +2,7 @@
 
 mod agent;
 mod animation;
+mod bench;
 mod bit_identical;
 mod blobs;
 mod cancel;
