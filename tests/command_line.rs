@@ -245,7 +245,47 @@ fn bench_measures_every_level_of_this_machine() {
         .map(|report| report["evaluations"].as_u64().expect("a count"))
         .collect();
     assert!(evaluations.windows(2).all(|pair| pair[0] == pair[1]), "the same work at each level: {evaluations:?}");
+    let rows = |level: &str| {
+        let rows = reports["renders"].as_array().expect("reports").iter().filter(|report| report["simd"] == level);
+        rows.map(|report| report["threads"].as_u64().expect("a number")).collect::<Vec<u64>>()
+    };
+    let cores = std::thread::available_parallelism().map_or(1, usize::from) as u64;
+    let mut distinct = vec![1, 2.min(cores), cores];
+    distinct.dedup();
+    assert_eq!((rows("scalar"), rows("portable")), (distinct.clone(), distinct));
     assert_misuse(&run_in(folder.path(), &["bench", "absent"]), "csg");
+}
+
+#[test]
+fn bench_points_says_how_to_get_a_compiler() {
+    let mut command = sdfarm(&["bench", "csg", "--points", "--seconds", "1"]);
+    command.env("CXX", "no-such-compiler");
+    let output = finish(command, b"");
+    assert!(output.status.success(), "{}", text(&output.stderr));
+    let (table, notes) = (text(&output.stdout), text(&output.stderr));
+    let row = table.lines().find(|line| line.starts_with("csg")).expect("a row");
+    // Without vector instructions there is nothing to compare with.
+    if row.contains("avx") {
+        assert!(notes.contains("apt-get install g++"), "{notes}");
+    }
+}
+
+#[test]
+fn bench_compile_lists_scenes_and_back_ends() {
+    let reports = succeed(&["bench", "csg", "paper/csg", "--compile", "--runs", "2", "--json"]);
+    let reports: Value = serde_json::from_str(&reports).expect("JSON");
+    let scenes = reports["compile_times"].as_array().expect("reports");
+    assert_eq!(scenes.iter().map(|scene| &scene["job"]).collect::<Vec<_>>(), ["csg", "paper/csg"]);
+    for scene in scenes {
+        let back_ends = scene["back_ends"].as_array().expect("back ends");
+        let portable = back_ends.last().expect("every CPU has it");
+        assert!(portable["simd"] == "portable" && portable["code_bytes"].is_null(), "{scene}");
+        for time in back_ends.iter().map(|back_end| &back_end["prepare_ms"]).chain([&scene["record_ms"]]) {
+            assert!(time["least"].as_f64() <= time["greatest"].as_f64() && time["median"].is_number(), "{scene}");
+        }
+    }
+    let table = succeed(&["bench", "csg", "--compile", "--runs", "1"]);
+    assert!(table.contains("the largest") && table.contains("all together"), "{table}");
 }
 
 #[test]

@@ -68,7 +68,8 @@ pub struct Radiance<R> {
     pub color: Vec3<R>,
     /// Coverage if the background is transparent; else 1.
     pub alpha: R,
-    /// Number of evaluations of the scene's distance.
+    /// Number of evaluations of the scene's distance, alone or with the nearest object: for marches, searches for
+    /// roots, normals, shadows, ambient occlusion and materials. Distances of a single object are not counted.
     pub evaluations: R,
 }
 
@@ -215,9 +216,9 @@ impl<'a> Integrator<'a> {
         }
         let marched = self.march(&ray);
         let (background, alpha) = self.background(ray.direction);
-        let (color, alpha, evaluations) = R::when(marched.hit.0, (background, alpha, marched.steps), || {
+        let (color, alpha, evaluations) = R::when(marched.hit.0, (background, alpha, marched.evaluations), || {
             let (color, evaluations) = self.surface(&ray, &marched, dice);
-            (color, x.constant(1.0), marched.steps + evaluations)
+            (color, x.constant(1.0), marched.evaluations + evaluations)
         });
         Radiance { color, alpha, evaluations }
     }
@@ -255,6 +256,7 @@ impl<'a> Integrator<'a> {
             near: farthest,
             distance: farthest,
             steps: zero,
+            evaluations: zero,
             hit: MaskValue(zero.below(0.0)),
         };
         R::when(nearest.lt(farthest), missed, || {
@@ -276,7 +278,14 @@ impl<'a> Integrator<'a> {
     }
 
     fn approach<R>(&self, slope: R, near: R, among_details: bool) -> Approach<R> {
-        Approach { slope, near, resolution: self.resolution, both_sides: self.lets_through, among_details }
+        Approach {
+            slope,
+            near,
+            resolution: self.resolution,
+            both_sides: self.lets_through,
+            among_details,
+            detail_evaluations: self.detail_evaluations(),
+        }
     }
 
     /// Refines a march that came near the surface to the exact intersection, and computes the normal there.
@@ -304,12 +313,17 @@ impl<'a> Integrator<'a> {
     /// roots, so the visible surface is the one at the march's tolerance, and its normal is averaged over a pixel.
     fn is_fine<R: Real>(&self, p: Vec3<R>) -> Option<R::Mask> {
         let zero = p.x.constant(0.0);
-        if self.fine.is_empty() || self.fine.len() == self.surfaces.len() {
+        if self.detail_evaluations() == 0.0 {
             return (!self.fine.is_empty()).then(|| zero.below(1.0));
         }
         let object = self.nearest_object(p).1;
         let nowhere = zero.above(1.0);
         Some(self.fine.iter().fold(nowhere, |mask, &index| mask | (object - index as f32).abs().below(0.5)))
+    }
+
+    /// Evaluations of the scene's distance in one call of `is_fine`.
+    fn detail_evaluations(&self) -> f32 {
+        if self.fine.is_empty() || self.fine.len() == self.surfaces.len() { 0.0 } else { 1.0 }
     }
 
     /// Distance from a hit at which its normal is measured: as small as `f32` allows, so that nearby edges have no

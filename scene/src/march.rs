@@ -41,11 +41,13 @@ pub struct MarchResult<R: Real> {
     pub distance: R,
     /// Steps taken.
     pub steps: R,
+    /// Evaluations of the distance field: at least one a step.
+    pub evaluations: R,
     /// Whether the march came within the tolerance.
     pub hit: MaskValue<R>,
 }
 
-bundle!(MarchResult { t, near, distance, steps, hit });
+bundle!(MarchResult { t, near, distance, steps, evaluations, hit });
 
 /// Tolerances of a march, and the sides of the surface on which it runs.
 #[derive(Clone, Copy, Debug)]
@@ -62,6 +64,8 @@ pub struct Approach<R> {
     /// not predict the distance ahead, so no step is longer than the distance. If false, a point within the tolerance
     /// is a hit.
     pub among_details: bool,
+    /// Evaluations of the distance field that tell whether a surface has fine detail.
+    pub detail_evaluations: f32,
 }
 
 impl Tolerance {
@@ -101,8 +105,14 @@ pub fn march_to_root<R: Real>(
     is_fine: impl Fn(Vec3<R>) -> Option<R::Mask>,
 ) -> MarchResult<R> {
     let zero = reach.t_max.constant(0.0);
-    let start =
-        MarchResult { t: reach.t_min, near: reach.t_min, distance: zero, steps: zero, hit: MaskValue(zero.below(0.0)) };
+    let start = MarchResult {
+        t: reach.t_min,
+        near: reach.t_min,
+        distance: zero,
+        steps: zero,
+        evaluations: zero,
+        hit: MaskValue(zero.below(0.0)),
+    };
     R::repeat(reach.max_steps, start, |so_far| {
         let reach = MarchRange { t_min: so_far.t, ..reach };
         let near = march(
@@ -114,9 +124,14 @@ pub fn march_to_root<R: Real>(
                 if approach.both_sides { value.abs() } else { value }
             },
         );
-        let near = MarchResult { steps: so_far.steps + near.steps, ..near };
+        let near = MarchResult {
+            steps: so_far.steps + near.steps,
+            evaluations: so_far.evaluations + near.evaluations,
+            ..near
+        };
         let found = R::when(near.hit.0, near, || {
             let is_fine = is_fine(ray.at(near.t));
+            let near = MarchResult { evaluations: near.evaluations + approach.detail_evaluations, ..near };
             let Some(is_met) = is_fine.filter(|_| !approach.among_details) else {
                 return find_root(ray, &near, approach, is_fine, &field);
             };
@@ -180,11 +195,13 @@ pub fn find_root<R: Real>(
     let found = R::when(!is_inside, start, || {
         R::repeat(MAX_SEARCH_STEPS, start, |search| search.step(ray, side, approach, is_fine, &field))
     });
+    let to_know_side = if approach.both_sides { 1.0 } else { 0.0 };
     MarchResult {
         t: found.after,
         near: R::select(found.met.0, near.t, found.after),
         distance: R::select(found.met.0, near.distance, found.value_after.abs()),
         steps: found.steps,
+        evaluations: near.evaluations + (found.steps - near.steps) + to_know_side,
         hit: found.met,
     }
 }
@@ -272,5 +289,5 @@ pub fn march<R: Real>(
         let past = R::select(goes_past, further, not_past);
         (!hit & next.lt(reach.t_max), (next, past, gap, steps + 1.0, MaskValue(hit)))
     });
-    MarchResult { t: distance, near: distance, distance: gap, steps, hit }
+    MarchResult { t: distance, near: distance, distance: gap, steps, evaluations: steps, hit }
 }

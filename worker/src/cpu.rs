@@ -14,7 +14,7 @@ use crate::picture_tape::{EVALUATIONS, record_evaluations};
 use crate::simd::Simd;
 use crate::{CancelFlag, RenderError, Renderer, TilePixels, TileRequest};
 use kernels::{Kernel, KernelCache};
-use packets::{Band, block};
+use packets::{Band, SAMPLES_PER_RUN, block};
 
 pub(crate) use evaluator::{Evaluator, Inputs};
 
@@ -43,21 +43,26 @@ impl CpuRenderer {
         self.threads.current_num_threads()
     }
 
-    /// Number of evaluations of the scene's distance for the pixels of a tile, without its layers.
+    /// Number of evaluations of the scene's distance for the pixels of a tile, without its layers: only those of lanes
+    /// that need them. Pixels are summed in runs of samples, because an `f32` counts to 2²⁴.
     pub fn evaluations(&self, run: &TileRequest<'_>) -> Result<u64, RenderError> {
         let tape = record_evaluations(&run.job.at(run.frame)?);
         let evaluator = Evaluator::new(&tape, self.simd)?;
         let (inputs, lanes) = (evaluator.inputs(tape.uniforms()), evaluator.lanes());
-        let cancel = CancelFlag::new();
+        let (cancel, samples) = (CancelFlag::new(), run.job.image.samples);
         let of_row = |row: u32| {
             let (mut frame, mut sum) = (evaluator.frame(), 0);
-            let (mut place, mut counts) = (vec![row as f32; 2 * lanes], vec![0.0; lanes]);
+            let (mut place, mut counts) = (vec![row as f32; 4 * lanes], vec![0.0; lanes]);
             for column in (0..run.rect.width).step_by(lanes) {
                 let columns = (run.rect.x + column..).map(|x| x as f32);
                 place.iter_mut().take(lanes).zip(columns).for_each(|(to, x)| *to = x);
-                evaluator.run(EVALUATIONS, &mut frame, &inputs, cancel.flag(), &place, &mut counts);
                 let inside = lanes.min((run.rect.width - column) as usize);
-                sum += counts[..inside].iter().map(|&count| count as u64).sum::<u64>();
+                for first in (0..samples).step_by(SAMPLES_PER_RUN as usize) {
+                    place[2 * lanes..3 * lanes].fill(first as f32);
+                    place[3 * lanes..].fill((first + SAMPLES_PER_RUN).min(samples) as f32);
+                    evaluator.run(EVALUATIONS, &mut frame, &inputs, cancel.flag(), &place, &mut counts);
+                    sum += counts[..inside].iter().map(|&count| count as u64).sum::<u64>();
+                }
             }
             sum
         };

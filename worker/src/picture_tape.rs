@@ -13,10 +13,11 @@ pub(crate) const ACCUMULATE: &str = "accumulate";
 pub(crate) const MEAN: &str = "mean";
 /// Layers of the pixel in a column and row, one result for each channel.
 pub(crate) const LAYERS: &str = "layers";
-/// Number of evaluations of the scene's distance for the pixel in a column and row.
+/// Number of evaluations of the scene's distance for some samples of a pixel: column, row, first sample, end of the
+/// samples.
 pub(crate) const EVALUATIONS: &str = "evaluations";
-/// The scene's distance at a point.
-pub(crate) const DISTANCE: &str = "distance";
+/// The scene's distance at a point. Not "distance": that is the name of a step of the scene.
+pub(crate) const DISTANCE: &str = "distance_at_point";
 
 /// Records the entries [`ACCUMULATE`], [`MEAN`] and, if the job requests layers, [`LAYERS`].
 pub(crate) fn record_picture(still: &JobAtFrame<'_>) -> Tape {
@@ -36,7 +37,15 @@ pub(crate) fn record_picture(still: &JobAtFrame<'_>) -> Tape {
 /// Records the entry [`EVALUATIONS`].
 pub(crate) fn record_evaluations(still: &JobAtFrame<'_>) -> Tape {
     let program = Integrator::new(still);
-    record(|recording| recording.entry(EVALUATIONS, |[x, y]| vec![program.pixel(x, y).evaluations]))
+    let nothing = |x: Expr| {
+        let zero = x.constant(0.0);
+        Radiance { color: vec3(zero, zero, zero), alpha: zero, evaluations: zero }
+    };
+    record(|recording| {
+        recording.entry(EVALUATIONS, |[x, y, first, end]| {
+            vec![program.accumulate(x, y, first, end, nothing(x)).evaluations]
+        });
+    })
 }
 
 /// Records the entry [`DISTANCE`].

@@ -16,14 +16,19 @@ pub(super) const DIM_BSDF: u32 = 0;
 pub(super) const DIM_LOBE: u32 = 1;
 const DIM_LIGHTS: u32 = 2;
 /// Distance evaluations of one normal.
-pub(super) const NORMAL_EVALUATIONS: f32 = 4.0;
+const NORMAL_EVALUATIONS: f32 = 4.0;
 
 impl Integrator<'_> {
     /// Color of a surface, and its number of distance evaluations.
     pub(super) fn surface<R: Real>(&self, ray: &Ray<R>, marched: &MarchResult<R>, dice: &Sampler<R>) -> (Vec3<R>, R) {
         let hit = self.hit(ray, marched);
         let (light, evaluations) = self.incident_light(&hit, dice);
-        (self.shade(&hit, ray, &light), evaluations + NORMAL_EVALUATIONS)
+        (self.shade(&hit, ray, &light), evaluations + self.surface_evaluations())
+    }
+
+    /// Distance evaluations of one hit and its material.
+    pub(super) fn surface_evaluations(&self) -> f32 {
+        NORMAL_EVALUATIONS + self.detail_evaluations() + self.shade_evaluations()
     }
 
     /// Incident light at a hit, and the number of distance evaluations it took.
@@ -44,14 +49,14 @@ impl Integrator<'_> {
             let background = &self.scene.background;
             if let Some((mut incoming, distance)) = source.sample(hit.position, farthest, background.day(), pair) {
                 if source.casts_shadows() {
-                    let (visible, steps) = self.shadow_visibility(hit, incoming.direction, distance);
+                    let (visible, of_shadow) = self.shadow_visibility(hit, incoming.direction, distance);
                     incoming.radiance = incoming.radiance * visible;
-                    evaluations = evaluations + steps;
+                    evaluations = evaluations + of_shadow;
                 }
                 light.lights.push(incoming);
             } else if let Some(sky) = source.ambient(background) {
-                let (around, steps) = self.sky_light(sky, source.casts_shadows(), hit, light.ambient_visibility, pair);
-                evaluations = evaluations + steps;
+                let (around, of_sky) = self.sky_light(sky, source.casts_shadows(), hit, light.ambient_visibility, pair);
+                evaluations = evaluations + of_sky;
                 light.ambient = Some(light.ambient.map_or(around, |sum| sum + around));
             }
         }
@@ -63,7 +68,7 @@ impl Integrator<'_> {
         Some(occlusion.visibility(hit.position, hit.normal, |p| self.distance(p)))
     }
 
-    /// Ambient light, and the steps spent on its occlusion.
+    /// Ambient light, and the number of distance evaluations for its occlusion.
     fn sky_light<R: Real>(
         &self,
         sky: AmbientLight<'_>,
@@ -83,11 +88,11 @@ impl Integrator<'_> {
             return (openness.map_or(seen, |openness| seen * openness), hit.t.constant(0.0));
         }
         let farthest = hit.t.uniform(self.scene.march.max_distance.get());
-        let (visible, steps) = self.shadow_visibility(hit, direction, farthest);
-        (seen * visible, steps)
+        let (visible, evaluations) = self.shadow_visibility(hit, direction, farthest);
+        (seen * visible, evaluations)
     }
 
-    /// Fraction of the light from `direction` that reaches the hit, and the steps it took.
+    /// Fraction of the light from `direction` that reaches the hit, and the number of distance evaluations it took.
     pub(super) fn shadow_visibility<R: Real>(&self, hit: &Hit<R>, direction: Vec3<R>, farthest: R) -> (R, R) {
         farthest.call("visibility", (*hit, direction, farthest), |(hit, direction, farthest)| {
             let zero = farthest.constant(0.0);
@@ -96,18 +101,18 @@ impl Integrator<'_> {
             let ray = Ray { origin: hit.normal.mul_add(near * 4.0, hit.position), direction };
             let faces = hit.normal.dot(direction).above(0.0);
             R::when(faces, (zero, zero), || {
-                let (visible, steps) = self.is_unoccluded(&ray, near, farthest);
+                let (visible, evaluations) = self.is_unoccluded(&ray, near, farthest);
                 match &self.media {
-                    None => (visible, steps),
-                    Some(media) => R::when(visible.above(0.0), (visible, steps), || {
-                        (self.transmittance(media, &ray, farthest), steps)
+                    None => (visible, evaluations),
+                    Some(media) => R::when(visible.above(0.0), (visible, evaluations), || {
+                        (self.transmittance(media, &ray, farthest), evaluations)
                     }),
                 }
             })
         })
     }
 
-    /// 1 if no surface is on the ray nearer than `farthest`, else 0; and the steps it took.
+    /// 1 if no surface is on the ray nearer than `farthest`, else 0; and the number of distance evaluations it took.
     pub(super) fn is_unoccluded<R: Real>(&self, ray: &Ray<R>, near: R, farthest: R) -> (R, R) {
         let (zero, one) = (farthest.constant(0.0), farthest.constant(1.0));
         let (nearest, farthest) = self.bounds.intersect_ray(ray, farthest);
@@ -119,7 +124,7 @@ impl Integrator<'_> {
                 relaxation: RELAXATION,
             };
             let marched = march(ray, reach, |t| t.mul_add(t.constant(4e-7), near), |p| self.distance(p));
-            (R::select(marched.hit.0, zero, one), marched.steps)
+            (R::select(marched.hit.0, zero, one), marched.evaluations)
         })
     }
 }

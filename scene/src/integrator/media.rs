@@ -41,6 +41,7 @@ pub(super) struct MediumSegment<R> {
     pub(super) color: Vec3<R>,
     /// Transmittance of the segment.
     pub(super) transmittance: R,
+    /// Evaluations of the scene's distance, for shadows in the media.
     pub(super) evaluations: R,
 }
 
@@ -52,6 +53,8 @@ struct MediumProperties<R> {
     extinction: R,
     /// Extinction times the radiance toward the viewer.
     source: Vec3<R>,
+    /// Evaluations of the scene's distance that it took.
+    evaluations: R,
 }
 
 /// Transmittance below which the ray stops, because the background is no longer visible.
@@ -124,7 +127,7 @@ impl Integrator<'_> {
         }
         let is_inside = inside_step.below(1e9);
         let step = R::select(is_inside, inside_step.min(outside), outside).at_least(1e-6);
-        let here = MediumSegment { evaluations: crossed.evaluations + 1.0, ..*crossed };
+        let here = *crossed;
         let crossed = R::when(is_inside, here, || {
             let stuff = self.medium_properties(media, p, &depths, ray.direction, dice);
             let left = (-(stuff.extinction * step)).exp();
@@ -141,7 +144,7 @@ impl Integrator<'_> {
             MediumSegment {
                 color: here.color + sent,
                 transmittance: here.transmittance * left,
-                evaluations: here.evaluations,
+                evaluations: here.evaluations + stuff.evaluations,
             }
         });
         (step, crossed)
@@ -158,7 +161,7 @@ impl Integrator<'_> {
     ) -> MediumProperties<R> {
         let zero = p.x.constant(0.0);
         let black = vec3(zero, zero, zero);
-        let mut stuff = MediumProperties { extinction: zero, source: black };
+        let mut stuff = MediumProperties { extinction: zero, source: black, evaluations: zero };
         let mut scattering = Vec::new();
         for (medium, &depth) in media.all.iter().zip(depths) {
             let extinction = medium.material.extinction(p, depth);
@@ -172,11 +175,11 @@ impl Integrator<'_> {
             return stuff;
         }
         let thick = scattering.iter().fold(zero, |sum, (_, extinction)| sum + *extinction).above(1e-6);
-        let sent = stuff.source;
-        stuff.source = R::when(thick, sent, || {
-            let mut sent = sent;
+        (stuff.source, stuff.evaluations) = R::when(thick, (stuff.source, zero), || {
+            let (mut sent, mut evaluations) = (stuff.source, zero);
             for (source, incoming, distance) in sample_lights(self, p, dice) {
-                let lit = self.light_optical_depth(media, source, p, incoming.direction, distance);
+                let (lit, of_shadow) = self.light_optical_depth(media, source, p, incoming.direction, distance);
+                evaluations = evaluations + of_shadow;
                 let cosine = direction.dot(incoming.direction);
                 for (volume, extinction) in &scattering {
                     let phase = volume.phase(cosine, lit);
@@ -196,12 +199,13 @@ impl Integrator<'_> {
                     sent = mean.mul_elementwise(volume.scattering_albedo(p.x)).mul_add(*extinction, sent);
                 }
             }
-            sent
+            (sent, evaluations)
         });
         stuff
     }
 
-    /// Optical depth τ between a light and `p`; 80 if a surface is in between, so that exp(−τ) is 0.
+    /// Optical depth τ between a light and `p`; 80 if a surface is in between, so that exp(−τ) is 0. And the number of
+    /// evaluations of the scene's distance that it took.
     fn light_optical_depth<R: Real>(
         &self,
         media: &Media<'_>,
@@ -209,19 +213,20 @@ impl Integrator<'_> {
         p: Vec3<R>,
         direction: Vec3<R>,
         distance: R,
-    ) -> R {
+    ) -> (R, R) {
         const OPAQUE_DEPTH: f32 = 80.0;
+        let zero = p.x.constant(0.0);
         if !source.casts_shadows() {
-            return p.x.constant(0.0);
+            return (zero, zero);
         }
         let ray = Ray { origin: p, direction };
         let depth = self.optical_depth(media, &ray, distance);
         if self.surfaces.is_empty() {
-            return depth;
+            return (depth, zero);
         }
         let near = p.x.uniform(self.tolerance.floor) + p.x.uniform(self.tolerance.slope);
-        let (visible, _) = self.is_unoccluded(&ray, near, distance);
-        depth + (visible.constant(1.0) - visible) * OPAQUE_DEPTH
+        let (visible, evaluations) = self.is_unoccluded(&ray, near, distance);
+        (depth + (visible.constant(1.0) - visible) * OPAQUE_DEPTH, evaluations)
     }
 
     /// Transmittance of the media along a ray toward a light.

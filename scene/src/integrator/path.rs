@@ -1,6 +1,6 @@
 //! Path tracing: follows a ray through reflections and transmissions at surfaces.
 
-use super::lighting::{DIM_BSDF, DIM_LOBE, NORMAL_EVALUATIONS};
+use super::lighting::{DIM_BSDF, DIM_LOBE};
 use super::{Hit, Integrator, Radiance};
 use crate::camera::Ray;
 use crate::fog::Fog;
@@ -82,7 +82,7 @@ impl Integrator<'_> {
         let dice = Sampler { bounce: path.bounce, ..*dice };
         let marched = self.march_from(&path.ray, path.epsilon);
         let mut path = path;
-        path.evaluations = path.evaluations + marched.steps;
+        path.evaluations = path.evaluations + marched.evaluations;
         self.apply_media(&mut path, &marched, &dice);
         let (background, _) = self.background(path.ray.direction);
         let missed = PathState {
@@ -127,7 +127,7 @@ impl Integrator<'_> {
         let met = self.hit(&path.ray, marched);
         let hit = Hit { t: met.t + path.t, ..met };
         let (light, evaluations) = self.incident_light(&hit, dice);
-        let evaluations = path.evaluations + evaluations + NORMAL_EVALUATIONS;
+        let evaluations = path.evaluations + evaluations + self.surface_evaluations();
         if !self.sends_on {
             let color = path.color + path.throughput.mul_elementwise(self.shade(&hit, &path.ray, &light));
             return PathState {

@@ -68,6 +68,11 @@ impl Integrator<'_> {
         )
     }
 
+    /// Evaluations of the scene's distance in one call of `shade` or `shade_with_specular`.
+    pub(super) fn shade_evaluations(&self) -> f32 {
+        if self.materials.single_slot.is_some() { 0.0 } else { 1.0 }
+    }
+
     /// Shaded color at a hit.
     pub(super) fn shade<R: Real>(&self, hit: &Hit<R>, ray: &Ray<R>, light: &IncidentLight<R>) -> Vec3<R> {
         if let Some(only) = self.materials.single_slot {

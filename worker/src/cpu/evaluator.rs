@@ -77,6 +77,14 @@ impl Evaluator {
         }
     }
 
+    /// Size of the machine code, if it is machine code.
+    pub(crate) fn code_bytes(&self) -> Option<usize> {
+        match self {
+            Self::X86(program) => Some(program.code_bytes()),
+            Self::Portable(_) => None,
+        }
+    }
+
     /// Values of the tape's uniforms.
     pub(crate) fn inputs(&self, uniforms: &[u32]) -> Inputs {
         match self {

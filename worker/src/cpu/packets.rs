@@ -8,7 +8,7 @@ use super::kernels::{Kernel, Thread};
 use crate::picture_tape::{ACCUMULATE, LAYERS, MEAN};
 
 /// Samples of a packet's pixels that are summed between two reports of progress.
-const SAMPLES_PER_RUN: u32 = 64;
+pub(super) const SAMPLES_PER_RUN: u32 = 64;
 /// Channels of every picture: red, green, blue, alpha.
 const CHANNELS: usize = 4;
 

@@ -1,5 +1,7 @@
 //! Generates C source from a tape: the same source for CUDA's compiler and for the host's; only the preamble
-//! differs (`cuda/kernel.cu`). Operations with a defined rounding are functions in the preamble.
+//! differs (`cuda/kernel.cu`). Operations with a defined rounding are functions in the preamble. Straight source for
+//! packets (`bench/straight.cpp`) has another preamble, and a function that selects, because C++ has no operator for
+//! that to define.
 
 use std::collections::HashMap;
 use std::fmt::Write;
@@ -22,9 +24,26 @@ pub struct CSource {
     pub statements: usize,
 }
 
+/// Whether a condition is one or a packet of them.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Conditions {
+    Single,
+    Packets,
+}
+
 impl Tape {
     /// Generates C source. Fails if the tape is invalid.
     pub fn to_c(&self) -> Result<CSource, InvalidTape> {
+        self.print(Conditions::Single)
+    }
+
+    /// Generates C source in which `float`, `bool` and `unsigned` may be packets, if the tape has no loops and
+    /// branches.
+    pub(crate) fn to_packet_c(&self) -> Result<CSource, InvalidTape> {
+        self.print(Conditions::Packets)
+    }
+
+    fn print(&self, conditions: Conditions) -> Result<CSource, InvalidTape> {
         let live = Liveness::new(self.verify()?);
         let calls = self.call_counts(&live);
         let mut text = CSource { code: String::new(), statements: 0 };
@@ -35,6 +54,7 @@ impl Tape {
                 let mut printer = Printer {
                     tape: self,
                     live: &live,
+                    conditions,
                     names: HashMap::new(),
                     code: String::new(),
                     statements: 0,
@@ -76,6 +96,7 @@ impl Tape {
 struct Printer<'a> {
     tape: &'a Tape,
     live: &'a Liveness,
+    conditions: Conditions,
     names: HashMap<ValueId, String>,
     code: String,
     statements: usize,
@@ -274,7 +295,10 @@ impl Printer<'_> {
             Operation::And => format!("{a} && {b}"),
             Operation::Or => format!("{a} || {b}"),
             Operation::Not => format!("!{a}"),
-            Operation::Select => format!("{a} ? {b} : {c}"),
+            Operation::Select => match self.conditions {
+                Conditions::Single => format!("{a} ? {b} : {c}"),
+                Conditions::Packets => format!("select_f({a}, {b}, {c})"),
+            },
             Operation::ToBits => format!("bits_of({a})"),
             Operation::FromBits => format!("float_from_bits({a})"),
             Operation::Xor => format!("{a} ^ {b}"),

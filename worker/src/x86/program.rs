@@ -99,7 +99,6 @@ impl Program {
     }
 
     /// Size of the machine code.
-    #[cfg(test)]
     pub(crate) fn code_bytes(&self) -> usize {
         self.code.len()
     }

@@ -2,11 +2,13 @@
 
 mod agent;
 mod animation;
+mod bench;
 mod bit_identical;
 mod blobs;
 mod cancel;
 mod cuda;
 mod docs;
+mod evaluations;
 mod fake_renderer;
 mod fake_server;
 mod frames;
