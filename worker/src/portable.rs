@@ -10,7 +10,10 @@ use crate::tape::{Allocation, Linear, LinearTape, Operation, Place, Registers, S
 #[cfg(target_arch = "x86_64")]
 use crate::x86::{AVX2, AVX512};
 pub(crate) use arithmetic::LANES;
-use arithmetic::{Batch, apply, select};
+use arithmetic::{Batch, Splat, apply};
+
+/// Slot for a first operand that is an input.
+const SCRATCH: usize = 0;
 
 /// Instructions that the interpreter's loops are compiled for.
 #[derive(Clone, Copy, Debug)]
@@ -41,7 +44,6 @@ pub(crate) struct Program {
     instructions: Instructions,
     functions: Vec<Option<Function>>,
     entries: Vec<(&'static str, usize)>,
-    /// Constants and uniforms, which have the first slots.
     inputs: Vec<Input>,
     slots: usize,
     counters: usize,
@@ -53,8 +55,8 @@ struct Function {
     operations: Vec<Instruction>,
     live: usize,
     arguments: Vec<usize>,
-    /// Slots of its results, and those where the caller finds them.
-    results: Vec<(usize, usize)>,
+    /// Its results, and the slots where the caller finds them.
+    results: Vec<(Source, usize)>,
 }
 
 /// A number that is the same in all lanes.
@@ -65,42 +67,23 @@ enum Input {
     Uniform(u32),
 }
 
-/// A step on slots, with branch targets as indices of instructions.
+/// An operand: a slot of the frame, or an input by its index.
+#[derive(Clone, Copy, Debug)]
+enum Source {
+    Slot(usize),
+    Input(usize),
+}
+
+/// A step on slots, with branch targets as indices of instructions. Moves of a call are pairs of a target and a source.
 #[derive(Debug)]
 enum Instruction {
-    Compute {
-        to: usize,
-        operation: Operation,
-        operands: [usize; 3],
-    },
-    Move {
-        to: usize,
-        from: usize,
-    },
-    MoveWhere {
-        mask: usize,
-        to: usize,
-        from: usize,
-    },
-    SkipIfNone {
-        mask: usize,
-        end: usize,
-    },
-    Count {
-        counter: usize,
-        limit: u32,
-    },
-    RepeatWhileAny {
-        mask: usize,
-        counter: usize,
-        top: usize,
-    },
-    /// Moves are pairs of a target and a source.
-    Call {
-        callee: usize,
-        moves: Vec<(usize, usize)>,
-        results: Vec<(usize, usize)>,
-    },
+    Compute { to: usize, operation: Operation, operands: [Source; 3] },
+    Move { to: usize, from: Source },
+    MoveWhere { mask: Source, to: usize, from: Source },
+    SkipIfNone { mask: Source, end: usize },
+    Count { counter: usize, limit: u32 },
+    RepeatWhileAny { mask: Source, counter: usize, top: usize },
+    Call { callee: usize, moves: Vec<(usize, Source)>, results: Vec<(usize, usize)> },
 }
 
 /// Memory of a thread that runs a program.
@@ -110,6 +93,8 @@ pub(crate) struct Frame {
     slots: Vec<Box<Batch>>,
     /// Becomes the target of an operation when it is complete.
     spare: Box<Batch>,
+    /// Values of the inputs.
+    inputs: Vec<u32>,
     counters: Vec<u32>,
 }
 
@@ -132,8 +117,8 @@ impl Program {
             tape.functions.iter().map(|linear| linear.as_ref().map(allocated)).collect();
         let inputs = inputs(&allocations);
         // As in machine code: a callee's part of the frame begins after those of all its callers.
-        let mut layouts = vec![Layout { live: inputs.len(), ..Layout::default() }; tape.functions.len()];
-        let (mut slots, mut counters) = (inputs.len(), 0);
+        let mut layouts = vec![Layout { live: SCRATCH + 1, ..Layout::default() }; tape.functions.len()];
+        let (mut slots, mut counters) = (SCRATCH + 1, 0);
         for (index, linear) in tape.functions.iter().enumerate().rev() {
             let (Some(linear), Some(allocation)) = (linear, &allocations[index]) else { continue };
             let layout = &mut layouts[index];
@@ -151,11 +136,11 @@ impl Program {
                 }
             }
         }
-        let slots_of_inputs: HashMap<Input, usize> =
-            inputs.iter().enumerate().map(|(slot, &input)| (input, slot)).collect();
+        let input_indices: HashMap<Input, usize> =
+            inputs.iter().enumerate().map(|(index, &input)| (input, index)).collect();
         let functions = tape.functions.iter().zip(&allocations).enumerate();
         let functions = functions.map(|(index, (linear, allocation))| {
-            let places = Places { allocation: allocation.as_ref()?, layout: layouts[index], inputs: &slots_of_inputs };
+            let places = Places { allocation: allocation.as_ref()?, layout: layouts[index], inputs: &input_indices };
             Some(places.function(linear.as_ref()?, &layouts))
         });
         Self {
@@ -180,6 +165,7 @@ impl Program {
         Frame {
             slots: std::iter::repeat_with(batch).take(self.slots).collect(),
             spare: batch(),
+            inputs: Vec::new(),
             counters: vec![0; self.counters],
         }
     }
@@ -204,12 +190,11 @@ impl Program {
         assert!(length.is_multiple_of(LANES), "whole batches");
         assert_eq!(arguments.len(), function.arguments.len() * length, "arguments of the entry");
         assert_eq!(results.len(), function.results.len() * length, "results of the entry");
-        for (slot, input) in frame.slots.iter_mut().zip(&self.inputs) {
-            slot.0.fill(match *input {
-                Input::Constant(bits) => bits,
-                Input::Uniform(index) => uniforms[index as usize],
-            });
-        }
+        frame.inputs.clear();
+        frame.inputs.extend(self.inputs.iter().map(|input| match *input {
+            Input::Constant(bits) => bits,
+            Input::Uniform(index) => uniforms[index as usize],
+        }));
         for first in (0..length).step_by(LANES) {
             frame.slots[function.live].0.fill(u32::MAX);
             for (&slot, argument) in function.arguments.iter().zip(arguments.chunks_exact(length)) {
@@ -255,11 +240,11 @@ struct Places<'a> {
 }
 
 impl Places<'_> {
-    fn source(&self, var: Var) -> usize {
+    fn source(&self, var: Var) -> Source {
         let place = self.allocation.places[var as usize];
         match Input::at(place) {
-            Some(input) => self.inputs[&input],
-            None => self.in_frame(place).expect("there are no registers"),
+            Some(input) => Source::Input(self.inputs[&input]),
+            None => Source::Slot(self.in_frame(place).expect("there are no registers")),
         }
     }
 
@@ -307,12 +292,19 @@ impl Places<'_> {
     fn instruction(&self, step: &Step, layouts: &[Layout]) -> Option<Instruction> {
         Some(match step {
             Step::Compute { to, operation, operands } => {
-                let count = operation.operand_count();
-                let mut sources = [0; 3];
+                let (to, count) = (self.target(*to)?, operation.operand_count());
+                // Those that it does not have are not read.
+                let mut sources = [Source::Slot(to); 3];
                 for (source, &var) in sources.iter_mut().zip(&operands[..count]) {
                     *source = self.source(var);
                 }
-                Instruction::Compute { to: self.target(*to)?, operation: *operation, operands: sources }
+                let is_product = matches!(operation, Operation::Fma);
+                if let [Source::Input(_), Source::Slot(_), _] = sources
+                    && (is_product || operation.is_commutative())
+                {
+                    sources.swap(0, 1);
+                }
+                Instruction::Compute { to, operation: *operation, operands: sources }
             }
             Step::Move { to, from } => Instruction::Move { to: self.target(*to)?, from: self.source(*from) },
             Step::MoveWhere { mask, to, from } => {
@@ -388,9 +380,8 @@ impl Run<'_> {
                 Instruction::Compute { to, operation, operands } => self.compute::<HAS_FMA>(*to, *operation, *operands),
                 Instruction::Move { to, from } => self.copy(*to, *from),
                 Instruction::MoveWhere { mask, to, from } => {
-                    let Frame { slots, spare, .. } = &mut *self.frame;
-                    select(spare, &slots[*mask], &slots[*from], &slots[*to]);
-                    std::mem::swap(&mut slots[*to], spare);
+                    let operands = [*mask, *from, Source::Slot(*to)];
+                    self.compute::<HAS_FMA>(*to, Operation::Select, operands);
                 }
                 Instruction::SkipIfNone { mask, end } => {
                     if !self.has_lane(*mask) {
@@ -411,7 +402,7 @@ impl Run<'_> {
                     }
                     self.call(*callee);
                     for &(to, from) in results {
-                        self.copy(to, from);
+                        self.copy(to, Source::Slot(from));
                     }
                 }
             }
@@ -422,20 +413,44 @@ impl Run<'_> {
     }
 
     #[inline(always)]
-    fn has_lane(&self, mask: usize) -> bool {
-        self.frame.slots[mask].0.iter().fold(0, |any, lane| any | lane) != 0
+    fn has_lane(&self, mask: Source) -> bool {
+        match mask {
+            Source::Slot(slot) => self.frame.slots[slot].0.iter().fold(0, |any, lane| any | lane) != 0,
+            Source::Input(index) => self.frame.inputs[index] != 0,
+        }
     }
 
     #[inline(always)]
-    fn copy(&mut self, to: usize, from: usize) {
-        let batch = *self.frame.slots[from];
-        *self.frame.slots[to] = batch;
+    fn copy(&mut self, to: usize, from: Source) {
+        match from {
+            Source::Slot(from) => {
+                let Frame { slots, spare, .. } = &mut *self.frame;
+                spare.0.copy_from_slice(&slots[from].0);
+                std::mem::swap(&mut slots[to], spare);
+            }
+            Source::Input(index) => self.frame.slots[to].0.fill(self.frame.inputs[index]),
+        }
     }
 
     #[inline(always)]
-    fn compute<const HAS_FMA: bool>(&mut self, to: usize, operation: Operation, [a, b, c]: [usize; 3]) {
-        let Frame { slots, spare, .. } = &mut *self.frame;
-        apply::<HAS_FMA>(operation, spare, &slots[a], &slots[b], &slots[c]);
+    fn compute<const HAS_FMA: bool>(&mut self, to: usize, operation: Operation, [a, b, c]: [Source; 3]) {
+        use Source::{Input, Slot};
+        let Frame { slots, spare, inputs, .. } = &mut *self.frame;
+        let a = match a {
+            Slot(a) => a,
+            // Rarely more than a quotient or a difference.
+            Input(a) => {
+                slots[SCRATCH].0.fill(inputs[a]);
+                SCRATCH
+            }
+        };
+        let a = &*slots[a];
+        match (b, c) {
+            (Slot(b), Slot(c)) => apply::<HAS_FMA>(operation, spare, a, &*slots[b], &*slots[c]),
+            (Input(b), Slot(c)) => apply::<HAS_FMA>(operation, spare, a, Splat(inputs[b]), &*slots[c]),
+            (Slot(b), Input(c)) => apply::<HAS_FMA>(operation, spare, a, &*slots[b], Splat(inputs[c])),
+            (Input(b), Input(c)) => apply::<HAS_FMA>(operation, spare, a, Splat(inputs[b]), Splat(inputs[c])),
+        }
         std::mem::swap(&mut slots[to], spare);
     }
 }

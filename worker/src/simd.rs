@@ -16,7 +16,7 @@ pub enum Simd {
     Avx512,
     /// Machine code for AVX2 and FMA: one vector of 8 lanes.
     Avx2,
-    /// The interpreter, on any CPU: 64 lanes.
+    /// The interpreter, on any CPU: 256 lanes.
     Portable,
     /// The reference: one pixel at a time, in plain `f32`. A cancel takes effect after at most 64 samples of a pixel.
     Scalar,

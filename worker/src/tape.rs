@@ -170,7 +170,7 @@ impl Operation {
     }
 
     /// Whether its two operands are interchangeable.
-    fn is_commutative(self) -> bool {
+    pub(crate) fn is_commutative(self) -> bool {
         matches!(
             self,
             Self::Add
