@@ -243,10 +243,14 @@ fn assert_equal(name: &str, tape: &Tape) -> usize {
         let want: Vec<_> = (0..LANES).map(|lane| evaluate(tape, entry.name, &of_lane(lane))).collect();
         for (simd, evaluator) in &evaluators {
             let (inputs, mut frame) = (evaluator.inputs(tape.uniforms()), evaluator.frame());
-            let mut results = vec![0.0; entry.results.len() * LANES];
-            evaluator.run(entry.name, &mut frame, &inputs, &cancel, &arguments, &mut results);
+            // Wide ones are given each lane more than once.
+            let width = evaluator.lanes().max(LANES);
+            let given: Vec<f32> =
+                (0..rows * width).map(|place| arguments[place / width * LANES + place % width % LANES]).collect();
+            let mut results = vec![0.0; entry.results.len() * width];
+            evaluator.run(entry.name, &mut frame, &inputs, &cancel, &given, &mut results);
             for (place, result) in results.iter().enumerate() {
-                let (row, lane) = (place / LANES, place % LANES);
+                let (row, lane) = (place / width, place % width % LANES);
                 let word = want[lane][row];
                 if !word.is_vague {
                     compared += 1;
