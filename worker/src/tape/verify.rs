@@ -11,7 +11,7 @@ pub(super) const MAX_VALUES: usize = 1 << 24;
 /// Maximum number of functions.
 const MAX_FUNCTIONS: usize = 1 << 10;
 /// Maximum length of a list of arguments, results or variables.
-const MAX_LIST: usize = 1 << 10;
+const MAX_LIST: usize = 1 << 14;
 /// Maximum depth of blocks, from an entry through all calls: back ends recurse into them.
 const MAX_DEPTH: usize = 512;
 /// Maximum number of runs of a loop: the counts of a formula are exact in `f32`.
