@@ -9,7 +9,7 @@ use crate::tape::Registers;
 pub(crate) struct Isa {
     /// Lanes of a packet.
     pub(crate) lanes: usize,
-    /// Vectors of a packet. Each step is emitted for one after the other, so that one computes while another waits.
+    /// Vectors of a packet: one or two. Each step is emitted for one after the other, so that one computes while another waits.
     pub(super) vectors: u32,
     /// Groups of registers, one for each vector of a packet, that variables may have: all vectors but the last two,
     /// k1 to k6.
