@@ -1,14 +1,17 @@
 //! Constructive solid geometry: combines shapes, sharply or smoothly.
 //!
-//! `of` is folded from the left. With `smooth` k > 0, h = max(k − |a − b|, 0) rounds the seam by h²/(4k): Inigo
-//! Quilez's quadratic polynomial minimum, <https://iquilezles.org/articles/smin/>. The child whose distance is used is
-//! visible; within the seam the other one has the weight ½(h/k)².
+//! `of` is folded from the left; a smooth union of more than 64 shapes is folded in groups of eight. With `smooth`
+//! k > 0, h = max(k − |a − b|, 0) rounds the seam by h²/(4k): Inigo Quilez's quadratic polynomial minimum,
+//! <https://iquilezles.org/articles/smin/>. The child whose distance is used is visible; within the seam the other one
+//! has the weight ½(h/k)².
 //!
 //! All are bounds: exact where only one child is near.
 
 mod carving;
 mod seams;
 mod xor;
+
+use std::ops::Range;
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -114,24 +117,85 @@ fn negated<R: Real, V: SdfValue<R>>(v: V) -> V {
 
 /// Combines all shapes, one after another.
 fn fold_children<R: Real, V: SdfValue<R>>(of: &[Node], p: Vec3<R>, join: impl Fn(V, V) -> V) -> V {
-    let mut sum: V = of[0].sample(p);
-    for other in &of[1..] {
-        sum = join(sum, other.sample(p));
+    fold_left(0..of.len(), 1, &mut |range| of[range.start].sample(p), &join)
+}
+
+/// Maximum number of shapes that a smooth union combines one after another.
+const MAX_LEFT_FOLD: usize = 64;
+/// Number of parts of each group of a larger smooth union.
+const GROUP_PARTS: usize = 8;
+
+/// Whether the shapes of a union are combined in groups. The seam of a left fold may reach any later shape, so that no
+/// part of a long list could be left out where it is distant; groups end that.
+fn is_grouped(count: usize, smooth: &LengthOrZero) -> bool {
+    count > MAX_LEFT_FOLD && !smooth.is_zero()
+}
+
+/// Combines the values of `count` leaves: one after another, or in groups of eight, groups of eight of these, and so on,
+/// in the order of their indices.
+pub(super) fn fold_indexed<V>(
+    count: usize,
+    in_groups: bool,
+    leaf: &mut impl FnMut(usize) -> V,
+    join: &impl Fn(V, V) -> V,
+) -> V {
+    if in_groups {
+        fold_group(0..count, leaf, join)
+    } else {
+        fold_left(0..count, 1, &mut |range| leaf(range.start), join)
     }
-    sum
+}
+
+fn fold_group<V>(range: Range<usize>, leaf: &mut impl FnMut(usize) -> V, join: &impl Fn(V, V) -> V) -> V {
+    let part = group_part(range.len());
+    if part == 1 {
+        return fold_left(range, 1, &mut |range| leaf(range.start), join);
+    }
+    fold_left(range, part, &mut |range| fold_group(range, leaf, join), join)
+}
+
+/// Length of the parts of a group: the greatest power of eight below its own.
+fn group_part(length: usize) -> usize {
+    let mut part = 1;
+    while part * GROUP_PARTS < length {
+        part *= GROUP_PARTS;
+    }
+    part
+}
+
+/// Combines parts of `part` leaves, from the left.
+fn fold_left<V>(
+    range: Range<usize>,
+    part: usize,
+    value: &mut impl FnMut(Range<usize>) -> V,
+    join: &impl Fn(V, V) -> V,
+) -> V {
+    let mut parts = range.clone().step_by(part).map(|start| start..range.end.min(start + part));
+    let first = value(parts.next().expect("a list has one shape or more"));
+    parts.fold(first, |sum, part| join(sum, value(part)))
+}
+
+/// Maximum by which the smooth union of `count` shapes is less than the least of their distances, in widths of the
+/// seam. Of equal distances, a seam gives a quarter less; of a sum that is `u` widths less, (1 − u)²/4 less than that.
+fn seam_sink(count: usize, in_groups: bool) -> f32 {
+    let joined = |parts: usize, of_part: f32| {
+        // It approaches 1, and after some hundred parts it is 1 for all purposes.
+        (1..parts.min(1 << 10)).fold(of_part, |sink, _| {
+            let apart = sink - of_part;
+            sink + 0.25 * (1.0 - apart) * (1.0 - apart)
+        })
+    };
+    let (mut sink, mut groups) = (0.0, count);
+    while in_groups && groups > GROUP_PARTS {
+        sink = joined(GROUP_PARTS, sink);
+        groups = groups.div_ceil(GROUP_PARTS);
+    }
+    joined(groups, sink)
 }
 
 macro_rules! around_list {
-    ($join_bounds:expr) => {
+    () => {
         const HAS_CHILD_LIST: bool = true;
-
-        fn bounds(&self, isolevel: f32) -> Bounds {
-            // Each seam bulges by a quarter of its width at most.
-            let bulge = self.smooth.get() * 0.25 * (self.of.len() - 1) as f32;
-            let mut of = self.of.iter().map(|shape| shape.bounds(isolevel + bulge));
-            let first = of.next().expect("a list has one shape or more");
-            of.fold(first, $join_bounds)
-        }
 
         fn exactness(&self) -> Exactness {
             self.of.iter().map(Node::exactness).fold(Exactness::Bound, Exactness::max)
@@ -156,18 +220,29 @@ impl Sdf for Union {
     fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>) -> V {
         match &self.bvh.0 {
             Some(all) => self.union_bvh(all, self.of[0].sample(p), p),
-            None => fold_children(&self.of, p, |a, b| smooth_min(a, b, &self.smooth)),
+            None => fold_indexed(self.of.len(), self.is_grouped(), &mut |index| self.of[index].sample(p), &|a, b| {
+                smooth_min(a, b, &self.smooth)
+            }),
         }
     }
 
     fn precompute(&mut self, is_animated: bool) {
-        self.bvh = UnionBvh::new(&self.of, is_animated);
+        self.bvh = if self.is_grouped() { UnionBvh::default() } else { UnionBvh::new(&self.of, is_animated) };
     }
 
-    around_list!(Bounds::union);
+    around_list!();
+
+    fn bounds(&self, isolevel: f32) -> Bounds {
+        let isolevel = isolevel + self.smooth.get() * seam_sink(self.of.len(), self.is_grouped());
+        self.of.iter().map(|shape| shape.bounds(isolevel)).reduce(Bounds::union).unwrap_or(Bounds::EMPTY)
+    }
 }
 
 impl Union {
+    fn is_grouped(&self) -> bool {
+        is_grouped(self.of.len(), &self.smooth)
+    }
+
     /// Merges the shapes of a BVH node into the result so far, if the node is near enough: shapes farther away than
     /// the seam is wide do not change the minimum.
     fn union_bvh<R: Real, V: SdfValue<R>>(&self, run: &BvhNode, sum: V, p: Vec3<R>) -> V {
@@ -203,7 +278,12 @@ impl Sdf for Intersection {
         fold_children(&self.of, p, |a, b| smooth_max(a, b, &self.smooth))
     }
 
-    around_list!(Bounds::intersection);
+    around_list!();
+
+    // A smooth maximum is never less than the greatest distance.
+    fn bounds(&self, isolevel: f32) -> Bounds {
+        self.of.iter().map(|shape| shape.bounds(isolevel)).reduce(Bounds::intersection).unwrap_or(Bounds::EMPTY)
+    }
 }
 
 impl Sdf for Difference {
@@ -216,7 +296,11 @@ impl Sdf for Difference {
         fold_children(&self.of, p, |a, b| smooth_subtract(a, b, &self.smooth))
     }
 
-    around_list!(|first, _| first);
+    around_list!();
+
+    fn bounds(&self, isolevel: f32) -> Bounds {
+        self.of[0].bounds(isolevel)
+    }
 
     fn subtracts(&self) -> bool {
         true

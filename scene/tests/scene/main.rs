@@ -14,6 +14,7 @@ mod repetition;
 mod rounded;
 mod seams;
 mod surface;
+mod unions;
 mod warnings;
 mod witness;
 
