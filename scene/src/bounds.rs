@@ -83,6 +83,13 @@ impl Bounds {
         self.expanded(OF_SIZE * size + OF_DISTANCE * far)
     }
 
+    /// Greatest distance between two boxes along an axis; negative if they overlap.
+    pub(crate) fn gap(self, other: Self) -> f32 {
+        let Vec3 { x, y, z } =
+            zip(zip(self.min, other.max, |a, b| a - b), zip(other.min, self.max, |a, b| a - b), f32::max);
+        x.max(y).max(z)
+    }
+
     /// Distance between opposite corners.
     pub fn diagonal(self) -> f32 {
         zip(self.max, self.min, |high, low| high - low).length()

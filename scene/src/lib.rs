@@ -11,6 +11,7 @@ pub mod backgrounds;
 pub mod bounds;
 mod cache_key;
 pub mod camera;
+pub mod cells;
 pub mod color;
 mod document;
 pub mod effects;

@@ -38,6 +38,7 @@ pub use modifiers::{Bend, Copies, Elongate, Mirror, Onion, Paint, PolarRepeat, R
 pub use operators::{
     Chamfer, Columns, Difference, Engrave, Groove, Intersection, Morph, SeamKind, Stairs, Tongue, Union, Xor,
 };
+pub(crate) use operators::{FoldStep, smooth_min};
 pub use per_axis::PerAxis;
 pub use precomputed::{Precompute, Precomputed};
 pub use primitives::{

@@ -14,6 +14,7 @@ mod vector;
 
 use std::fmt::Debug;
 use std::ops::{Add, BitAnd, BitOr, BitXor, Div, Mul, Neg, Not, Shl, Shr, Sub};
+use std::sync::Arc;
 
 pub(crate) use bundle::bundle;
 pub use bundle::{Bundle, MaskValue, Merge};
@@ -22,6 +23,9 @@ pub use vector::{Vec3, vec3};
 
 /// Below this, [`Real::sqrt`] is 0, so that a GPU may compute a root through its reciprocal.
 pub const SQRT_FLOOR: f32 = 1e-28;
+
+/// Words of a scene that formulas read by computed indices; at least one.
+pub type Table = Arc<[u32]>;
 
 /// A condition on a [`Real`].
 pub trait Mask: Copy + Debug + BitAnd<Output = Self> + BitOr<Output = Self> + Not<Output = Self> {}
@@ -102,6 +106,22 @@ pub trait Real:
     fn to_bits(self) -> Self::Bits;
     /// The number with these bits.
     fn from_bits(bits: Self::Bits) -> Self;
+
+    /// The word of a table at an index; its last word if it is shorter.
+    fn word(table: &Table, index: Self::Bits) -> Self::Bits;
+
+    /// The value of a word, if this arithmetic computes values.
+    fn known(word: Self::Bits) -> Option<u32> {
+        let _ = word;
+        None
+    }
+
+    /// Runs a formula of a row: in a recorded formula, the numbers of the scene that it asks for are the words of the
+    /// table from `row` on. Elsewhere they are those that the formula names.
+    fn with_row<T>(table: &Table, row: Self::Bits, formula: impl FnOnce() -> T) -> T {
+        let _ = (table, row);
+        formula()
+    }
 
     /// `then` where `mask` is true, `otherwise` elsewhere. `then` is skipped if no lane needs it.
     fn when<T: Bundle<Self>>(mask: Self::Mask, otherwise: T, then: impl FnOnce() -> T) -> T;

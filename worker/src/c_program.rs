@@ -37,7 +37,17 @@ pub(crate) fn source(tapes: &[&Tape], entry: &str, main: &str) -> String {
         let uniforms: Vec<String> =
             tape.uniforms().iter().map(|&bits| format!("{:?}f", f32::from_bits(bits))).collect();
         let (count, uniforms) = (uniforms.len().max(1), uniforms.join(", "));
-        let _ = writeln!(text, "namespace t{index} {{\nUNIFORM float uniforms[{count}] = {{{uniforms}}};\n{code}}}\n");
+        let words: Vec<String> =
+            tape.table().iter().flat_map(|table| table.iter()).map(|word| format!("{word}u")).collect();
+        let (words, numbers) = (words.join(", "), "UNIFORM unsigned numbers");
+        let _ = writeln!(text, "namespace t{index} {{\nUNIFORM float uniforms[{count}] = {{{uniforms}}};");
+        if tape.table().is_some() {
+            let _ = writeln!(
+                text,
+                "{numbers}[] = {{{words}}};\nstatic unsigned word_at(unsigned index, unsigned last) {{ return numbers[index < last ? index : last]; }}"
+            );
+        }
+        let _ = writeln!(text, "{code}}}\n");
         let _ = writeln!(cases, "        case {index}: return t{index}::step_{entry}(a, b, c).f0;");
     }
     let _ = writeln!(text, "#define ENTRIES {}", tapes.len());

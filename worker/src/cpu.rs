@@ -48,7 +48,7 @@ impl CpuRenderer {
     pub fn evaluations(&self, run: &TileRequest<'_>) -> Result<u64, RenderError> {
         let tape = record_evaluations(&run.job.at(run.frame)?);
         let evaluator = Evaluator::new(&tape, self.simd)?;
-        let (inputs, lanes) = (evaluator.inputs(tape.uniforms()), evaluator.lanes());
+        let (inputs, lanes) = (evaluator.inputs(&tape), evaluator.lanes());
         let (cancel, samples) = (CancelFlag::new(), run.job.image.samples);
         let of_row = |row: u32| {
             let (mut frame, mut sum) = (evaluator.frame(), 0);

@@ -10,7 +10,8 @@ use crate::tape::{Allocation, Linear, LinearTape, Operation, Place, Registers, S
 #[cfg(target_arch = "x86_64")]
 use crate::x86::{AVX2, AVX512};
 pub(crate) use arithmetic::LANES;
-use arithmetic::{Batch, Splat, apply};
+use arithmetic::{Batch, Splat, apply, gather};
+use scene::real::Table;
 
 /// Slot for a first operand that is an input.
 const SCRATCH: usize = 0;
@@ -179,7 +180,7 @@ impl Program {
         &self,
         entry: &str,
         frame: &mut Frame,
-        uniforms: &[u32],
+        (uniforms, table): (&[u32], &Table),
         cancel: &AtomicBool,
         arguments: &[f32],
         results: &mut [f32],
@@ -201,7 +202,7 @@ impl Program {
                 let argument = &argument[first..first + LANES];
                 frame.slots[slot].0.iter_mut().zip(argument).for_each(|(to, from)| *to = from.to_bits());
             }
-            Run { program: self, cancel, frame }.call(index);
+            Run { program: self, cancel, table, frame }.call(index);
             for (result, (_, slot)) in results.chunks_exact_mut(length).zip(&function.results) {
                 let result = &mut result[first..first + LANES];
                 result.iter_mut().zip(&frame.slots[*slot].0).for_each(|(to, from)| *to = f32::from_bits(*from));
@@ -341,6 +342,7 @@ impl Places<'_> {
 struct Run<'a> {
     program: &'a Program,
     cancel: &'a AtomicBool,
+    table: &'a [u32],
     frame: &'a mut Frame,
 }
 
@@ -445,6 +447,14 @@ impl Run<'_> {
             }
         };
         let a = &*slots[a];
+        if operation == Operation::Word {
+            match b {
+                Slot(last) => gather(spare, self.table, a, &*slots[last]),
+                Input(last) => gather(spare, self.table, a, Splat(inputs[last])),
+            }
+            std::mem::swap(&mut slots[to], spare);
+            return;
+        }
         match (b, c) {
             (Slot(b), Slot(c)) => apply::<HAS_FMA>(operation, spare, a, &*slots[b], &*slots[c]),
             (Input(b), Slot(c)) => apply::<HAS_FMA>(operation, spare, a, Splat(inputs[b]), &*slots[c]),

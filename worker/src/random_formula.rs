@@ -1,6 +1,17 @@
 //! Random formulas for the tests of tapes and of their back ends.
 
-use scene::real::Real;
+use std::sync::LazyLock;
+
+use scene::real::{Real, Table};
+
+/// A table for formulas that read words: numbers from 0.5 to 1.5.
+pub(crate) static TABLE: LazyLock<Table> =
+    LazyLock::new(|| (0..100).map(|index| (0.5 + (index * 37 % 100) as f32 / 100.0).to_bits()).collect());
+
+/// An index from a number, sometimes beyond the table.
+pub(crate) fn index_of<R: Real>(number: R) -> R::Bits {
+    ((number + 0.0).to_bits() * 0x9e37_79b9) >> 25
+}
 
 /// Pseudo-random numbers (a linear congruential generator).
 #[derive(Clone)]
@@ -31,7 +42,7 @@ pub(crate) fn random_formula<R: Real>(random: &mut Generator, given: &[R], depth
             // No lane, or all of them.
             _ => d.abs().below(if number < 0.0 { -1.0 } else { f32::MAX }),
         };
-        let next = match random.below(if depth > 0 { 18 } else { 14 }) {
+        let next = match random.below(if depth > 0 { 19 } else { 15 }) {
             0 => a + b,
             1 => a - b,
             2 => a * b,
@@ -50,12 +61,13 @@ pub(crate) fn random_formula<R: Real>(random: &mut Generator, given: &[R], depth
                 R::from_bits(((mixed >> 9) | 0x3f80_0000) & 0x3fff_ffff)
             }
             13 => a * a.constant(number),
-            14 | 15 => {
+            14 => a * R::from_bits(R::word(&TABLE, index_of(b))),
+            15 | 16 => {
                 let mut inner = random.clone();
                 random.word();
                 R::when(mask, a, || random_formula(&mut inner, &known, depth - 1))
             }
-            16 => {
+            17 => {
                 let inner = random.clone();
                 random.word();
                 let step = |(x, y): (R, R)| {

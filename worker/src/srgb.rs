@@ -20,7 +20,7 @@ impl SrgbEncoder {
     pub fn new(grade: DisplayTransform) -> Result<Self, InvalidTape> {
         let tape = tape(grade);
         let evaluator = Evaluator::fastest(&tape)?;
-        Ok(Self { inputs: evaluator.inputs(tape.uniforms()), evaluator })
+        Ok(Self { inputs: evaluator.inputs(&tape), evaluator })
     }
 
     /// Applies the display transform and the sRGB curve to linear values in place; results are 0 to 1.
@@ -54,7 +54,7 @@ mod tests {
                 let mut got = linear.clone();
                 let tape = tape(grade);
                 let evaluator = Evaluator::new(&tape, simd).unwrap();
-                let inputs = evaluator.inputs(tape.uniforms());
+                let inputs = evaluator.inputs(&tape);
                 SrgbEncoder { evaluator, inputs }.encode(&mut got);
                 let is_equal = got.iter().zip(&want).all(|(got, want)| (got + 0.0).to_bits() == *want);
                 assert!(is_equal, "{stops} stops, {tone_map}, {simd}");

@@ -16,6 +16,8 @@ mod recorder;
 mod scalar;
 mod verify;
 
+use scene::real::Table;
+
 pub(crate) use allocate::{Allocation, Place, Registers, allocate};
 pub use c_source::CSource;
 pub use expr::{BoolExpr, Expr, U32Expr};
@@ -101,6 +103,8 @@ pub enum Operation {
     ShiftLeft,
     /// Bits shifted right.
     ShiftRight,
+    /// Word of the tape's table at an index, or at the table's last if that is less.
+    Word,
 }
 
 impl Operation {
@@ -129,7 +133,8 @@ impl Operation {
             | Self::AndU32
             | Self::OrU32
             | Self::ShiftLeft
-            | Self::ShiftRight => (&[U32, U32], Some(U32)),
+            | Self::ShiftRight
+            | Self::Word => (&[U32, U32], Some(U32)),
         }
     }
 
@@ -165,7 +170,8 @@ impl Operation {
             | Self::AndU32
             | Self::OrU32
             | Self::ShiftLeft
-            | Self::ShiftRight => 0,
+            | Self::ShiftRight
+            | Self::Word => 0,
         }
     }
 
@@ -240,12 +246,19 @@ pub struct Tape {
     /// Callees before their callers.
     functions: Vec<Function>,
     uniforms: Vec<u32>,
+    /// Words read by computed indices.
+    table: Option<Table>,
 }
 
 impl Tape {
     /// Uniforms of the scene, by their bits, in the order of their use.
     pub fn uniforms(&self) -> &[u32] {
         &self.uniforms
+    }
+
+    /// Words that the formula reads by computed indices, if there are any.
+    pub fn table(&self) -> Option<&Table> {
+        self.table.as_ref()
     }
 
     /// Arithmetic operations in one call of a step. A fused operation counts as 2, a root as 7 and a quotient
@@ -261,10 +274,13 @@ impl Tape {
         function.body.iter().map(of_statement).sum()
     }
 
-    /// Whether the tapes differ at most in the values of their uniforms, so that one evaluator serves both.
+    /// Whether the tapes differ at most in the values of their uniforms and in their tables, so that one evaluator serves both.
     pub(crate) fn has_same_code(&self, other: &Self) -> bool {
-        let Self { instructions, functions, uniforms } = self;
-        *instructions == other.instructions && *functions == other.functions && uniforms.len() == other.uniforms.len()
+        let Self { instructions, functions, uniforms, table } = self;
+        *instructions == other.instructions
+            && *functions == other.functions
+            && uniforms.len() == other.uniforms.len()
+            && table.is_some() == other.table.is_some()
     }
 
     fn definition(&self, id: ValueId) -> Instruction {

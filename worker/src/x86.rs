@@ -39,10 +39,11 @@ fn assemble(tape: &LinearTape, isa: &'static Isa) -> MachineCode {
     let functions: Vec<Allocated<'_>> = tape
         .functions
         .iter()
-        .map(|linear| linear.as_ref().map(|linear| (linear, allocate(linear, isa.registers))))
+        .map(|linear| linear.as_ref().map(|linear| (linear, allocate(linear, isa.registers_of(tape.has_table)))))
         .collect();
     let layouts = layouts(&functions, isa);
-    let mut assembly = Assembly { functions: vec![None; functions.len()], ..Assembly::default() };
+    let mut assembly =
+        Assembly { functions: vec![None; functions.len()], uniforms: tape.uniforms, ..Assembly::default() };
     for (index, function) in functions.iter().enumerate() {
         if let Some((linear, allocation)) = function {
             let is_entry = tape.entries.iter().any(|&(_, entry)| entry == index);
@@ -56,7 +57,7 @@ fn assemble(tape: &LinearTape, isa: &'static Isa) -> MachineCode {
     let frame_bytes = layouts.iter().map(|layout| layout.end as usize).max().unwrap_or(0);
     let sizes = bounds::Sizes {
         frame: frame_bytes as u64,
-        uniforms: isa.input_bytes(tape.uniforms) as u64,
+        uniforms: program::uniform_bytes(isa, tape.uniforms, tape.has_table) as u64,
         constants: isa.input_bytes(assembly.constants.words.len()) as u64,
         packet: isa.packet_bytes().into(),
     };
@@ -76,6 +77,7 @@ fn assemble(tape: &LinearTape, isa: &'static Isa) -> MachineCode {
         constants: assembly.constants.words,
         frame_bytes,
         uniforms: tape.uniforms,
+        has_table: tape.has_table,
         code: encoded.code_buffer,
     }
 }

@@ -11,6 +11,7 @@ mod carving;
 mod seams;
 mod xor;
 
+use std::cell::RefCell;
 use std::ops::Range;
 
 use schemars::JsonSchema;
@@ -68,7 +69,7 @@ pub struct Difference {
 }
 
 /// Smooth minimum, blended over `smooth`.
-fn smooth_min<R: Real, V: SdfValue<R>>(a: V, b: V, smooth: &LengthOrZero) -> V {
+pub(crate) fn smooth_min<R: Real, V: SdfValue<R>>(a: V, b: V, smooth: &LengthOrZero) -> V {
     let (da, db) = (a.distance(), b.distance());
     if smooth.is_zero() {
         return a.blend(b, da.min(db), || indicator(da, db.lt(da)));
@@ -238,7 +239,36 @@ impl Sdf for Union {
     }
 }
 
+/// Step of the combination of a union's shapes.
+#[derive(Clone, Copy, Debug)]
+pub(crate) enum FoldStep<'a> {
+    /// A group begins with a shape.
+    First(&'a Node),
+    /// A shape joins its group.
+    Next(&'a Node),
+    /// A group joins the one before.
+    Join,
+}
+
 impl Union {
+    /// Calls `see` with the steps in which the shapes are combined, in order.
+    pub(crate) fn for_each_step<'a>(&'a self, see: impl FnMut(FoldStep<'a>)) {
+        let see = RefCell::new(see);
+        // The value of a part: a shape whose step comes with its join, or a group whose steps have been seen.
+        let all =
+            fold_indexed(self.of.len(), self.is_grouped(), &mut |index| Some(&self.of[index]), &|first, second| {
+                let see = &mut *see.borrow_mut();
+                if let Some(first) = first {
+                    see(FoldStep::First(first));
+                }
+                see(second.map_or(FoldStep::Join, FoldStep::Next));
+                None
+            });
+        if let Some(only) = all {
+            see.into_inner()(FoldStep::First(only));
+        }
+    }
+
     fn is_grouped(&self) -> bool {
         is_grouped(self.of.len(), &self.smooth)
     }

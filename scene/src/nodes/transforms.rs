@@ -53,12 +53,26 @@ macro_rules! around_child {
 
 pub(super) use around_child;
 
+impl Translate {
+    /// The point in the space of the shape.
+    pub(crate) fn to_child<R: Real>(&self, p: Vec3<R>) -> Vec3<R> {
+        p - Vec3::uniform(p.x, self.by.get())
+    }
+}
+
+impl Rotate {
+    /// The point in the space of the shape.
+    pub(crate) fn to_child<R: Real>(&self, p: Vec3<R>) -> Vec3<R> {
+        let [x, y, z] = self.degrees.inverse_rows();
+        vec3(p.dot_uniform(x), p.dot_uniform(y), p.dot_uniform(z))
+    }
+}
+
 impl Sdf for Translate {
     const EXAMPLE: &str = r#"{ "by": [0.6, 0.3, 0], "child": { "box": { "size": [1, 1, 1] } } }"#;
 
     fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>) -> V {
-        let by = self.by.get();
-        self.child.sample(p - Vec3::uniform(p.x, by))
+        self.child.sample(self.to_child(p))
     }
 
     around_child!();
@@ -76,8 +90,7 @@ impl Sdf for Rotate {
     const EXAMPLE: &str = r#"{ "degrees": [30, 40, 0], "child": { "box": { "size": [1.2, 0.8, 1.6] } } }"#;
 
     fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>) -> V {
-        let [x, y, z] = self.degrees.inverse_rows();
-        self.child.sample(vec3(p.dot_uniform(x), p.dot_uniform(y), p.dot_uniform(z)))
+        self.child.sample(self.to_child(p))
     }
 
     around_child!();

@@ -7,7 +7,7 @@
 use std::ops::{Add, BitAnd, BitOr, BitXor, Div, Mul, Neg, Not, Shl, Shr, Sub};
 
 use super::reference::F32Bits;
-use super::{Bits, Bundle, Merge, Real};
+use super::{Bits, Bundle, Merge, Real, Table};
 
 /// All numbers from `low` to `high`, both included.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -248,6 +248,10 @@ impl Real for Interval {
 
     fn from_bits(bits: IntervalBits) -> Self {
         bits.0.map_or(Self::ALL, |word| Self::hull_of([f32::from_bits(word.0)]))
+    }
+
+    fn word(table: &Table, index: IntervalBits) -> IntervalBits {
+        IntervalBits(index.0.map(|index| f32::word(table, index)))
     }
 
     fn square(self) -> Self {

@@ -2,7 +2,7 @@
 
 use std::ops::{Add, BitAnd, BitOr, BitXor, Mul, Shl, Shr};
 
-use super::{Bits, Bundle, Merge, Real, SQRT_FLOOR};
+use super::{Bits, Bundle, Merge, Real, SQRT_FLOOR, Table};
 
 /// The bits of an `f32`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -132,6 +132,16 @@ impl Real for f32 {
     #[inline]
     fn from_bits(bits: F32Bits) -> Self {
         f32::from_bits(bits.0)
+    }
+
+    #[inline]
+    fn word(table: &Table, index: F32Bits) -> F32Bits {
+        F32Bits(table[(index.0 as usize).min(table.len() - 1)])
+    }
+
+    #[inline]
+    fn known(word: F32Bits) -> Option<u32> {
+        Some(word.0)
     }
 
     #[inline]

@@ -2,6 +2,7 @@
 //! warnings.
 
 mod animation;
+mod cells;
 mod contract;
 mod extremes;
 mod fractals;

@@ -129,7 +129,7 @@ fn evaluation<'a>(still: &'a JobAtFrame<'_>, points: &'a [f32], simd: Simd) -> R
     }
     let tape = record_distance(still);
     let evaluator = Evaluator::new(&tape, simd)?;
-    let (inputs, cancel, mut frame) = (evaluator.inputs(tape.uniforms()), CancelFlag::new(), evaluator.frame());
+    let (inputs, cancel, mut frame) = (evaluator.inputs(&tape), CancelFlag::new(), evaluator.frame());
     Ok(Box::new(move |distances| {
         evaluator.run(DISTANCE, &mut frame, &inputs, cancel.flag(), points, distances);
     }))

@@ -3,6 +3,8 @@
 use std::sync::Once;
 use std::sync::atomic::AtomicBool;
 
+use scene::real::Table;
+
 use crate::tape::{InvalidTape, LinearTape, Tape};
 use crate::x86::{AVX2, AVX512, Isa};
 use crate::{RenderError, Simd, portable, x86};
@@ -22,7 +24,7 @@ pub(crate) enum Inputs {
     /// Of machine code.
     X86(x86::Uniforms),
     /// Of the interpreter.
-    Portable(Vec<u32>),
+    Portable(Vec<u32>, Table),
 }
 
 /// Memory of a thread that evaluates.
@@ -85,11 +87,11 @@ impl Evaluator {
         }
     }
 
-    /// Values of the tape's uniforms.
-    pub(crate) fn inputs(&self, uniforms: &[u32]) -> Inputs {
+    /// Values of a tape's uniforms, and its table.
+    pub(crate) fn inputs(&self, tape: &Tape) -> Inputs {
         match self {
-            Self::X86(program) => Inputs::X86(program.uniforms(uniforms)),
-            Self::Portable(_) => Inputs::Portable(uniforms.to_vec()),
+            Self::X86(program) => Inputs::X86(program.uniforms(tape.uniforms(), tape.table().cloned())),
+            Self::Portable(_) => Inputs::Portable(tape.uniforms().to_vec(), tape.table().cloned().unwrap_or_default()),
         }
     }
 
@@ -119,8 +121,8 @@ impl Evaluator {
             (Self::X86(program), Frame::X86(frame), Inputs::X86(uniforms)) => {
                 program.run(entry, frame, uniforms, cancel, arguments, results);
             }
-            (Self::Portable(program), Frame::Portable(frame), Inputs::Portable(uniforms)) => {
-                program.run(entry, frame, uniforms, cancel, arguments, results);
+            (Self::Portable(program), Frame::Portable(frame), Inputs::Portable(uniforms, table)) => {
+                program.run(entry, frame, (uniforms, table), cancel, arguments, results);
             }
             _ => panic!("the frame and the inputs are another evaluator's"),
         }

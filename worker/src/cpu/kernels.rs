@@ -46,7 +46,7 @@ impl KernelCache {
             Some(known) => known,
             None => insert(&self.by_tape, tape.clone(), Arc::new(Evaluator::new(&tape, simd)?), MAX_EVALUATORS),
         };
-        let inputs = evaluator.inputs(tape.uniforms());
+        let inputs = evaluator.inputs(&tape);
         Ok(insert(&self.by_pixels, key, Arc::new(Prepared { evaluator, inputs }), MAX_FRAMES))
     }
 }

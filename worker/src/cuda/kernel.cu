@@ -15,6 +15,10 @@ __constant__ float uniforms[UNIFORM_COUNT];
 __device__ float uniforms[UNIFORM_COUNT];
 #endif
 
+// Words of the scene that are read by computed indices.
+__device__ const unsigned* table;
+INLINE_FN unsigned word_at(unsigned index, unsigned last) { return __ldg(table + min(index, last)); }
+
 INLINE_FN unsigned bits_of(float x) { return __float_as_uint(x); }
 INLINE_FN float float_from_bits(unsigned bits) { return __uint_as_float(bits); }
 INLINE_FN float fma_rn(float a, float b, float c) { return __fmaf_rn(a, b, c); }
@@ -57,7 +61,9 @@ INLINE_FN float floor_f(float x) { return floorf(x); }
 struct Index { unsigned x, y, z; };
 static Index blockIdx, blockDim, threadIdx;
 static float uniforms[UNIFORM_COUNT];
+static const unsigned* table;
 
+INLINE_FN unsigned word_at(unsigned index, unsigned last) { return table[index < last ? index : last]; }
 INLINE_FN unsigned bits_of(float x) { unsigned bits; memcpy(&bits, &x, 4); return bits; }
 INLINE_FN float float_from_bits(unsigned bits) { float x; memcpy(&x, &bits, 4); return x; }
 INLINE_FN float fma_rn(float a, float b, float c) { return fmaf(a, b, c); }

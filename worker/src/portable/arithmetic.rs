@@ -78,7 +78,16 @@ pub(super) fn apply<const HAS_FMA: bool>(
         | Operation::CallResult
         | Operation::Variable
         | Operation::ToBits
-        | Operation::FromBits => unreachable!("{operation:?} is not a step"),
+        | Operation::FromBits
+        | Operation::Word => unreachable!("{operation:?} is not a step"),
+    }
+}
+
+/// Words of a table at indices, or the word at `last` where an index is beyond it.
+#[inline(always)]
+pub(super) fn gather(to: &mut Batch, table: &[u32], indices: &Batch, last: impl Operand) {
+    for lane in 0..LANES {
+        to.0[lane] = table[indices.0[lane].min(last.at(lane)) as usize];
     }
 }
 

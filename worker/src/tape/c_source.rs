@@ -306,6 +306,7 @@ impl Printer<'_> {
             Operation::OrU32 => format!("{a} | {b}"),
             Operation::ShiftLeft => format!("{a} << {b}"),
             Operation::ShiftRight => format!("{a} >> {b}"),
+            Operation::Word => format!("word_at({a}, {b})"),
             Operation::Constant(_)
             | Operation::Uniform(_)
             | Operation::Argument

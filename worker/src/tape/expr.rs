@@ -2,9 +2,9 @@
 
 use std::ops::{Add, BitAnd, BitOr, BitXor, Div, Mul, Neg, Not, Shl, Shr, Sub};
 
-use scene::real::{Bits, Bundle, Real};
+use scene::real::{Bits, Bundle, Real, Table};
 
-use super::recorder::{emit, note, repeat, shared, uniform, when};
+use super::recorder::{self, emit, note, repeat, shared, uniform, when};
 use super::{Operation, ValueId, ValueType};
 
 /// A number of the tape.
@@ -167,6 +167,14 @@ impl Real for Expr {
 
     fn from_bits(bits: U32Expr) -> Self {
         number(Operation::FromBits, &[bits.0])
+    }
+
+    fn word(table: &Table, index: U32Expr) -> U32Expr {
+        U32Expr(recorder::word(table, index.0))
+    }
+
+    fn with_row<T>(table: &Table, row: U32Expr, formula: impl FnOnce() -> T) -> T {
+        recorder::with_row(table, row.0, formula)
     }
 
     fn when<T: Bundle<Self>>(mask: BoolExpr, otherwise: T, then: impl FnOnce() -> T) -> T {

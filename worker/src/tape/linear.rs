@@ -108,6 +108,8 @@ pub(crate) struct LinearTape {
     pub(crate) entries: Vec<(&'static str, usize)>,
     /// Number of uniforms.
     pub(crate) uniforms: usize,
+    /// Whether it reads words of a table.
+    pub(crate) has_table: bool,
 }
 
 /// Inlining limit: a function that would add more steps stays one.
@@ -141,6 +143,7 @@ impl LinearTape {
             functions,
             entries: entries.map(|(index, function)| (function.name, index)).collect(),
             uniforms: tape.uniforms.len(),
+            has_table: tape.table.is_some(),
         })
     }
 }

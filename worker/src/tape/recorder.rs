@@ -7,7 +7,7 @@ use std::any::Any;
 use std::cell::RefCell;
 use std::collections::HashMap;
 
-use scene::real::{Bundle, Merge};
+use scene::real::{Bundle, Merge, Table};
 
 use super::{BoolExpr, Expr, Function, Instruction, Operation, Statement, Tape, ValueId, ValueType};
 
@@ -25,12 +25,16 @@ struct Recorder {
     /// Index of the function that defined each value, counted from the first function.
     defining_function: Vec<u32>,
     begun: u32,
+    /// The uniform that is the index of the table's last word.
+    last_word: Option<ValueId>,
 }
 
 struct FunctionBuilder {
     number: u32,
     arguments: Vec<ValueId>,
     blocks: Vec<BlockBuilder>,
+    /// First word of a row, and the number of its words that were used, if numbers of the scene are those of a row.
+    row: Option<(ValueId, u32)>,
 }
 
 /// Statements, and the value of each operation already among them.
@@ -125,8 +129,49 @@ pub(super) fn emit(kind: ValueType, operation: Operation, operands: &[ValueId]) 
     })
 }
 
-/// Uniform of the scene, by its bits.
+/// Uniform of the scene, by its bits, or the next word of a row.
 pub(super) fn uniform(kind: ValueType, bits: u32) -> ValueId {
+    if let Some((row, place)) = with(|recorder| recorder.function().row) {
+        with(|recorder| recorder.function().row = Some((row, place + 1)));
+        let place = emit(ValueType::U32, Operation::Constant(place), &[]);
+        let word = word_at(emit(ValueType::U32, Operation::AddU32, &[row, place]));
+        return if kind == ValueType::F32 { emit(kind, Operation::FromBits, &[word]) } else { word };
+    }
+    new_uniform(kind, bits)
+}
+
+/// Word of a table. All words of a tape are of one table.
+pub(super) fn word(table: &Table, index: ValueId) -> ValueId {
+    let known = with(|recorder| recorder.tape.table.clone());
+    match known {
+        Some(known) => assert!(Table::ptr_eq(&known, table), "a formula reads one table"),
+        None => {
+            let last = new_uniform(ValueType::U32, table.len() as u32 - 1);
+            with(|recorder| {
+                recorder.tape.table = Some(table.clone());
+                recorder.last_word = Some(last);
+            });
+        }
+    }
+    word_at(index)
+}
+
+fn word_at(index: ValueId) -> ValueId {
+    let last = with(|recorder| recorder.last_word).expect("a row is in a table");
+    emit(ValueType::U32, Operation::Word, &[index, last])
+}
+
+/// Records a formula in which the numbers of the scene are the words of the table from `row` on.
+pub(super) fn with_row<T>(table: &Table, row: ValueId, formula: impl FnOnce() -> T) -> T {
+    // The table is that of the tape from now on.
+    word(table, row);
+    let outer = with(|recorder| recorder.function().row.replace((row, 0)));
+    let value = formula();
+    with(|recorder| recorder.function().row = outer);
+    value
+}
+
+fn new_uniform(kind: ValueType, bits: u32) -> ValueId {
     with(|recorder| {
         let place = recorder.tape.uniforms.len() as u32;
         recorder.tape.uniforms.push(bits);
@@ -152,7 +197,12 @@ fn begin() {
     with(|recorder| {
         let number = recorder.begun;
         recorder.begun += 1;
-        recorder.open.push(FunctionBuilder { number, arguments: Vec::new(), blocks: vec![BlockBuilder::default()] });
+        recorder.open.push(FunctionBuilder {
+            number,
+            arguments: Vec::new(),
+            blocks: vec![BlockBuilder::default()],
+            row: None,
+        });
     });
 }
 

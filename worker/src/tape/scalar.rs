@@ -127,6 +127,7 @@ impl Run<'_> {
             Operation::MulU32 => a.wrapping_mul(b),
             Operation::ShiftLeft => a << b,
             Operation::ShiftRight => a >> b,
+            Operation::Word => self.tape.table().expect("a tape with words has a table")[a.min(b) as usize],
             Operation::Constant(_)
             | Operation::Uniform(_)
             | Operation::Argument

@@ -41,6 +41,8 @@ pub(super) enum Fault {
     UnknownUniform(u32),
     #[error("a shift is by a constant below 32")]
     Shift,
+    #[error("a word's last index is a uniform that is in the table")]
+    Table,
     #[error("it is defined by another kind of statement than its operation says")]
     Statement,
     #[error("it is defined twice")]
@@ -193,6 +195,16 @@ impl Verifier<'_> {
                 let by = operands[1].map(|by| self.tape.definition(by).operation);
                 let is_valid = matches!(by, Some(Operation::Constant(by)) if by < u32::BITS);
                 if is_valid { Ok(()) } else { self.refuse_value(id, Fault::Shift) }
+            }
+            Operation::Word => {
+                let last = operands[1].map(|last| self.tape.definition(last).operation);
+                let last = last.and_then(|last| match last {
+                    Operation::Uniform(place) => self.tape.uniforms.get(place as usize),
+                    _ => None,
+                });
+                let length = self.tape.table.as_ref().map_or(0, |table| table.len());
+                let is_valid = last.is_some_and(|last| (*last as usize) < length);
+                if is_valid { Ok(()) } else { self.refuse_value(id, Fault::Table) }
             }
             _ => Ok(()),
         }

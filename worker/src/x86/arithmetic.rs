@@ -1,9 +1,9 @@
 //! Machine code of the operations.
 
-use iced_x86::{Code, Instruction, Register};
+use iced_x86::{Code, Instruction, MemoryOperand, Register};
 use scene::real::SQRT_FLOOR;
 
-use super::emit::{Emitter, valid};
+use super::emit::{Emitter, ROW, UNIFORMS, memory, valid};
 use super::operands::{MASK_SCRATCH, MASK_SCRATCH_2, Operand};
 use crate::tape::{Operation, Place, Var};
 
@@ -142,7 +142,27 @@ impl Emitter<'_> {
                 self.push(valid(Instruction::with3(code, to, a, by)));
             }
             Operation::Fma => self.fma(to, a, b, operands[2]),
+            Operation::Word => self.word(to, a, b),
             _ => unreachable!("{operation:?} gives no number"),
+        }
+    }
+
+    /// Words of the table at indices, at most `last`.
+    fn word(&mut self, to: Register, indices: Operand, last: Operand) {
+        let indices = self.in_register(indices, self.isa.scratch_2);
+        self.three(self.isa.min_u32, self.isa.scratch_2, indices, last);
+        let address = memory(UNIFORMS, self.isa.table_address_at(self.assembly.uniforms) as u32);
+        self.push(valid(Instruction::with2(Code::Mov_r64_rm64, ROW, address)));
+        let words = MemoryOperand::with_base_index_scale(ROW, self.isa.scratch_2, 4);
+        if self.isa.has_masks() {
+            self.push(valid(Instruction::with3(Code::VEX_Kxnorw_kr_kr_kr, MASK_SCRATCH, MASK_SCRATCH, MASK_SCRATCH)));
+            let mut gather = valid(Instruction::with2(Code::EVEX_Vpgatherdd_zmm_k1_vm32z, to, words));
+            gather.set_op_mask(MASK_SCRATCH);
+            self.push(gather);
+        } else {
+            let all = self.isa.word_mask();
+            self.push(valid(Instruction::with3(Code::VEX_Vpcmpeqd_ymm_ymm_ymmm256, all, all, all)));
+            self.push(valid(Instruction::with3(Code::VEX_Vpgatherdd_ymm_vm32y_ymm, to, words, all)));
         }
     }
 

@@ -5,6 +5,7 @@
 use iced_x86::{Code, Instruction, OpKind, Register};
 
 use super::emit::{ARGUMENTS, CANCEL, CONSTANTS, FRAME, PACKETS, RESULTS, ROW, ROW_BYTES, STACK, UNIFORMS};
+use super::{AVX2, AVX512};
 
 /// Sizes in bytes of the memory that a program is given.
 #[derive(Clone, Copy, Debug)]
@@ -58,6 +59,7 @@ fn walks_rows(instruction: &Instruction, sizes: Sizes) -> bool {
     let (to, from) = (instruction.op0_register(), instruction.op1_register());
     match instruction.code() {
         Code::Mov_r64_rm64 if instruction.memory_base() == STACK => to == ROW_BYTES || to == PACKETS,
+        Code::Mov_r64_rm64 if instruction.memory_base() == UNIFORMS => to == ROW,
         Code::Mov_r64_rm64 => to == ROW && (from == ARGUMENTS || from == RESULTS),
         Code::Add_r64_rm64 => to == ROW && from == ROW_BYTES,
         Code::Add_rm64_imm32 => (to == ARGUMENTS || to == RESULTS) && instruction.immediate(1) == sizes.packet,
@@ -68,6 +70,9 @@ fn walks_rows(instruction: &Instruction, sizes: Sizes) -> bool {
 
 fn reason_of_access(instruction: &Instruction, sizes: Sizes, is_first: bool) -> Option<&'static str> {
     let code = instruction.code();
+    if matches!(code, Code::EVEX_Vpgatherdd_zmm_k1_vm32z | Code::VEX_Vpgatherdd_ymm_vm32y_ymm) {
+        return reason_of_gather(instruction);
+    }
     let bytes = match instruction.memory_base() {
         FRAME => sizes.frame,
         UNIFORMS => sizes.uniforms,
@@ -91,6 +96,16 @@ fn reason_of_access(instruction: &Instruction, sizes: Sizes, is_first: bool) -> 
         return Some("it is outside of its memory");
     }
     None
+}
+
+/// Words of the table: the indices are in the register to which the instruction before limited them.
+fn reason_of_gather(instruction: &Instruction) -> Option<&'static str> {
+    let is_limited = [AVX512.scratch_2, AVX2.scratch_2].contains(&instruction.memory_index());
+    let is_table = instruction.memory_base() == ROW
+        && instruction.memory_index_scale() == 4
+        && instruction.memory_displacement64() == 0
+        && !instruction.has_segment_prefix();
+    if is_limited && is_table { None } else { Some("it gathers no words of the table") }
 }
 
 #[cfg(test)]
@@ -118,6 +133,7 @@ mod tests {
     fn accesses_inside_the_memory_are_accepted() {
         let (load, store) = (Code::EVEX_Vmovaps_zmm_k1z_zmmm512, Code::EVEX_Vmovaps_zmmm512_k1z_zmm);
         let add = Code::EVEX_Vaddps_zmm_k1z_zmm_zmmm512b32_er;
+        let gathered = MemoryOperand::with_base_index_scale(ROW, AVX512.scratch_2, 4);
         for inside in [
             Instruction::with2(load, Register::ZMM1, at(FRAME, 64)),
             Instruction::with2(store, at(FRAME, 0), Register::ZMM1),
@@ -129,6 +145,8 @@ mod tests {
             Instruction::with2(Code::EVEX_Vmovups_zmm_k1z_zmmm512, Register::ZMM1, at(ROW, 64)),
             Instruction::with2(Code::Mov_r64_rm64, ROW_BYTES, at(STACK, 8)),
             Instruction::with2(Code::Mov_r64_rm64, ROW, ARGUMENTS),
+            Instruction::with2(Code::Mov_r64_rm64, ROW, at(UNIFORMS, 56)),
+            Instruction::with2(Code::EVEX_Vpgatherdd_zmm_k1_vm32z, Register::ZMM1, gathered),
             Instruction::with2(Code::Add_r64_rm64, ROW, ROW_BYTES),
             Instruction::with2(Code::Add_rm64_imm32, RESULTS, 128_u32),
             Instruction::with1(Code::Dec_rm64, PACKETS),
@@ -147,6 +165,8 @@ mod tests {
             ("it is outside of its memory", "it writes to memory that is neither the frame nor a row");
         let (address, register) = ("its address is not a constant offset", "it uses another register");
         let (other, branch) = ("it reaches memory through another register", "it branches to no instruction");
+        let unlimited = MemoryOperand::with_base_index_scale(ROW, Register::ZMM2, 4);
+        let no_table = "it gathers no words of the table";
         let indexed = MemoryOperand::with_base_index_scale(FRAME, Register::RAX, 4);
         let prefixed = MemoryOperand { segment_prefix: Register::FS, ..at(FRAME, 0) };
         for (instruction, want) in [
@@ -175,6 +195,8 @@ mod tests {
             (Instruction::with2(load, Register::ZMM1, at(Register::RIP, 64)), other),
             (Instruction::with2(load, Register::ZMM1, indexed), address),
             (Instruction::with2(load, Register::ZMM1, prefixed), address),
+            (Instruction::with2(Code::Mov_r64_rm64, ROW, at(UNIFORMS, 60)), outside),
+            (Instruction::with2(Code::EVEX_Vpgatherdd_zmm_k1_vm32z, Register::ZMM1, unlimited), no_table),
             (Instruction::with1(Code::Push_r64, Register::RAX), register),
             (Instruction::with2(Code::Mov_r64_rm64, Register::RDI, Register::RSI), register),
             (Ok(Instruction::with(Code::Leaveq)), "it is not among the instructions in use"),

@@ -20,7 +20,7 @@ pub(super) const ARGUMENTS: Register = Register::R8;
 pub(super) const RESULTS: Register = Register::R9;
 pub(super) const ROW_BYTES: Register = Register::R10;
 pub(super) const PACKETS: Register = Register::R11;
-/// The address of a row.
+/// The address of a row, or of the table.
 pub(super) const ROW: Register = Register::RAX;
 pub(super) const STACK: Register = Register::RSP;
 /// Round to nearest, keep subnormal numbers, report nothing.
@@ -76,6 +76,8 @@ pub(super) struct Assembly {
     /// First instruction of each function.
     pub(super) functions: Vec<Option<usize>>,
     pub(super) constants: ConstantPool,
+    /// Number of the tape's uniforms.
+    pub(super) uniforms: usize,
 }
 
 impl Assembly {

@@ -34,6 +34,7 @@ pub(crate) struct Isa {
     pub(super) compare: Code,
     pub(super) add_u32: Code,
     pub(super) mul_u32: Code,
+    pub(super) min_u32: Code,
     pub(super) and: Code,
     pub(super) or: Code,
     pub(super) xor: Code,
@@ -69,6 +70,22 @@ impl Isa {
     /// Bytes of a vector.
     pub(super) fn vector_bytes(&self) -> u32 {
         self.packet_bytes() / self.vectors
+    }
+
+    /// Groups of registers for the variables of a program. With AVX2, words of a table take a register for their mask.
+    pub(super) fn registers_of(&self, has_table: bool) -> Registers {
+        let taken = u8::from(has_table && !self.has_masks());
+        Registers { vectors: self.registers.vectors - taken, ..self.registers }
+    }
+
+    /// The register that variables of such a program have not, with AVX2.
+    pub(super) fn word_mask(&self) -> Register {
+        self.vector(self.registers.vectors - 1, 0)
+    }
+
+    /// Place of the table's address, after the uniforms.
+    pub(super) fn table_address_at(&self, uniforms: usize) -> usize {
+        self.input_bytes(uniforms).next_multiple_of(size_of::<usize>())
     }
 
     /// Words in which the code expects each constant and uniform.
@@ -120,6 +137,7 @@ pub(crate) static AVX512: Isa = Isa {
     compare: Code::EVEX_Vcmpps_kr_k1_zmm_zmmm512b32_imm8_sae,
     add_u32: Code::EVEX_Vpaddd_zmm_k1z_zmm_zmmm512b32,
     mul_u32: Code::EVEX_Vpmulld_zmm_k1z_zmm_zmmm512b32,
+    min_u32: Code::EVEX_Vpminud_zmm_k1z_zmm_zmmm512b32,
     and: Code::EVEX_Vpandd_zmm_k1z_zmm_zmmm512b32,
     or: Code::EVEX_Vpord_zmm_k1z_zmm_zmmm512b32,
     xor: Code::EVEX_Vpxord_zmm_k1z_zmm_zmmm512b32,
@@ -153,6 +171,7 @@ pub(crate) static AVX2: Isa = Isa {
     compare: Code::VEX_Vcmpps_ymm_ymm_ymmm256_imm8,
     add_u32: Code::VEX_Vpaddd_ymm_ymm_ymmm256,
     mul_u32: Code::VEX_Vpmulld_ymm_ymm_ymmm256,
+    min_u32: Code::VEX_Vpminud_ymm_ymm_ymmm256,
     and: Code::VEX_Vandps_ymm_ymm_ymmm256,
     or: Code::VEX_Vorps_ymm_ymm_ymmm256,
     xor: Code::VEX_Vxorps_ymm_ymm_ymmm256,

@@ -10,6 +10,7 @@ use std::io;
 use std::sync::atomic::AtomicBool;
 
 use memmap2::{Mmap, MmapMut};
+use scene::real::Table;
 
 use super::isa::Isa;
 use memory::Memory;
@@ -44,6 +45,7 @@ pub(crate) struct Program {
     frame_packets: usize,
     entries: Vec<(&'static str, Entry)>,
     uniforms: usize,
+    has_table: bool,
 }
 
 /// Function that can be run.
@@ -63,11 +65,16 @@ pub(super) struct MachineCode {
     pub(super) frame_bytes: usize,
     pub(super) entries: Vec<(&'static str, Entry)>,
     pub(super) uniforms: usize,
+    pub(super) has_table: bool,
 }
 
-/// Values of the uniforms, as a program reads them.
+/// Values of the uniforms, as a program reads them, and the table.
 #[derive(Debug)]
-pub(crate) struct Uniforms(Memory);
+pub(crate) struct Uniforms {
+    numbers: Memory,
+    /// The numbers end with its address.
+    table: Option<Table>,
+}
 
 /// Memory of a thread that runs a program.
 #[derive(Debug)]
@@ -79,17 +86,19 @@ impl Program {
     ///
     /// # Safety
     /// This CPU has the instructions. Each entry begins at its offset, has the signature of [`Function`], and touches
-    /// only its frame of `frame_bytes`, the uniforms, the constants, the flag, and the rows of its arguments and results.
+    /// only its frame of `frame_bytes`, the uniforms, the constants, the flag, the rows of its arguments and results, and
+    /// the words of the table up to the last index that the uniforms give.
     pub(super) unsafe fn new(machine: MachineCode, isa: &'static Isa) -> io::Result<Self> {
         let mut pages = MmapMut::map_anon(machine.code.len())?;
         pages.copy_from_slice(&machine.code);
         Ok(Self {
             isa,
             code: pages.make_exec()?,
-            constants: packets(&machine.constants, isa),
+            constants: packets(copied(&machine.constants, isa).into_iter()),
             frame_packets: machine.frame_bytes.div_ceil(size_of::<Packet>()).max(1),
             entries: machine.entries,
             uniforms: machine.uniforms,
+            has_table: machine.has_table,
         })
     }
 
@@ -108,13 +117,22 @@ impl Program {
         Frame(Memory::zeroed(self.frame_packets))
     }
 
-    /// Values of the tape's uniforms, as bits.
+    /// Values of the tape's uniforms, as bits, and its table. Those of a verified tape: its uniforms give the index of
+    /// the table's last word.
     ///
     /// # Panics
-    /// If their number is not the tape's.
-    pub(crate) fn uniforms(&self, values: &[u32]) -> Uniforms {
+    /// If their number is not the tape's, or only one of tape and program has a table.
+    pub(crate) fn uniforms(&self, values: &[u32], table: Option<Table>) -> Uniforms {
         assert_eq!(values.len(), self.uniforms, "uniforms of the tape");
-        Uniforms(packets(values, self.isa))
+        assert_eq!(table.is_some(), self.has_table, "table of the tape");
+        let mut words = copied(values, self.isa);
+        if let Some(table) = &table {
+            words.resize(self.isa.table_address_at(self.uniforms) / size_of::<u32>(), 0);
+            let address = table.as_ptr().addr() as u64;
+            table.as_ptr().expose_provenance();
+            words.extend([address as u32, (address >> 32) as u32]);
+        }
+        Uniforms { numbers: packets(words.into_iter()), table }
     }
 
     /// Evaluates an entry. Arguments and results are rows of one length, a multiple of the lanes. Once `cancel` is set,
@@ -137,7 +155,9 @@ impl Program {
         assert_eq!(arguments.len(), entry.arguments * length, "arguments of the entry");
         assert_eq!(results.len(), entry.results * length, "results of the entry");
         assert_eq!(frame.0.bytes(), self.frame_packets * size_of::<Packet>(), "frame of the program");
-        assert_eq!(uniforms.0.bytes(), self.isa.input_bytes(self.uniforms), "uniforms of the program");
+        let bytes = uniform_bytes(self.isa, self.uniforms, uniforms.table.is_some());
+        assert_eq!(uniforms.numbers.bytes(), bytes, "uniforms of the program");
+        assert_eq!(uniforms.table.is_some(), self.has_table, "table of the program");
         if length == 0 {
             return;
         }
@@ -148,7 +168,7 @@ impl Program {
         unsafe {
             function(
                 frame.0.packets().as_mut_ptr(),
-                uniforms.0.address(),
+                uniforms.numbers.address(),
                 self.constants.address(),
                 cancel.as_ptr(),
                 arguments.as_ptr(),
@@ -160,12 +180,21 @@ impl Program {
     }
 }
 
-/// Words as the code of an extension reads them. At least one packet, so that there is an address.
-fn packets(words: &[u32], isa: &Isa) -> Memory {
-    let bytes = isa.input_bytes(words.len());
+/// Bytes of a program's uniforms, with the address of its table.
+pub(super) fn uniform_bytes(isa: &Isa, uniforms: usize, has_table: bool) -> usize {
+    if has_table { isa.table_address_at(uniforms) + size_of::<u64>() } else { isa.input_bytes(uniforms) }
+}
+
+/// Words as the code of an extension expects them.
+fn copied(words: &[u32], isa: &Isa) -> Vec<u32> {
+    words.iter().flat_map(|word| std::iter::repeat_n(*word, isa.copies())).collect()
+}
+
+/// Words as code reads them. At least one packet, so that there is an address.
+fn packets(words: impl ExactSizeIterator<Item = u32>) -> Memory {
+    let bytes = words.len() * size_of::<u32>();
     let mut memory = Memory::zeroed(bytes.div_ceil(size_of::<Packet>()).max(1));
     let places = memory.packets().iter_mut().flat_map(|packet| &mut packet.0);
-    let values = words.iter().flat_map(|word| std::iter::repeat_n(*word, isa.copies()));
-    places.zip(values).for_each(|(to, from)| *to = f32::from_bits(from));
+    places.zip(words).for_each(|(to, from)| *to = f32::from_bits(from));
     memory.limited(bytes)
 }

@@ -6,7 +6,7 @@ use std::ops::{Add, Div, Mul, Neg, Sub};
 
 use proto::Rect;
 use rayon::prelude::*;
-use scene::real::{Bundle, Real};
+use scene::real::{Bundle, Real, Table};
 use scene::{Image, Integrator, Job};
 use worker::{CpuRenderer, Simd, TileRequest};
 
@@ -56,6 +56,14 @@ impl Real for Counting {
 
     fn constant(self, value: f32) -> Self {
         Self(value)
+    }
+
+    fn word(table: &Table, index: Self::Bits) -> Self::Bits {
+        f32::word(table, index)
+    }
+
+    fn known(word: Self::Bits) -> Option<u32> {
+        f32::known(word)
     }
 
     fn mul_add(self, factor: Self, term: Self) -> Self {

@@ -89,6 +89,10 @@ impl Real for Double {
         Self(f64::from(value))
     }
 
+    fn word(table: &scene::real::Table, index: Word) -> Word {
+        Word(table[index.0 as usize])
+    }
+
     fn mul_add(self, factor: Self, term: Self) -> Self {
         Self(self.0 * factor.0 + term.0)
     }

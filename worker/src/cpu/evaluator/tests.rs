@@ -3,10 +3,11 @@
 use scene::real::{MaskValue, Real};
 
 use super::*;
-use crate::random_formula::{Generator, random_formula};
+use crate::random_formula::{Generator, TABLE, index_of, random_formula};
 use crate::tape::{Expr, record};
 
 mod c_text;
+mod cells;
 
 pub(super) const ENTRY: &str = "entry";
 
@@ -50,12 +51,17 @@ pub(super) fn arguments(random: &mut Generator, length: usize) -> Vec<f32> {
 
 /// Evaluates a formula everywhere, and compares it with the reference.
 fn compare(formula: &Formula) {
+    compare_packets(formula, 20);
+}
+
+/// The same for a number of packets of each evaluator.
+fn compare_packets(formula: &Formula, packets: usize) {
     let tape = &formula.tape;
     let mut random = Generator(1);
     for (simd, evaluator) in evaluators(tape) {
-        let (inputs, mut frame) = (evaluator.inputs(tape.uniforms()), evaluator.frame());
+        let (inputs, mut frame) = (evaluator.inputs(tape), evaluator.frame());
         let (lanes, cancel) = (evaluator.lanes(), AtomicBool::new(false));
-        for _ in 0..20 {
+        for _ in 0..packets {
             let arguments = arguments(&mut random, lanes);
             let mut results = vec![0.0; lanes];
             evaluator.run(ENTRY, &mut frame, &inputs, &cancel, &arguments, &mut results);
@@ -147,6 +153,24 @@ pub(super) fn operations() -> Vec<Formula> {
         "bits": |a, b, c| {
             let mixed = ((a.to_bits() & 0x7f_ffff) + b.to_bits() * 3) ^ (c.to_bits() << 3);
             R::from_bits(((mixed >> 9) | 0x3f80_0000) & 0x3fff_ffff)
+        };
+        "word": |a, b, c| R::from_bits(R::word(&TABLE, index_of(a)));
+        "word at a word's index": |a, b, c| {
+            let word = R::word(&TABLE, R::word(&TABLE, index_of(a)) >> 17);
+            R::from_bits(word) + b
+        };
+        "word in a branch in a loop": |a, b, c| R::repeat(5, a, |x| {
+            let next = R::when(x.lt(b), x, || x * R::from_bits(R::word(&TABLE, index_of(x + c))));
+            (next.lt(c), next - 0.125)
+        });
+        "row": |a, b, c| {
+            let row = index_of(a) & 63;
+            let numbers = R::known(row).map_or([0.0; 2], |row| [0, 1].map(|place| f32::from_bits(TABLE[row as usize + place])));
+            let of_row = R::with_row(&TABLE, row, || {
+                let first = R::when(a.lt(b), c, || a * a.uniform(numbers[0]));
+                first + b.uniform(numbers[1])
+            });
+            of_row + a.uniform(0.5)
         };
         "uniform": |a, b, c| a * a.uniform(3.5) + b.uniform(0.25);
         "when": |a, b, c| R::when(a.lt(b), c, || a.sqrt() + b);

@@ -5,6 +5,7 @@ use rustix::mm::{MprotectFlags, mprotect};
 
 use super::memory::Memory;
 use super::{Frame, Packet, Program, Uniforms};
+use crate::tape::Tape;
 
 /// Edge at which memory lies next to a page that can't be touched.
 #[derive(Clone, Copy, Debug)]
@@ -86,8 +87,9 @@ impl Program {
     }
 
     /// Values of the uniforms, at an edge.
-    pub(crate) fn guarded_uniforms(&self, values: &[u32], edge: Edge) -> Uniforms {
-        Uniforms(self.uniforms(values).0.guarded(edge))
+    pub(crate) fn guarded_uniforms(&self, tape: &Tape, edge: Edge) -> Uniforms {
+        let Uniforms { numbers, table } = self.uniforms(tape.uniforms(), tape.table().cloned());
+        Uniforms { numbers: numbers.guarded(edge), table }
     }
 }
 
@@ -148,12 +150,11 @@ mod tests {
             let rows: Vec<f32> =
                 arguments.iter().flat_map(|&first| (0..lanes).map(move |lane| first + lane as f32 / 8.0)).collect();
             let mut want = vec![0.0; results * lanes];
-            let (mut frame, uniforms) = (program.frame(), program.uniforms(tape.uniforms()));
+            let (mut frame, uniforms) = (program.frame(), program.uniforms(tape.uniforms(), tape.table().cloned()));
             program.run(entry, &mut frame, &uniforms, &cancel, &rows, &mut want);
             for edge in [Edge::Start, Edge::End] {
                 let program = compile(&linear, isa).expect("it is available").guarded(edge);
-                let (mut frame, uniforms) =
-                    (program.guarded_frame(edge), program.guarded_uniforms(tape.uniforms(), edge));
+                let (mut frame, uniforms) = (program.guarded_frame(edge), program.guarded_uniforms(tape, edge));
                 let (mut rows, mut got) = (Pages::rows(&rows, edge), Pages::rows(&vec![0.0; results * lanes], edge));
                 program.run(entry, &mut frame, &uniforms, &cancel, rows.numbers(), got.numbers());
                 let bits = |numbers: &[f32]| numbers.iter().map(|number| number.to_bits()).collect::<Vec<u32>>();

@@ -1,0 +1,53 @@
+//! Cells: a scene of many shapes, cut so that a point costs only the shapes that can matter there.
+//!
+//! A scene is cut at its outermost joins into *leaves*, and the tree above them is a list of operations in the order
+//! in which they are computed (`program.rs`). Leaves whose formulas differ in numbers only are one *family*, and each
+//! leaf is a *row* of numbers (`trace.rs`). Space is divided into a tree of cells, each of which has the part of the
+//! list that can matter in it, found by interval arithmetic (`tree.rs`): **the list of a cell gives the value of the
+//! whole scene, bit for bit, at every point of the cell.** A cell without a surface also has a lower bound of the
+//! distance in it, so that a ray can leave it in one step (`walk.rs`).
+//!
+//! Leaving shapes out is exact: rounding is monotonic, so that where a shape's least value is a seam's width above
+//! another's greatest, the depth into the seam is 0 at every point, and the smooth minimum is the other's value.
+//!
+//! Matt Keeter, "Massively parallel rendering of complex closed-form implicit surfaces", ACM Transactions on Graphics
+//! 39(4), 2020, prunes formulas by intervals; Wilhem Barbier et al., "Lipschitz pruning: hierarchical simplification of
+//! primitive-based SDFs", Computer Graphics Forum 44(2), 2025, prunes lists of smooth joins.
+
+mod program;
+mod trace;
+mod tree;
+mod walk;
+
+use crate::bounds::Bounds;
+use crate::scene::Object;
+pub use program::Program;
+pub use tree::CellTree;
+pub use walk::{Located, Sampled};
+
+/// A scene's program and its cells.
+#[derive(Clone, Debug)]
+pub struct Cells<'a> {
+    program: Program<'a>,
+    tree: CellTree,
+}
+
+impl<'a> Cells<'a> {
+    /// Cuts objects and builds their cells. `step_scales` are the factors of their distances, `reach` contains every
+    /// point at which the scene will be evaluated.
+    pub fn new(objects: &[(&'a Object, Option<f32>)], reach: Bounds) -> Option<Self> {
+        let program = Program::new(objects)?;
+        let tree = CellTree::new(&program, reach);
+        Some(Self { program, tree })
+    }
+
+    /// The scene's leaves and joins.
+    pub fn program(&self) -> &Program<'a> {
+        &self.program
+    }
+
+    /// The cells.
+    pub fn tree(&self) -> &CellTree {
+        &self.tree
+    }
+}

@@ -1,0 +1,61 @@
+//! Tests that the cells of a scene, recorded, give the reference's bits, and that a scene's text does not grow with it.
+
+use scene::bounds::Bounds;
+use scene::cells::Cells;
+use scene::real::vec3;
+
+use super::*;
+
+/// The first frame of a job as cells; it lives as long as the test.
+fn cells_of(text: &[u8]) -> Option<&'static Cells<'static>> {
+    let job = Box::leak(Box::new(scene::parse(text).expect("a valid job")));
+    let still = Box::leak(Box::new(job.at(0).expect("a valid frame")));
+    let objects: Vec<_> = still.scene().objects.iter().map(|object| (object, None)).collect();
+    let cells = Cells::new(&objects, Bounds::symmetric(40.0, 40.0, 40.0))?;
+    Some(Box::leak(Box::new(cells)))
+}
+
+fn formula_of(name: &str, cells: &'static Cells<'static>) -> Formula {
+    let at = |[x, y, z]: [Expr; 3]| cells.distance(vec3(x, y, z));
+    Formula::new(name, at, |[x, y, z]| cells.program().distance(vec3(x, y, z)))
+}
+
+/// A job of one smooth union of many balls and boxes.
+fn many(count: u32) -> String {
+    let shape = |index: u32| {
+        let place = |salt: u32| (index * salt % 1009) as f32 / 252.0 - 2.0;
+        let solid = if index % 3 == 0 {
+            r#"{ "box": { "size": [0.1, 0.2, 0.1] } }"#
+        } else {
+            r#"{ "sphere": { "radius": 0.08 } }"#
+        };
+        let turned = format!(r#"{{ "rotate": {{ "degrees": [{}, 0, 20], "child": {solid} }} }}"#, index % 90);
+        format!(r#"{{ "translate": {{ "by": [{}, {}, {}], "child": {turned} }} }}"#, place(17), place(101), place(541))
+    };
+    let shapes: Vec<String> = (0..count).map(shape).collect();
+    format!(
+        r#"{{ "scene": {{ "camera": {{ "position": [0, 0, 5], "look_at": [0, 0, 0] }}, "objects": [ {{ "shape":
+           {{ "union": {{ "smooth": 0.05, "of": [{}] }} }} }} ] }}, "image": {{ "width": 8, "height": 8 }} }}"#,
+        shapes.join(",")
+    )
+}
+
+#[test]
+fn cells_of_every_shipped_scene_give_the_reference_bits() {
+    let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/../scenes");
+    for entry in std::fs::read_dir(folder).expect("the scenes are there") {
+        let path = entry.expect("a folder can be read").path();
+        if path.extension().is_some_and(|extension| extension == "json")
+            && let Some(cells) = cells_of(&std::fs::read(&path).expect("a job file"))
+        {
+            compare_packets(&formula_of(&path.display().to_string(), cells), 2);
+        }
+    }
+}
+
+#[test]
+fn the_text_of_many_shapes_is_that_of_few() {
+    let [few, many] = [100, 3_000].map(|count| formula_of("shapes", cells_of(many(count).as_bytes()).expect("cells")));
+    assert!(few.tape.has_same_code(&many.tape), "the tape of 3,000 shapes differs from that of 100");
+    compare_packets(&many, 4);
+}
