@@ -22,8 +22,11 @@ mod walk;
 use crate::bounds::Bounds;
 use crate::scene::Object;
 pub use program::Program;
-pub use tree::CellTree;
-pub use walk::{Located, Sampled};
+pub use tree::{CellBuilder, CellTree, LeafDistances, ScalarBuilder};
+pub use walk::Located;
+
+/// Minimum number of leaves for which cells are worth their cost.
+const MIN_LEAVES: usize = 8;
 
 /// A scene's program and its cells.
 #[derive(Clone, Debug)]
@@ -33,11 +36,15 @@ pub struct Cells<'a> {
 }
 
 impl<'a> Cells<'a> {
-    /// Cuts objects and builds their cells. `step_scales` are the factors of their distances, `reach` contains every
-    /// point at which the scene will be evaluated.
-    pub fn new(objects: &[(&'a Object, Option<f32>)], reach: Bounds) -> Option<Self> {
+    /// Cuts objects, each with its index and the factor of its distance, and builds their cells. `reach` contains the
+    /// points at which the scene will be evaluated; points outside are slow. `None` if the scene has few leaves, or too
+    /// many families.
+    pub fn new(objects: &[(usize, &'a Object, Option<f32>)], reach: Bounds, how: &dyn CellBuilder) -> Option<Self> {
         let program = Program::new(objects)?;
-        let tree = CellTree::new(&program, reach);
+        if program.leaf_count() < MIN_LEAVES {
+            return None;
+        }
+        let tree = CellTree::new(&program, reach, how);
         Some(Self { program, tree })
     }
 

@@ -12,6 +12,7 @@ use crate::animation::JobAtFrame;
 use crate::backgrounds::Backdrop;
 use crate::bounds::Bounds;
 use crate::camera::{Ray, View};
+use crate::cells::{CellBuilder, Cells, ScalarBuilder};
 use crate::limits::MAX_SAMPLES;
 use crate::march::{Approach, MarchRange, MarchResult, RELAXATION, Tolerance, find_root, march_to_root};
 use crate::materials::{Material, Shade, ShadingPoint};
@@ -56,6 +57,8 @@ pub struct Integrator<'a> {
     seen: Tolerance,
     /// Indices of the surfaces with fine detail, whose normals are averaged over a pixel.
     fine: Vec<usize>,
+    /// The surfaces' cells, if there are so many shapes that a point should not cost all of them.
+    cells: Option<Cells<'a>>,
 }
 
 /// From this number of nodes on, separate formulas for the distance and for the nearest object would be too much code.
@@ -120,6 +123,11 @@ impl<R: Real> ShadingPoint<R> {
 impl<'a> Integrator<'a> {
     /// Prepares the integrator for one frame.
     pub fn new(still: &'a JobAtFrame<'_>) -> Self {
+        Self::with_builder(still, &ScalarBuilder)
+    }
+
+    /// Prepares the integrator for one frame, with cells that are built in this way; they are the same in each.
+    pub fn with_builder(still: &'a JobAtFrame<'_>, how: &dyn CellBuilder) -> Self {
         let (scene, image, moves) = (still.scene(), still.image(), still.is_animated());
         let view = scene.camera.view(image.width, image.height);
         let clothes = MaterialTable::new(scene);
@@ -131,12 +139,21 @@ impl<'a> Integrator<'a> {
             scene.objects.iter().map(|object| object.shape.culling_bounds(moves)).collect();
         let shapes = surfaces.iter().map(|&index| scene.objects[index].shape.bounds(0.0));
         let bounds = shapes.reduce(Bounds::union).unwrap_or(Bounds::EMPTY);
+        let step_scales: Vec<Option<f32>> =
+            scene.objects.iter().map(|object| shrink(object.shape.stretch(), moves)).collect();
+        let bounds = bounds.with_margin(view.origin());
+        let cells = clothes.is_plain().then(|| {
+            let objects: Vec<_> =
+                surfaces.iter().map(|&index| (index, &scene.objects[index], step_scales[index])).collect();
+            Cells::new(&objects, reach(bounds, view.origin(), scene.march.max_distance.get()), how)
+        });
         Self {
             scene,
+            cells: cells.flatten(),
             cull_bounds: if boxes.iter().all(Option::is_none) { Vec::new() } else { boxes },
             shares_nearest: scene.nodes() >= SHARED_DISTANCE_NODES,
-            bounds: bounds.with_margin(view.origin()),
-            step_scales: scene.objects.iter().map(|object| shrink(object.shape.stretch(), moves)).collect(),
+            bounds,
+            step_scales,
             media: Media::new(scene, view.origin()),
             sends_on,
             lets_through,
@@ -264,7 +281,8 @@ impl<'a> Integrator<'a> {
             let (times, relaxation) = if depth { (16, 1.0) } else { (1, RELAXATION) };
             let max_steps = self.scene.march.max_steps * times;
             let reach = MarchRange { t_min: nearest, t_max: farthest, max_steps, relaxation };
-            let marched = march_to_root(ray, reach, approach, |p| self.distance(p), |p| self.is_fine(p));
+            let sample = |t| self.sample(ray, t);
+            let marched = march_to_root(ray, reach, approach, sample, |p| self.distance(p), |p| self.is_fine(p));
             // Out of steps: a hit if the surface is within the pixel's footprint.
             let seen = self.view.footprint().at(marched.t);
             let touches = !marched.hit.0 & marched.distance.lt(seen) & marched.t.lt(farthest);
@@ -353,6 +371,12 @@ impl<'a> Integrator<'a> {
         let largest = gradient.map(Real::abs).max_element().at_least(1e-20);
         (gradient * (size.constant(1.0) / largest)).normalize()
     }
+}
+
+/// Box of the points of most rays: of all that start in finite bounds.
+fn reach(bounds: Bounds, origin: Vec3<f32>, farthest: f32) -> Bounds {
+    let around = Bounds { min: origin, max: origin }.expanded(2.0 * farthest);
+    bounds.intersection(around)
 }
 
 /// Factor of an object's distance, `None` if it is 1 in all frames.

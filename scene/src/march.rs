@@ -49,6 +49,24 @@ pub struct MarchResult<R: Real> {
 
 bundle!(MarchResult { t, near, distance, steps, evaluations, hit });
 
+/// What a march learns about a point of a ray.
+#[derive(Clone, Copy, Debug)]
+pub struct FieldSample<R: Real> {
+    /// The field's value, or a lower bound of the distance to the surface.
+    pub distance: R,
+    /// Length of the ray after the point that is known to be free of surfaces.
+    pub ahead: R,
+    /// Whether no surface is near enough for a hit; `None` if that follows from the distance.
+    pub is_empty: Option<R::Mask>,
+}
+
+impl<R: Real> FieldSample<R> {
+    /// The field's value.
+    pub fn new(distance: R) -> Self {
+        Self { distance, ahead: distance, is_empty: None }
+    }
+}
+
 /// Tolerances of a march, and the sides of the surface on which it runs.
 #[derive(Clone, Copy, Debug)]
 pub struct Approach<R> {
@@ -96,11 +114,13 @@ const NO_OVERSTEP: f32 = -1e30;
 /// surface: the resulting distance is that of a root of the field.
 ///
 /// A ray that only passes near a surface continues. The tolerance decides where the search for the root begins.
+/// `sample` is the field along the ray, at a distance from its start; it may leave parts without a surface in one step.
 /// `is_fine` returns whether a point's surface has fine detail at every scale; `None` if no surface does.
 pub fn march_to_root<R: Real>(
     ray: &Ray<R>,
     reach: MarchRange<R>,
     approach: Approach<R>,
+    sample: impl Fn(R) -> FieldSample<R>,
     field: impl Fn(Vec3<R>) -> R,
     is_fine: impl Fn(Vec3<R>) -> Option<R::Mask>,
 ) -> MarchResult<R> {
@@ -116,12 +136,16 @@ pub fn march_to_root<R: Real>(
     R::repeat(reach.max_steps, start, |so_far| {
         let reach = MarchRange { t_min: so_far.t, ..reach };
         let near = march(
-            ray,
             reach,
             |t| approach.tolerance(t),
-            |p| {
-                let value = field(p);
-                if approach.both_sides { value.abs() } else { value }
+            |t| {
+                let value = sample(t);
+                if !approach.both_sides {
+                    return value;
+                }
+                let distance = value.distance.abs();
+                let ahead = value.is_empty.map_or(distance, |empty| R::select(empty, value.ahead, distance));
+                FieldSample { distance, ahead, ..value }
             },
         );
         let near = MarchResult {
@@ -262,28 +286,29 @@ impl<R: Real> Search<R> {
     }
 }
 
-/// Marches along `ray` through `field`, which never exceeds the distance to its surface. `tolerance` is the tolerance
-/// at a distance along the ray.
+/// Marches along a ray through `field`, a function of the distance along the ray, which never exceeds the distance to
+/// its surface. `tolerance` is the tolerance there.
 ///
 /// Steps are longer than the radius of the sphere around their start. If the sphere around a step's end does not
 /// overlap the one around its start, the step is taken back to the first sphere: Benjamin Keinert et al., "Enhanced
 /// sphere tracing", Smart Tools and Apps for Graphics, 2014.
 pub fn march<R: Real>(
-    ray: &Ray<R>,
     reach: MarchRange<R>,
     tolerance: impl Fn(R) -> R,
-    field: impl Fn(Vec3<R>) -> R,
+    field: impl Fn(R) -> FieldSample<R>,
 ) -> MarchResult<R> {
     let zero = reach.t_max.constant(0.0);
     let not_past = zero.constant(NO_OVERSTEP);
     let start = (reach.t_min, not_past, zero, zero, MaskValue(zero.below(0.0)));
     let (distance, _, gap, steps, hit) = R::repeat(reach.max_steps, start, |(t, past, _, steps, _)| {
-        let gap = field(ray.at(t));
+        let FieldSample { distance: gap, ahead, is_empty } = field(t);
         let is_torn = gap.lt(past);
         let hit = gap.lt(tolerance(t)) & !is_torn;
-        let (end, further) = (t + gap, gap * (reach.relaxation - 1.0));
+        let (end, further) = (t + ahead, gap * (reach.relaxation - 1.0));
         // The last step must cover the rest of the ray.
         let goes_past = (end + further).lt(reach.t_max) & !is_torn;
+        // Beyond a part without surfaces, nothing is known.
+        let (hit, goes_past) = is_empty.map_or((hit, goes_past), |empty| (hit & !empty, goes_past & !empty));
         let ahead = R::select(goes_past, end + further, R::select(is_torn, t - past, end));
         let next = R::select(hit, t, ahead);
         let past = R::select(goes_past, further, not_past);

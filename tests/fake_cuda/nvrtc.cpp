@@ -22,7 +22,7 @@ struct Program {
 };
 
 // Symbols for the stand-in driver: each kernel as a function that runs all its threads, one after
-// another, and the address of the uniforms.
+// another, and the addresses of the uniforms and of the table's address.
 static const char* const DOORS = R"(
 #include <stddef.h>
 #include <utility>
@@ -52,6 +52,8 @@ void run_layers(void** arguments, const unsigned* grid, const unsigned* block) {
 #endif
 void* place_of_uniforms = uniforms;
 size_t size_of_uniforms = sizeof uniforms;
+void* place_of_table = &table;
+size_t size_of_table = sizeof table;
 }
 )";
 

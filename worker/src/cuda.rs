@@ -19,11 +19,13 @@ use std::time::{Duration, Instant};
 use proto::Rect;
 use rayon::prelude::*;
 use scene::Image;
+use scene::real::Table;
 
+use crate::recent::{self, Recent};
 use crate::renderer::{CancelFlag, RenderError, Renderer, TilePixels, TileRequest};
 use crate::{CpuRenderer, Simd};
 use cache::{Cache, CachedKernel};
-use device::{Buffer, Device, LoadedModule, PendingLaunch};
+use device::{Buffer, Device, LoadedModule, PendingLaunch, UploadedTable};
 use launches::{CostModel, Launches};
 
 pub use cache::default_cache_folder;
@@ -63,6 +65,7 @@ pub struct CudaRenderer {
     /// Block dimensions for all kernels; `None` means the fastest for each.
     shape: Option<BlockDim>,
     programs: Mutex<HashMap<blake3::Hash, Arc<Kernel>>>,
+    sources: Recent<blake3::Hash, KernelSource>,
     /// Locked while a frame's launches are created, because they share the kernels' constants.
     launching: Mutex<()>,
     buffers: Mutex<Vec<Buffer>>,
@@ -86,8 +89,9 @@ struct Kernel {
 #[derive(Debug, Default)]
 struct KernelState {
     cost: CostModel,
-    /// Current uniforms of the kernel.
-    floats: Option<Vec<u32>>,
+    /// Current uniforms of the kernel, and its table.
+    numbers: Option<(Vec<u32>, Option<Table>)>,
+    uploaded: Option<UploadedTable>,
 }
 
 /// Tiles whose pixels are being copied to the host.
@@ -125,6 +129,7 @@ impl CudaRenderer {
             cache: Cache::new(cache),
             shape,
             programs: Mutex::default(),
+            sources: Mutex::default(),
             launching: Mutex::default(),
             buffers: Mutex::default(),
             lost_reason: Mutex::default(),
@@ -227,6 +232,19 @@ impl CudaRenderer {
         Ok((program, was_kept))
     }
 
+    /// Kernel source of a frame, with its cells; that of the last frames is kept.
+    fn source(&self, run: &TileRequest<'_>) -> Result<Arc<KernelSource>, CudaError> {
+        /// Frames whose tiles may arrive in turns.
+        const MAX_SOURCES: usize = 4;
+        let still = run.job.at(run.frame)?;
+        let key = still.pixels_cache_key();
+        if let Some(known) = recent::find(&self.sources, |other| *other == key) {
+            return Ok(known);
+        }
+        let source = Arc::new(KernelSource::new(&still)?);
+        Ok(recent::insert(&self.sources, key, source, MAX_SOURCES))
+    }
+
     /// Renders tiles, as many at a time as the buffers hold; one group is copied while the next renders.
     fn render_groups(
         &self,
@@ -240,7 +258,7 @@ impl CudaRenderer {
         if nodes > MAX_NODES {
             return Err(CudaError::TooLarge { nodes, most: MAX_NODES });
         }
-        let source = KernelSource::new(&first.job.at(first.frame)?)?;
+        let source = self.source(first)?;
         let planes = first.job.image.channels().len();
         let numbers = |run: &TileRequest<'_>| run.rect.pixels() as usize * planes;
         let mut underway: Option<InFlight> = None;
@@ -286,10 +304,14 @@ impl CudaRenderer {
         let (program, _) = self.program(source, &runs[runs.len() / 2], cancel)?;
         let mut buffer = self.take_buffer(numbers)?;
         let mut known = lock(&program.known);
-        if known.floats.as_ref() != Some(&source.parameters) {
-            known.floats = None;
+        let given = (source.parameters.clone(), source.table.clone());
+        if known.numbers.as_ref() != Some(&given) {
+            known.numbers = None;
             self.device.set_uniforms(&program.loaded, &source.parameters)?;
-            known.floats = Some(source.parameters.clone());
+            // The launches before read the table that is replaced: its memory is freed after them.
+            known.uploaded =
+                source.table.as_ref().map(|table| self.device.set_table(&program.loaded, table)).transpose()?;
+            known.numbers = Some(given);
         }
         let layout = launches::lay_out(&rects, planes, program.shape).ordered(&known.cost, image.samples);
         let laid_out = self.device.lay_out(&layout)?;

@@ -8,6 +8,7 @@ pub mod bench;
 pub mod blob;
 #[cfg(test)]
 mod c_program;
+mod cells;
 pub mod cpu;
 pub mod cuda;
 pub mod frame;
@@ -16,6 +17,7 @@ mod picture_tape;
 mod portable;
 #[cfg(test)]
 mod random_formula;
+mod recent;
 pub mod renderer;
 pub mod simd;
 #[cfg(test)]

@@ -283,6 +283,11 @@ impl Tape {
             && table.is_some() == other.table.is_some()
     }
 
+    /// The same code, with an empty table.
+    pub(crate) fn without_table(&self) -> Self {
+        Self { table: self.table.as_ref().map(|_| Table::default()), ..self.clone() }
+    }
+
     fn definition(&self, id: ValueId) -> Instruction {
         self.instructions[id.0 as usize]
     }

@@ -4,13 +4,15 @@ use std::collections::HashMap;
 
 use super::trace::{Symbol, Trace, trace};
 use crate::bounds::Bounds;
-use crate::nodes::{Distance, FoldStep, Node, smooth_min};
-use crate::real::{Interval, Real, Vec3, vec3};
+use crate::nodes::{Distance, Exactness, FoldStep, Node, smooth_min};
+use crate::real::{Interval, Real, Table, Vec3, vec3};
 use crate::scene::Object;
 use crate::values::LengthOrZero;
 
 /// Maximum number of families: each is a function of the compiled text.
 const MAX_FAMILIES: usize = 48;
+/// Words of a scene's table before its rows.
+pub(super) const FIRST_WORDS: usize = 2;
 /// Maximum number of values that wait for a join.
 pub(super) const MAX_STACK: usize = 8;
 
@@ -25,6 +27,11 @@ pub struct Program<'a> {
     join_families: Vec<usize>,
     operations: Vec<Operation>,
     depth: usize,
+    /// First word of each leaf's row.
+    leaf_rows: Vec<u32>,
+    join_rows: Vec<u32>,
+    /// The rows, after the first words of a scene's table.
+    rows: Table,
 }
 
 /// A shape below the outermost joins.
@@ -34,6 +41,10 @@ pub(super) struct Leaf<'a> {
     above: Vec<&'a Node>,
     shape: &'a Node,
     bounds: Bounds,
+    /// Its Lipschitz factor, if one holds everywhere.
+    lipschitz: Option<f32>,
+    /// Index of its object.
+    pub(super) object: usize,
     /// Index of its family.
     pub(super) family: usize,
     /// Its numbers.
@@ -69,9 +80,10 @@ pub(super) struct Operation {
 
 impl<'a> Program<'a> {
     /// Cuts objects at their outermost joins. `None` if the scene has too many families, or joins nested too deeply.
-    pub fn new(objects: &[(&'a Object, Option<f32>)]) -> Option<Self> {
+    pub fn new(objects: &[(usize, &'a Object, Option<f32>)]) -> Option<Self> {
         let mut cutter = Cutter::default();
-        for (index, &(object, scale)) in objects.iter().enumerate() {
+        for (index, &(number, object, scale)) in objects.iter().enumerate() {
+            cutter.object = number;
             let join = (index > 0).then_some(JoinKind::Objects);
             match scale {
                 Some(scale) => {
@@ -88,7 +100,19 @@ impl<'a> Program<'a> {
         let is_small = cutter.family_leaves.len() <= MAX_FAMILIES && depth <= MAX_STACK;
         // So that scenes of many and of more shapes have one text.
         let depth = if depth > 2 { MAX_STACK } else { depth };
+        let mut words = vec![0; FIRST_WORDS];
+        let mut row = |object: usize, numbers: &[u32]| {
+            words.push((object as f32).to_bits());
+            let start = words.len() as u32;
+            words.extend(numbers);
+            start
+        };
+        let leaf_rows = cutter.leaves.iter().map(|leaf| row(leaf.object, &leaf.numbers)).collect();
+        let join_rows = cutter.joins.iter().map(|join| row(0, &join.numbers)).collect();
         (is_small && !cutter.operations.is_empty()).then_some(Self {
+            leaf_rows,
+            join_rows,
+            rows: words.into(),
             leaves: cutter.leaves,
             families: cutter.family_leaves,
             joins: cutter.joins,
@@ -108,12 +132,36 @@ impl<'a> Program<'a> {
         self.families.len()
     }
 
-    pub(super) fn leaves(&self) -> &[Leaf<'a>] {
-        &self.leaves
+    /// The rows of all leaves and joins, where they are in the scene's table.
+    pub fn rows(&self) -> &Table {
+        &self.rows
     }
 
-    pub(super) fn families(&self) -> &[usize] {
-        &self.families
+    /// Family of a leaf, and the first word of its row.
+    pub fn family_and_row(&self, leaf: u32) -> (usize, u32) {
+        (self.leaves[leaf as usize].family, self.leaf_rows[leaf as usize])
+    }
+
+    /// Family of a join, and the first word of its row.
+    pub(super) fn join_family_and_row(&self, join: u32) -> (usize, u32) {
+        (self.joins[join as usize].family, self.join_rows[join as usize])
+    }
+
+    /// Distance of the leaf of a family whose numbers are in a row of `table`.
+    pub fn family_distance<R: Real>(&self, table: &Table, family: usize, row: R::Bits, p: Vec3<R>) -> R {
+        let of_row = |row: u32| self.leaf_rows.binary_search(&row).expect("a row begins there");
+        let leaf = R::known(row).map_or(self.families[family], of_row);
+        R::with_row(table, row, || self.leaves[leaf].distance(p))
+    }
+
+    /// The join of a family whose numbers are in a row.
+    pub(super) fn family_join<R: Real>(&self, family: usize, row: R::Bits) -> JoinKind<'a> {
+        let of_row = |row: u32| self.join_rows.binary_search(&row).expect("a row begins there");
+        self.joins[R::known(row).map_or(self.join_families[family], of_row)].kind
+    }
+
+    pub(super) fn leaves(&self) -> &[Leaf<'a>] {
+        &self.leaves
     }
 
     pub(super) fn joins(&self) -> &[Join<'a>] {
@@ -159,22 +207,23 @@ impl Leaf<'_> {
         self.shape.distance(p)
     }
 
-    /// An interval that contains every distance in a box.
-    pub(super) fn interval(&self, region: Bounds) -> Interval {
-        let p = vec3(
-            Interval::new(region.min.x, region.max.x),
-            Interval::new(region.min.y, region.max.y),
-            Interval::new(region.min.z, region.max.z),
-        );
-        let value = self.distance(p);
-        // Interval arithmetic can't see into every formula, but outside of the bounds of a level, distances are above
-        // that level.
-        let gap = self.bounds.gap(region);
-        let levels = [0.9, 0.5, 0.1].map(|part| gap * part);
-        let is_above =
-            |level: &f32| *level > value.low && self.bounds_of(*level).with_margin(region.min).gap(region) > 0.0;
-        let low = if value.low < gap { levels.into_iter().find(is_above) } else { None };
-        Interval { low: low.unwrap_or(value.low), ..value }
+    /// An interval that contains every distance in a box, given that at its center.
+    pub(super) fn interval(&self, region: Bounds, at_center: f32) -> Interval {
+        /// Rounding errors of distances and coordinates, as a part of their size.
+        const ROUNDING: f32 = 1.0 / 65_536.0;
+        let size =
+            [region.min, region.max].map(|corner| corner.map(f32::abs).max_element()).into_iter().fold(0.0, f32::max);
+        let Some(lipschitz) = self.lipschitz else {
+            // Nothing bounds its change, but outside of the bounds of a level, values are above that level.
+            let gap = self.bounds.gap(region);
+            let levels = [0.9, 0.5, 0.1].map(|part| gap * part);
+            let is_above =
+                |level: &f32| *level > 0.0 && self.bounds_of(*level).with_margin(region.min).gap(region) > 0.0;
+            let low = levels.into_iter().find(is_above).unwrap_or(f32::NEG_INFINITY);
+            return Interval::new(low, f32::INFINITY);
+        };
+        let change = lipschitz * 0.5 * region.diagonal() + ROUNDING * (size + at_center.abs());
+        Interval::new(at_center - change, at_center + change)
     }
 
     /// Box that contains every point of its shape.
@@ -253,6 +302,8 @@ fn depth(operations: &[Operation], joins: &[Join<'_>]) -> usize {
 
 #[derive(Default)]
 struct Cutter<'a> {
+    /// Index of the object that is cut.
+    object: usize,
     above: Vec<&'a Node>,
     leaves: Vec<Leaf<'a>>,
     joins: Vec<Join<'a>>,
@@ -290,7 +341,8 @@ impl<'a> Cutter<'a> {
 
     fn leaf(&mut self, shape: &'a Node, join: Option<JoinKind<'a>>) {
         let (above, bounds) = (self.above.clone(), Bounds::INFINITE);
-        let mut leaf = Leaf { above, shape, bounds, family: 0, numbers: Vec::new() };
+        let lipschitz = (shape.exactness() != Exactness::Estimate).then(|| shape.stretch());
+        let mut leaf = Leaf { above, shape, bounds, lipschitz, object: self.object, family: 0, numbers: Vec::new() };
         leaf.bounds = leaf.bounds_of(0.0);
         let Trace { text, numbers, .. } = trace(|[x, y, z]: [Symbol; 3]| {
             leaf.distance(vec3(x, y, z));

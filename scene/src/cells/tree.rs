@@ -3,6 +3,7 @@
 //! A cell is a cube. It is divided into 4 × 4 × 4 as long as its list is long and it may contain a surface.
 
 use std::collections::HashMap;
+use std::sync::OnceLock;
 
 use super::program::{Join, Operation, Program};
 use crate::bounds::Bounds;
@@ -38,52 +39,118 @@ pub(super) const OUTSIDE: u32 = 1;
 /// The first two words are those of the outermost cell and of all points outside. A cell's word is the index of its
 /// block, with a flag, or of its record. A block is the words of 64 cells, x fastest. A record is a lower bound of the
 /// distance in the cell, 0 if there may be a surface, and the index of its list. A list is two words for each operation:
-/// family and row of its leaf, then of its join.
+/// family and row of its leaf, then of its join. Before a leaf's row is the index of its object.
 #[derive(Clone, Debug)]
 pub struct CellTree {
+    frame: CellFrame,
+    pub(super) words: Table,
+}
+
+/// Where the cells are.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct CellFrame {
     /// Center of the outermost cell.
     pub(super) center: Vec3<f32>,
     /// Edge of the smallest cells, a power of two.
     pub(super) unit: f32,
     /// Depth of the tree.
     pub(super) levels: u32,
-    pub(super) words: Table,
-    /// First word of each leaf's row, in the order of leaves.
-    leaf_rows: Vec<u32>,
-    join_rows: Vec<u32>,
+}
+
+/// What builds cells: the scalar reference here, or machine code on several threads.
+pub trait CellBuilder {
+    /// A function that appends the distances of leaves at points: of the first leaf at all points, then of the second.
+    fn evaluator<'a>(&self, program: &'a Program<'_>) -> Box<dyn LeafDistances + 'a>;
+
+    /// Does independent tasks, by their index.
+    fn for_each(&self, count: usize, task: &(dyn Fn(usize) + Sync));
+}
+
+/// Distances of leaves.
+pub trait LeafDistances: Sync {
+    /// Appends the distances of leaves at points: of the first leaf at all points, then of the second.
+    fn append(&self, leaves: &[u32], points: &[Vec3<f32>], distances: &mut Vec<f32>);
+}
+
+/// Builds cells by the scalar reference.
+#[derive(Clone, Copy, Debug)]
+pub struct ScalarBuilder;
+
+impl CellBuilder for ScalarBuilder {
+    fn evaluator<'a>(&self, program: &'a Program<'_>) -> Box<dyn LeafDistances + 'a> {
+        Box::new(program)
+    }
+
+    fn for_each(&self, count: usize, task: &(dyn Fn(usize) + Sync)) {
+        (0..count).for_each(task);
+    }
+}
+
+impl LeafDistances for &Program<'_> {
+    fn append(&self, leaves: &[u32], points: &[Vec3<f32>], distances: &mut Vec<f32>) {
+        for &leaf in leaves {
+            distances.extend(points.iter().map(|p| self.leaves()[leaf as usize].distance(*p)));
+        }
+    }
 }
 
 /// A cell while the tree is built.
+#[derive(Clone, Copy)]
 struct Cell {
     /// Coordinates in units.
     at: [u32; 3],
     level: u32,
 }
 
+/// A part of the tree. Indices of blocks, records and lists count from its own.
+#[derive(Default)]
+struct Part {
+    blocks: Vec<u32>,
+    records: Vec<(f32, u32)>,
+    lists: Vec<u32>,
+    /// Lists that exist already.
+    known: HashMap<Vec<Operation>, u32>,
+}
+
 struct Builder<'a, 'b> {
     program: &'b Program<'a>,
-    tree: CellTree,
-    words: Vec<u32>,
-    /// Lists that exist already.
-    lists: HashMap<Vec<Operation>, u32>,
+    frame: CellFrame,
+    distances: Box<dyn LeafDistances + 'b>,
     short_list: usize,
 }
 
 impl CellTree {
     /// Builds the cells of a program. `reach` contains every point at which it will be evaluated.
-    pub(super) fn new(program: &Program<'_>, reach: Bounds) -> Self {
-        let (center, unit, levels) = extent(program, reach);
-        let (leaf_rows, join_rows) = (Vec::new(), Vec::new());
-        let tree = Self { center, unit, levels, words: Table::default(), leaf_rows, join_rows };
+    pub(super) fn new(program: &Program<'_>, reach: Bounds, how: &dyn CellBuilder) -> Self {
+        let frame = CellFrame::new(program, reach);
         let short_list = if program.leaf_count() > MANY_LEAVES { SHORT_LIST_OF_MANY } else { SHORT_LIST };
-        let mut builder = Builder { program, tree, words: vec![0; 2], lists: HashMap::new(), short_list };
-        builder.rows();
-        let outside = builder.record(0.0, program.operations());
-        builder.words[OUTSIDE as usize] = outside;
-        let root = builder.cell(&Cell { at: [0; 3], level: 0 }, program.operations());
-        builder.words[ROOT] = root;
-        builder.tree.words = builder.words.into();
-        builder.tree
+        let builder = Builder { program, frame, distances: how.evaluator(program), short_list };
+        let all = program.operations();
+        // The cells of the outermost block, and their list there.
+        let root = Cell { at: [0; 3], level: 0 };
+        let children = builder.children(&root, all);
+        let parts: Vec<OnceLock<(Part, u32)>> = children.iter().map(|_| OnceLock::new()).collect();
+        how.for_each(parts.len(), &|index| {
+            let (cell, list, value) = &children[index];
+            let mut part = Part::default();
+            let word = builder.cell(&mut part, cell, list, *value);
+            let is_new = parts[index].set((part, word)).is_ok();
+            debug_assert!(is_new, "each part is built once");
+        });
+        let mut words = program.rows().to_vec();
+        let mut outside = Part::default();
+        let whole = outside.record(program, 0.0, all);
+        words[OUTSIDE as usize] = outside.append_to(&mut words, whole);
+        let block: Vec<u32> = parts
+            .into_iter()
+            .map(|part| {
+                let (part, word) = part.into_inner().expect("every part was built");
+                part.append_to(&mut words, word)
+            })
+            .collect();
+        words[ROOT] = words.len() as u32 | IS_BLOCK;
+        words.extend(block);
+        Self { frame, words: words.into() }
     }
 
     /// The table.
@@ -91,16 +158,54 @@ impl CellTree {
         &self.words
     }
 
-    /// The leaf whose row begins at a word.
-    pub(super) fn leaf_of_row(&self, row: u32) -> usize {
-        self.leaf_rows.binary_search(&row).expect("a row begins there")
+    pub(super) fn frame(&self) -> &CellFrame {
+        &self.frame
+    }
+}
+
+impl Part {
+    fn record(&mut self, program: &Program<'_>, bound: f32, list: &[Operation]) -> u32 {
+        let list = self.list(program, list);
+        self.records.push((bound, list));
+        self.records.len() as u32 - 1
     }
 
-    /// The join whose row begins at a word.
-    pub(super) fn join_of_row(&self, row: u32) -> usize {
-        self.join_rows.binary_search(&row).expect("a row begins there")
+    fn list(&mut self, program: &Program<'_>, list: &[Operation]) -> u32 {
+        if let Some(known) = self.known.get(list) {
+            return *known;
+        }
+        let start = self.lists.len() as u32;
+        for operation in list {
+            let word = |(family, row): (usize, u32)| (family as u32) << ROW_BITS | row;
+            let leaf = operation.leaf.map_or(NO_LEAF << ROW_BITS, |leaf| word(program.family_and_row(leaf)));
+            let join = operation.join.map_or(0, |join| {
+                let (family, row) = program.join_family_and_row(join);
+                word((family + 1, row))
+            });
+            self.lists.extend([leaf, join]);
+        }
+        let last = self.lists.len() - 2;
+        self.lists[last] |= IS_LAST;
+        self.known.insert(list.to_vec(), start);
+        start
     }
 
+    /// Appends the part to a table; returns a word of the part, as it is there.
+    fn append_to(self, words: &mut Vec<u32>, word: u32) -> u32 {
+        let lists = words.len() as u32;
+        words.extend(&self.lists);
+        let records = words.len() as u32;
+        words.extend(self.records.iter().flat_map(|(bound, list)| [bound.to_bits(), list + lists]));
+        let blocks = words.len() as u32;
+        let there = |word: u32| {
+            if word & IS_BLOCK == 0 { records + 2 * word } else { ((word & !IS_BLOCK) + blocks) | IS_BLOCK }
+        };
+        words.extend(self.blocks.iter().map(|word| there(*word)));
+        there(word)
+    }
+}
+
+impl CellFrame {
     /// The box of all points whose cell this is, and of some more, because of rounding.
     fn bounds(&self, cell: &Cell) -> Bounds {
         let half = 0.5 * (BLOCK_EDGE.pow(self.levels) as f32);
@@ -115,105 +220,75 @@ impl CellTree {
         let (x, y, z) = (side(x, self.center.x), side(y, self.center.y), side(z, self.center.z));
         Bounds { min: vec3(x.0, y.0, z.0), max: vec3(x.1, y.1, z.1) }
     }
-}
 
-/// Center, smallest edge and depth of a tree that contains `reach`, and whose inner part contains all finite shapes
-/// with cells that are small enough.
-fn extent(program: &Program<'_>, reach: Bounds) -> (Vec3<f32>, f32, u32) {
-    let finite = program.leaves().iter().map(super::program::Leaf::bounds).filter(|bounds| bounds.is_finite());
-    let inner =
-        finite.reduce(Bounds::union).unwrap_or(Bounds { min: vec3(-1.0, -1.0, -1.0), max: vec3(1.0, 1.0, 1.0) });
-    let center = (inner.min + inner.max) * 0.5;
-    let size = (inner.max - inner.min).max_element().clamp(1e-4, 1e6);
-    // A power of two, so that coordinates in units are exact.
-    let mut edge = 2.0_f32.powi(-20);
-    while edge < size {
-        edge *= 2.0;
+    /// Place of a tree that contains `reach`, and whose inner part contains all finite shapes
+    /// with cells that are small enough.
+    fn new(program: &Program<'_>, reach: Bounds) -> Self {
+        let finite = program.leaves().iter().map(super::program::Leaf::bounds).filter(|bounds| bounds.is_finite());
+        let inner =
+            finite.reduce(Bounds::union).unwrap_or(Bounds { min: vec3(-1.0, -1.0, -1.0), max: vec3(1.0, 1.0, 1.0) });
+        let center = (inner.min + inner.max) * 0.5;
+        let size = (inner.max - inner.min).max_element().clamp(1e-4, 1e6);
+        // Powers of two from 2⁻²⁰, so that coordinates in units are exact.
+        let mut edge = f32::from_bits(0x3580_0000);
+        while edge < size {
+            edge *= 2.0;
+        }
+        let inner_levels: u32 = match program.leaf_count() {
+            0..=64 => 3,
+            65..=2_000 => 4,
+            _ => 5,
+        };
+        let unit = edge / BLOCK_EDGE.pow(inner_levels) as f32;
+        let far = |low: f32, high: f32, center: f32| (center - low).max(high - center);
+        let distance = far(reach.min.x, reach.max.x, center.x).max(far(reach.min.y, reach.max.y, center.y)).max(far(
+            reach.min.z,
+            reach.max.z,
+            center.z,
+        ));
+        let mut levels = inner_levels;
+        let mut half = 0.5 * edge;
+        while half < distance && levels < MAX_LEVELS {
+            half *= BLOCK_EDGE as f32;
+            levels += 1;
+        }
+        Self { center, unit, levels }
     }
-    let inner_levels: u32 = match program.leaf_count() {
-        0..=64 => 3,
-        65..=2_000 => 4,
-        _ => 5,
-    };
-    let unit = edge / BLOCK_EDGE.pow(inner_levels) as f32;
-    let far = |low: f32, high: f32, center: f32| (center - low).max(high - center);
-    let distance = far(reach.min.x, reach.max.x, center.x).max(far(reach.min.y, reach.max.y, center.y)).max(far(
-        reach.min.z,
-        reach.max.z,
-        center.z,
-    ));
-    let mut levels = inner_levels;
-    let mut half = 0.5 * edge;
-    while half < distance && levels < MAX_LEVELS {
-        half *= BLOCK_EDGE as f32;
-        levels += 1;
-    }
-    (center, unit, levels)
 }
 
 impl Builder<'_, '_> {
-    fn rows(&mut self) {
-        let words = &mut self.words;
-        let mut row = |numbers: &[u32]| {
-            let start = words.len() as u32;
-            words.extend(numbers);
-            // No two rows begin at one place.
-            if numbers.is_empty() {
-                words.push(0);
-            }
-            start
-        };
-        self.tree.leaf_rows = self.program.leaves().iter().map(|leaf| row(&leaf.numbers)).collect();
-        self.tree.join_rows = self.program.joins().iter().map(|join| row(&join.numbers)).collect();
-    }
-
-    /// Word of a cell whose parent has this list.
-    fn cell(&mut self, cell: &Cell, of_parent: &[Operation]) -> u32 {
-        let bounds = self.tree.bounds(cell);
-        let (list, value) = prune(self.program, of_parent, bounds);
+    /// Word of a cell in its part, from its list and the interval of its value.
+    fn cell(&self, part: &mut Part, cell: &Cell, list: &[Operation], value: Interval) -> u32 {
         let leaves = list.iter().filter(|operation| operation.leaf.is_some()).count();
         let bound = value.low.max(0.0);
-        if bound > 0.0 || leaves <= self.short_list || cell.level == self.tree.levels {
-            return self.record(bound, &list);
+        if bound > 0.0 || leaves <= self.short_list || cell.level == self.frame.levels {
+            return part.record(self.program, bound, list);
         }
-        let block = self.words.len();
-        self.words.resize(block + BLOCK_CELLS as usize, 0);
-        let size = BLOCK_EDGE.pow(self.tree.levels - cell.level - 1);
-        for child in 0..BLOCK_CELLS {
-            let steps = [child % BLOCK_EDGE, child / BLOCK_EDGE % BLOCK_EDGE, child / (BLOCK_EDGE * BLOCK_EDGE)];
-            let at = std::array::from_fn(|axis| cell.at[axis] + steps[axis] * size);
-            let word = self.cell(&Cell { at, level: cell.level + 1 }, &list);
-            self.words[block + child as usize] = word;
-        }
-        block as u32 | IS_BLOCK
+        let words: Vec<u32> =
+            self.children(cell, list).iter().map(|(cell, list, value)| self.cell(part, cell, list, *value)).collect();
+        part.blocks.extend(words);
+        (part.blocks.len() as u32 - BLOCK_CELLS) | IS_BLOCK
     }
 
-    fn record(&mut self, bound: f32, list: &[Operation]) -> u32 {
-        let list = self.list(list);
-        self.words.extend([bound.to_bits(), list]);
-        self.words.len() as u32 - 2
-    }
-
-    fn list(&mut self, list: &[Operation]) -> u32 {
-        if let Some(known) = self.lists.get(list) {
-            return *known;
-        }
-        let start = self.words.len() as u32;
-        for operation in list {
-            let leaf = operation.leaf.map_or(NO_LEAF << ROW_BITS, |leaf| {
-                let family = self.program.leaves()[leaf as usize].family as u32;
-                family << ROW_BITS | self.tree.leaf_rows[leaf as usize]
-            });
-            let join = operation.join.map_or(0, |join| {
-                let family = self.program.joins()[join as usize].family as u32 + 1;
-                family << ROW_BITS | self.tree.join_rows[join as usize]
-            });
-            self.words.extend([leaf, join]);
-        }
-        let last = self.words.len() - 2;
-        self.words[last] |= IS_LAST;
-        self.lists.insert(list.to_vec(), start);
-        start
+    /// The 64 cells of a cell, with the operations of its list that can matter in each, and the interval of their value.
+    fn children(&self, cell: &Cell, list: &[Operation]) -> Vec<(Cell, Vec<Operation>, Interval)> {
+        let size = BLOCK_EDGE.pow(self.frame.levels - cell.level - 1);
+        let child = |index: u32| {
+            let steps = [index % BLOCK_EDGE, index / BLOCK_EDGE % BLOCK_EDGE, index / (BLOCK_EDGE * BLOCK_EDGE)];
+            Cell { at: std::array::from_fn(|axis| cell.at[axis] + steps[axis] * size), level: cell.level + 1 }
+        };
+        let cells: Vec<Cell> = (0..BLOCK_CELLS).map(child).collect();
+        let regions: Vec<Bounds> = cells.iter().map(|cell| self.frame.bounds(cell)).collect();
+        let centers: Vec<Vec3<f32>> = regions.iter().map(|region| (region.min + region.max) * 0.5).collect();
+        let leaves: Vec<u32> = list.iter().filter_map(|operation| operation.leaf).collect();
+        let mut distances = Vec::with_capacity(leaves.len() * centers.len());
+        self.distances.append(&leaves, &centers, &mut distances);
+        let of_cell = |(index, cell): (usize, Cell)| {
+            let at_center = distances.iter().skip(index).step_by(centers.len()).copied();
+            let (list, value) = prune(self.program, list, regions[index], at_center);
+            (cell, list, value)
+        };
+        cells.into_iter().enumerate().map(of_cell).collect()
     }
 }
 
@@ -223,13 +298,20 @@ struct Waiting {
     value: Interval,
 }
 
-/// The operations of a list that can matter in a box, and the interval of their value.
-pub(super) fn prune(program: &Program<'_>, list: &[Operation], bounds: Bounds) -> (Vec<Operation>, Interval) {
+/// The operations of a list that can matter in a box, and the interval of their value. `at_center` are the distances of
+/// the list's leaves at the box' center.
+fn prune(
+    program: &Program<'_>,
+    list: &[Operation],
+    region: Bounds,
+    mut at_center: impl Iterator<Item = f32>,
+) -> (Vec<Operation>, Interval) {
     let mut kept: Vec<Operation> = Vec::new();
     let mut stack: Vec<Waiting> = Vec::new();
     for operation in list {
         if let Some(leaf) = operation.leaf {
-            let value = program.leaves()[leaf as usize].interval(bounds);
+            let at_center = at_center.next().expect("a distance of each leaf");
+            let value = program.leaves()[leaf as usize].interval(region, at_center);
             stack.push(Waiting { start: kept.len(), value });
             kept.push(Operation { leaf: Some(leaf), join: None });
         }

@@ -1,7 +1,7 @@
 //! The cell of a point, the value of its list there, and the way of a ray out of it.
 
 use super::Cells;
-use super::program::MAX_STACK;
+use super::program::{JoinKind, MAX_STACK};
 use super::tree::{BLOCK_EDGE, MAX_LEVELS, NO_LEAF, OUTSIDE, ROW_BITS};
 use crate::camera::Ray;
 use crate::real::{Bits, Bundle, Merge, Real, Vec3, bundle, vec3};
@@ -19,6 +19,9 @@ macro_rules! names {
 const LEAVES: [&str; 48] = names!["leaf_": 0 1 2 3 4 5 6 7 8 9 10 11 12 13 14 15 16 17 18 19 20 21 22 23 24 25 26 27 28 29
     30 31 32 33 34 35 36 37 38 39 40 41 42 43 44 45 46 47];
 
+/// The bits of an operation's word that are a row.
+const ROW_MASK: u32 = (1 << ROW_BITS) - 1;
+
 /// The cell of a point.
 #[derive(Clone, Copy, Debug)]
 pub struct Located<R> {
@@ -34,25 +37,75 @@ pub struct Located<R> {
 
 bundle!(Located { list, bound, corner, edge });
 
-/// Result of a step along a ray: either the distance, or a way that is free.
+/// Value of a list.
+trait FoldValue<R: Real>: Bundle<R> {
+    /// A value that is not used.
+    fn nothing(like: R) -> Self;
+    fn distance(&self) -> R;
+    fn select(mask: R::Mask, yes: Self, no: Self) -> Self;
+    /// The join of two values, whose distance is this.
+    fn joined(self, value: Self, distance: R, kind: JoinKind<'_>) -> Self;
+}
+
+impl<R: Real> FoldValue<R> for R {
+    fn nothing(like: R) -> R {
+        like.constant(0.0)
+    }
+
+    fn distance(&self) -> R {
+        *self
+    }
+
+    fn select(mask: R::Mask, yes: R, no: R) -> R {
+        <R as Real>::select(mask, yes, no)
+    }
+
+    fn joined(self, _: R, distance: R, _: JoinKind<'_>) -> R {
+        distance
+    }
+}
+
+/// A distance, and the index of the nearest object; if several are equally near, of the first.
 #[derive(Clone, Copy, Debug)]
-pub struct Sampled<R: Real> {
-    /// The distance, or a lower bound of it.
-    pub distance: R,
-    /// Length of the ray's next step.
-    pub ahead: R,
-    /// Whether there is no surface in the cell.
-    pub is_empty: crate::real::MaskValue<R>,
+struct Nearest<R> {
+    distance: R,
+    object: R,
+}
+
+bundle!(Nearest { distance, object });
+
+impl<R: Real> FoldValue<R> for Nearest<R> {
+    fn nothing(like: R) -> Self {
+        Self { distance: like.constant(0.0), object: like.constant(0.0) }
+    }
+
+    fn distance(&self) -> R {
+        self.distance
+    }
+
+    fn select(mask: R::Mask, yes: Self, no: Self) -> Self {
+        let select = <R as Real>::select;
+        Self { distance: select(mask, yes.distance, no.distance), object: select(mask, yes.object, no.object) }
+    }
+
+    fn joined(self, value: Self, distance: R, kind: JoinKind<'_>) -> Self {
+        let object = match kind {
+            JoinKind::Objects => <R as Real>::select(value.distance.lt(self.distance), value.object, self.object),
+            // Both are of one object.
+            JoinKind::Union(_) | JoinKind::Scale(_) => value.object,
+        };
+        Self { distance, object }
+    }
 }
 
 /// Values that wait for a join, the last first; absent beyond the depth of the scene's joins.
 #[derive(Clone, Copy, Debug)]
-struct Stack<R> {
-    top: R,
-    waiting: [Option<R>; MAX_STACK - 1],
+struct Stack<V> {
+    top: V,
+    waiting: [Option<V>; MAX_STACK - 1],
 }
 
-impl<R: Real> Bundle<R> for Stack<R> {
+impl<R: Real, V: Bundle<R>> Bundle<R> for Stack<V> {
     fn merge(self, other: Self, how: &mut impl Merge<R>) -> Self {
         let mut waiting = self.waiting;
         for (place, other) in waiting.iter_mut().zip(other.waiting) {
@@ -62,13 +115,13 @@ impl<R: Real> Bundle<R> for Stack<R> {
     }
 }
 
-impl<R: Real> Stack<R> {
-    fn new(nothing: R, depth: usize) -> Self {
+impl<V: Copy> Stack<V> {
+    fn new(nothing: V, depth: usize) -> Self {
         Self { top: nothing, waiting: std::array::from_fn(|index| (index + 1 < depth).then_some(nothing)) }
     }
 
     /// The last value that waits, below the top.
-    fn below(&self) -> R {
+    fn below(&self) -> V {
         self.waiting[0].unwrap_or(self.top)
     }
 
@@ -98,15 +151,15 @@ impl Cells<'_> {
     /// The cell of a point.
     pub fn locate<R: Real>(&self, p: Vec3<R>) -> Located<R> {
         p.x.call("locate", p, |p| {
-            let tree = &self.tree;
-            let units = p - Vec3::uniform(p.x, tree.center);
-            let units = units.map(|c| (c * c.uniform(1.0 / tree.unit)).floor());
-            let half = p.x.uniform(0.5 * BLOCK_EDGE.pow(tree.levels) as f32);
-            let outermost = units.map(|c| c.abs()).max_element();
+            let (tree, frame) = (&self.tree, self.tree.frame());
+            let units = p - Vec3::uniform(p.x, frame.center);
+            let units = units.map(|c| (c * c.uniform(1.0 / frame.unit)).floor());
+            let half = p.x.uniform(0.5 * BLOCK_EDGE.pow(frame.levels) as f32);
+            let outermost = units.map(Real::abs).max_element();
             // The outermost cell has the low end of each axis, but not the high end.
             let is_outside = (half - 1.0).lt(outermost);
             // Two bits for each level, the outermost first.
-            let to_top = p.x.uniform_bits(1 << (32 - 2 * tree.levels));
+            let to_top = p.x.uniform_bits(1 << (32 - 2 * frame.levels));
             let path = units.map(|c| {
                 let c = (-half).max(c.min(half - 1.0)) + half;
                 R::from_bits(((c + TO_INTEGER).to_bits() & 0x7f_ffff) * to_top)
@@ -135,52 +188,65 @@ impl Cells<'_> {
 
     /// The value of a cell's list at a point.
     pub fn fold<R: Real>(&self, cell: &Located<R>, p: Vec3<R>) -> R {
-        p.x.call("fold", (cell.list, p), |(list, p)| {
-            let words = &self.tree.words;
-            let start = (list, Stack::new(p.x.constant(0.0), self.program.depth()));
-            let (_, stack) = R::repeat(MAX_OPERATIONS, start, |(at, stack)| {
-                let place = at.to_bits();
-                let (leaf, join) = (R::word(words, place), R::word(words, place + 1));
-                let takes_leaf = is_other(p.x, family(leaf), NO_LEAF);
-                let value = R::when(takes_leaf, stack.top, || self.leaf(leaf, p, stack.top));
-                let below = R::select(takes_leaf, stack.top, stack.below());
-                let joined = self.join(join, below, value);
-                let joins = is_other(p.x, family(join), 0);
-                let stack = R::when(takes_leaf & !joins, stack, || stack.pushed());
-                let stack = R::when(!takes_leaf & self.is_binary(p.x, join), stack, || stack.popped());
-                let next = R::from_bits(place + 2);
-                (!is_set(p.x, leaf), (next, Stack { top: joined, ..stack }))
-            });
-            stack.top
-        })
+        p.x.call("fold", (cell.list, p), |(list, p)| self.fold_values(list, p, |_, distance| distance))
     }
 
-    /// Value of a leaf.
-    fn leaf<R: Real>(&self, word: R::Bits, p: Vec3<R>, before: R) -> R {
-        let row = R::from_bits(word & ((1 << ROW_BITS) - 1));
-        let mut value = before;
-        for (index, &representative) in self.program.families().iter().enumerate() {
+    /// The scene's value at a point, and the index of the nearest object.
+    pub fn nearest<R: Real>(&self, p: Vec3<R>) -> (R, R) {
+        let cell = self.locate(p);
+        let object = |row: R::Bits, _: R| R::from_bits(R::word(&self.tree.words, row + u32::MAX));
+        let Nearest { distance, object } =
+            self.fold_values(cell.list, p, |row, distance| Nearest { distance, object: object(row, distance) });
+        (distance, object)
+    }
+
+    /// The value of a list at a point. `value_of` makes a value of a leaf's row and distance.
+    fn fold_values<R: Real, V: FoldValue<R>>(&self, list: R, p: Vec3<R>, value_of: impl Fn(R::Bits, R) -> V) -> V {
+        let words = &self.tree.words;
+        let nothing = V::nothing(p.x);
+        let start = (list, Stack::new(nothing, self.program.depth()));
+        let (_, stack) = R::repeat(MAX_OPERATIONS, start, |(at, stack)| {
+            let place = at.to_bits();
+            let (leaf, join) = (R::word(words, place), R::word(words, place + 1));
+            let takes_leaf = is_other(p.x, family(leaf), NO_LEAF);
+            let value = R::when(takes_leaf, stack.top, || value_of(leaf & ROW_MASK, self.leaf(leaf, p)));
+            let below = V::select(takes_leaf, stack.top, stack.below());
+            let joined = self.join(join, below, value);
+            let joins = is_other(p.x, family(join), 0);
+            let stack = R::when(takes_leaf & !joins, stack, || stack.pushed());
+            let stack = R::when(!takes_leaf & self.is_binary(p.x, join), stack, || stack.popped());
+            let next = R::from_bits(place + 2);
+            (!is_set(p.x, leaf), (next, Stack { top: joined, ..stack }))
+        });
+        stack.top
+    }
+
+    /// Distance of a leaf.
+    fn leaf<R: Real>(&self, word: R::Bits, p: Vec3<R>) -> R {
+        let row = R::from_bits(word & ROW_MASK);
+        let mut value = p.x.constant(0.0);
+        for index in 0..self.program.family_count() {
             let is_this = is_equal(p.x, family(word), index as u32);
             let inside = || {
-                p.x.call(LEAVES[index], (row, p), |(row, p)| {
-                    let leaf = R::known(row.to_bits()).map_or(representative, |row| self.tree.leaf_of_row(row));
-                    R::with_row(&self.tree.words, row.to_bits(), || self.program.leaves()[leaf].distance(p))
-                })
+                let distance =
+                    |(row, p): (R, Vec3<R>)| self.program.family_distance(&self.tree.words, index, row.to_bits(), p);
+                p.x.call(LEAVES[index], (row, p), distance)
             };
-            value = if self.program.families().len() == 1 { inside() } else { R::when(is_this, value, inside) };
+            value = if self.program.family_count() == 1 { inside() } else { R::when(is_this, value, inside) };
         }
         value
     }
 
     /// Joins a value with the one below.
-    fn join<R: Real>(&self, word: R::Bits, below: R, value: R) -> R {
-        let row = word & ((1 << ROW_BITS) - 1);
+    fn join<R: Real, V: FoldValue<R>>(&self, word: R::Bits, below: V, value: V) -> V {
+        let row = word & ROW_MASK;
         let mut joined = value;
-        for (index, &representative) in self.program.join_families().iter().enumerate() {
-            let is_this = is_equal(value, family(word), index as u32 + 1);
+        for index in 0..self.program.join_families().len() {
+            let is_this = is_equal(value.distance(), family(word), index as u32 + 1);
             joined = R::when(is_this, joined, || {
-                let join = R::known(row).map_or(representative, |row| self.tree.join_of_row(row));
-                R::with_row(&self.tree.words, row, || self.program.joins()[join].kind.apply(below, value))
+                let kind = self.program.family_join::<R>(index, row);
+                let distance = R::with_row(&self.tree.words, row, || kind.apply(below.distance(), value.distance()));
+                below.joined(value, distance, kind)
             });
         }
         joined
@@ -204,7 +270,7 @@ impl Cells<'_> {
 
     /// The point on the face of its cell at the lesser x, moved by some of the least steps of `f32`. For tests.
     pub fn on_face(&self, p: Vec3<f32>, steps: i32) -> Vec3<f32> {
-        let x = self.locate(p).corner.x.mul_add(self.tree.unit, self.tree.center.x);
+        let x = self.locate(p).corner.x * self.tree.frame().unit + self.tree.frame().center.x;
         let x = if x == 0.0 {
             f32::MIN_POSITIVE * steps as f32
         } else {
@@ -220,10 +286,10 @@ impl Cells<'_> {
         let axis = |origin: R, center: f32, slope: R, corner: R| {
             let slope = R::select(slope.abs().below(1e-9), slope.constant(1e-9), slope);
             let wall = R::select(slope.below(0.0), corner, corner + cell.edge);
-            let wall = wall.mul_add(wall.uniform(self.tree.unit), wall.uniform(center));
+            let wall = wall.mul_add(wall.uniform(self.tree.frame().unit), wall.uniform(center));
             (wall - origin) / slope
         };
-        let Vec3 { x, y, z } = self.tree.center;
+        let Vec3 { x, y, z } = self.tree.frame().center;
         let (o, d, corner) = (ray.origin, ray.direction, cell.corner);
         let end = axis(o.x, x, d.x, corner.x).min(axis(o.y, y, d.y, corner.y)).min(axis(o.z, z, d.z, corner.z));
         let size = vec3(o.x.abs(), o.y.abs(), o.z.abs()).max_element() + t;

@@ -123,7 +123,7 @@ impl Integrator<'_> {
                 max_steps: self.scene.march.max_steps,
                 relaxation: RELAXATION,
             };
-            let marched = march(ray, reach, |t| t.mul_add(t.constant(4e-7), near), |p| self.distance(p));
+            let marched = march(reach, |t| t.mul_add(t.constant(4e-7), near), |t| self.sample(ray, t));
             (R::select(marched.hit.0, zero, one), marched.evaluations)
         })
     }

@@ -1,6 +1,8 @@
 //! Distance of the whole scene, and the nearest object.
 
 use super::Integrator;
+use crate::camera::Ray;
+use crate::march::FieldSample;
 use crate::real::{Bundle, Real, Vec3};
 
 /// Distance returned if there is no surface.
@@ -9,13 +11,26 @@ const MISS_DISTANCE: f32 = 1e9;
 impl Integrator<'_> {
     /// Distance of the whole scene at `p`: at most the distance to the nearest surface.
     pub fn distance<R: Real>(&self, p: Vec3<R>) -> R {
-        if self.shares_nearest {
+        if let Some(cells) = &self.cells {
+            p.x.call("distance", p, |p| cells.distance(p))
+        } else if self.shares_nearest {
             self.nearest_object(p).0
         } else if self.cull_bounds.is_empty() {
             self.distance_unculled(p)
         } else {
             self.distance_culled(p)
         }
+    }
+
+    /// The scene's distance at a point of a ray; in a cell without a surface, a lower bound, and the way out of it.
+    pub(super) fn sample<R: Real>(&self, ray: &Ray<R>, t: R) -> FieldSample<R> {
+        let p = ray.at(t);
+        let Some(cells) = &self.cells else { return FieldSample::new(self.distance(p)) };
+        let cell = cells.locate(p);
+        let is_empty = cell.bound.above(0.0);
+        let distance = R::when(!is_empty, cell.bound, || cells.fold(&cell, p));
+        let ahead = R::when(is_empty, distance, || distance.max(cells.way_out(&cell, ray, t)));
+        FieldSample { distance, ahead, is_empty: Some(is_empty) }
     }
 
     fn distance_unculled<R: Real>(&self, p: Vec3<R>) -> R {
@@ -45,6 +60,9 @@ impl Integrator<'_> {
     /// first.
     pub(super) fn nearest_object<R: Real>(&self, p: Vec3<R>) -> (R, R) {
         p.x.call("nearest", p, |p| {
+            if let Some(cells) = &self.cells {
+                return cells.nearest(p);
+            }
             let Some((&first, others)) = self.surfaces.split_first() else {
                 return (p.x.constant(MISS_DISTANCE), p.x.constant(-1.0));
             };

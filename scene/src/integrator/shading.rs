@@ -47,6 +47,11 @@ impl MaterialTable {
         Self { has_own_materials: painted, surface_slots: worn, single_slot: only, needs_own_normal, needs_footprint }
     }
 
+    /// Whether every object has one material.
+    pub(super) fn is_plain(&self) -> bool {
+        !self.has_own_materials.contains(&true)
+    }
+
     pub(super) fn slots(&self) -> impl Iterator<Item = usize> + '_ {
         self.surface_slots.iter().copied()
     }

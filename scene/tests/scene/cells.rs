@@ -3,7 +3,7 @@
 use std::fs;
 
 use scene::bounds::Bounds;
-use scene::cells::Cells;
+use scene::cells::{Cells, ScalarBuilder};
 use scene::real::{Vec3, vec3};
 use scene::{Job, parse};
 
@@ -33,8 +33,9 @@ fn around(reach: f32) -> Bounds {
 /// Compares cells with the whole program at random points, and on the faces of cells.
 fn check(name: &str, job: &Job, points: u32) {
     let still = job.at(0).expect("the first frame");
-    let objects: Vec<_> = still.scene().objects.iter().map(|object| (object, None)).collect();
-    let Some(cells) = Cells::new(&objects, around(40.0)) else { return };
+    let objects: Vec<_> =
+        still.scene().objects.iter().enumerate().map(|(index, object)| (index, object, None)).collect();
+    let Some(cells) = Cells::new(&objects, around(40.0), &ScalarBuilder) else { return };
     let mut random = Random(3);
     let (mut empty, mut near) = (0, 0);
     for index in 0..points {

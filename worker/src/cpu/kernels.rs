@@ -1,9 +1,8 @@
 //! Kernels compute packets of pixels, by the reference or by a tape's evaluator. Evaluators are cached by their tapes,
 //! and with their inputs by the pixels that they compute.
 
-use std::collections::VecDeque;
+use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
-use std::sync::{Arc, Mutex, PoisonError};
 
 use scene::integrator::Radiance;
 use scene::real::{Real, vec3};
@@ -11,6 +10,7 @@ use scene::{Image, Integrator, JobAtFrame};
 
 use super::evaluator::{Evaluator, Frame, Inputs};
 use crate::picture_tape::{ACCUMULATE, LAYERS, MEAN, channels, layer_channels, record_picture};
+use crate::recent::{self, Recent};
 use crate::tape::Tape;
 use crate::{RenderError, Simd};
 
@@ -29,42 +29,31 @@ pub(super) struct Prepared {
 /// Evaluators in use, those used last first.
 #[derive(Debug, Default)]
 pub(super) struct KernelCache {
-    by_tape: Mutex<VecDeque<(Tape, Arc<Evaluator>)>>,
-    by_pixels: Mutex<VecDeque<(blake3::Hash, Arc<Prepared>)>>,
+    by_tape: Recent<Tape, Evaluator>,
+    by_pixels: Recent<blake3::Hash, Prepared>,
 }
 
 impl KernelCache {
     /// Evaluator and inputs of a frame.
     pub(super) fn prepare(&self, still: &JobAtFrame<'_>, simd: Simd) -> Result<Arc<Prepared>, RenderError> {
         let key = still.pixels_cache_key();
-        if let Some(known) = find(&self.by_pixels, |other| *other == key) {
+        if let Some(known) = recent::find(&self.by_pixels, |other| *other == key) {
             return Ok(known);
         }
         let tape = record_picture(still);
-        let known = find(&self.by_tape, |other| other.has_same_code(&tape));
+        let known = recent::find(&self.by_tape, |other| other.has_same_code(&tape));
         let evaluator = match known {
             Some(known) => known,
-            None => insert(&self.by_tape, tape.clone(), Arc::new(Evaluator::new(&tape, simd)?), MAX_EVALUATORS),
+            None => recent::insert(
+                &self.by_tape,
+                tape.without_table(),
+                Arc::new(Evaluator::new(&tape, simd)?),
+                MAX_EVALUATORS,
+            ),
         };
         let inputs = evaluator.inputs(&tape);
-        Ok(insert(&self.by_pixels, key, Arc::new(Prepared { evaluator, inputs }), MAX_FRAMES))
+        Ok(recent::insert(&self.by_pixels, key, Arc::new(Prepared { evaluator, inputs }), MAX_FRAMES))
     }
-}
-
-fn find<K, V: Clone>(cache: &Mutex<VecDeque<(K, V)>>, is_wanted: impl Fn(&K) -> bool) -> Option<V> {
-    let mut cache = cache.lock().unwrap_or_else(PoisonError::into_inner);
-    let place = cache.iter().position(|(key, _)| is_wanted(key))?;
-    let found = cache.remove(place)?;
-    let value = found.1.clone();
-    cache.push_front(found);
-    Some(value)
-}
-
-fn insert<K, V: Clone>(cache: &Mutex<VecDeque<(K, V)>>, key: K, value: V, limit: usize) -> V {
-    let mut cache = cache.lock().unwrap_or_else(PoisonError::into_inner);
-    cache.push_front((key, value.clone()));
-    cache.truncate(limit);
-    value
 }
 
 /// Computes packets of pixels of one frame.

@@ -8,10 +8,11 @@ use std::sync::{Arc, OnceLock};
 
 use cudarc::driver::sys::{self, CUdevice_attribute, CUevent_flags};
 use cudarc::driver::{
-    CudaContext, CudaEvent, CudaFunction, CudaModule, CudaSlice, CudaStream, DeviceRepr, LaunchConfig, PinnedHostSlice,
-    PushKernelArg, result,
+    CudaContext, CudaEvent, CudaFunction, CudaModule, CudaSlice, CudaStream, DevicePtr, DeviceRepr, LaunchConfig,
+    PinnedHostSlice, PushKernelArg, result,
 };
 use cudarc::nvrtc::Ptx;
+use scene::real::Table;
 
 use super::error::CudaError;
 use super::launches::{BLOCK_GROUP, LaunchLayout};
@@ -238,6 +239,12 @@ fn version() -> String {
     if known { format!("{}.{}", version / 1000, version % 1000 / 10) } else { "of an unknown version".to_owned() }
 }
 
+/// A table in the GPU's memory.
+#[derive(Debug)]
+pub(super) struct UploadedTable {
+    _words: CudaSlice<u32>,
+}
+
 impl Device {
     /// Opens the GPU with this ordinal.
     pub(super) fn open(ordinal: usize) -> Result<Self, CudaError> {
@@ -291,12 +298,29 @@ impl Device {
 
     /// Sets a kernel's constants: later launches see them, earlier ones do not.
     pub(super) fn set_uniforms(&self, program: &LoadedModule, bits: &[u32]) -> Result<(), CudaError> {
+        let bytes: Vec<u8> = bits.iter().flat_map(|bits| bits.to_ne_bytes()).collect();
+        self.set_global(program, "uniforms", &bytes)
+    }
+
+    /// Copies a table to the GPU and gives it to a kernel. It must live until the last launch that reads it has ended;
+    /// its memory is freed after the launches before its end.
+    pub(super) fn set_table(&self, program: &LoadedModule, table: &Table) -> Result<UploadedTable, CudaError> {
+        let bytes = size_of_val(&**table);
+        let words = self.compute.clone_htod(&**table).map_err(|error| match error.0 {
+            sys::CUresult::CUDA_ERROR_OUT_OF_MEMORY => CudaError::OutOfMemory { bytes },
+            _ => CudaError::driver_error("copy the scene's cells to the GPU")(error),
+        })?;
+        let address = words.device_ptr(&self.compute).0;
+        self.set_global(program, "table", &address.to_ne_bytes())?;
+        Ok(UploadedTable { _words: words })
+    }
+
+    fn set_global(&self, program: &LoadedModule, name: &str, bytes: &[u8]) -> Result<(), CudaError> {
         let set = || {
-            let bytes: Vec<u8> = bits.iter().flat_map(|bits| bits.to_ne_bytes()).collect();
-            let mut place = program.module.get_global("uniforms", &self.compute)?;
-            self.compute.memcpy_htod(&bytes, &mut place)
+            let mut place = program.module.get_global(name, &self.compute)?;
+            self.compute.memcpy_htod(bytes, &mut place)
         };
-        if bits.is_empty() {
+        if bytes.is_empty() {
             Ok(())
         } else {
             set().map_err(CudaError::driver_error("copy the scene's numbers to the GPU"))

@@ -2,6 +2,7 @@
 
 use std::fmt::Write;
 
+use scene::real::Table;
 use scene::{Image, JobAtFrame};
 
 use crate::picture_tape::record_picture;
@@ -17,6 +18,8 @@ pub struct KernelSource {
     pub text: String,
     /// Values of the scene's numbers at the frame, which the kernel calls `uniforms`, as bits.
     pub parameters: Vec<u32>,
+    /// Words that the kernel reads by computed indices, if there are any.
+    pub table: Option<Table>,
     /// Number of statements of the integrator's steps.
     pub statements: usize,
     /// Operations on numbers for one evaluation of the scene's distance; `None` if that varies.
@@ -36,6 +39,7 @@ impl KernelSource {
         Ok(Self {
             text: format!("#define UNIFORM_COUNT {numbers}\n{has_layers}{before}{}{write_layers}{after}", steps.code),
             parameters: tape.uniforms().to_vec(),
+            table: tape.table().cloned(),
             statements: steps.statements,
             distance_operations: tape.flops_per_call("distance"),
         })

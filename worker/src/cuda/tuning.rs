@@ -21,6 +21,7 @@ impl CudaRenderer {
         const ROUNDS: usize = 3;
         let mut total_ms = 0.0;
         self.device.set_uniforms(loaded, &source.parameters)?;
+        let _table = source.table.as_ref().map(|table| self.device.set_table(loaded, table)).transpose()?;
         let mut best = [f64::INFINITY; BLOCK_DIMS.len()];
         let mut edge = 128;
         loop {

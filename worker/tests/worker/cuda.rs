@@ -24,15 +24,18 @@ use crate::skip::skip;
 /// Scenes compiled in every run of the tests; the long tests compile all.
 const FEW: [&str; 6] = ["csg", "dice", "mandelbulb", "paper/clouds", "turntable", "vitrine"];
 
-/// Runs the kernels on the host, one thread after another: reads `uniforms`, the planes, a tile and the
+/// Runs the kernels on the host, one thread after another: reads `uniforms`, the table, the planes, a tile and the
 /// samples; renders in two parts, so that sums are continued; writes the planes.
 const HOST_MAIN: &str = r"
 #include <stdio.h>
 #include <stdlib.h>
 int main() {
-    unsigned planes, samples;
+    unsigned words, planes, samples;
     Tile tile;
-    if (fread(uniforms, 4, UNIFORM_COUNT, stdin) != UNIFORM_COUNT || fread(&planes, 4, 1, stdin) != 1) return 1;
+    if (fread(uniforms, 4, UNIFORM_COUNT, stdin) != UNIFORM_COUNT || fread(&words, 4, 1, stdin) != 1) return 1;
+    unsigned* read = (unsigned*)malloc(4 * (size_t)words);
+    if (fread(read, 4, words, stdin) != words || fread(&planes, 4, 1, stdin) != 1) return 1;
+    table = read;
     if (fread(&samples, 4, 1, stdin) != 1 || fread(&tile, sizeof tile, 1, stdin) != 1) return 1;
     size_t numbers = (size_t)tile.width * tile.height * planes;
     float* out = (float*)calloc(numbers, 4);
@@ -77,6 +80,9 @@ fn render_on_host(job: &Job, folder: &Path) -> TilePixels {
     let planes = job.image.channels().len();
     let Image { width, height, samples, .. } = job.image;
     let mut input: Vec<u8> = source.parameters.iter().flat_map(|bits| bits.to_ne_bytes()).collect();
+    let table = source.table.as_deref().unwrap_or_default();
+    input.extend((table.len() as u32).to_ne_bytes());
+    input.extend(table.iter().flat_map(|word| word.to_ne_bytes()));
     for word in [planes as u32, samples, 0, 0, width, height, 0, width.div_ceil(8), 0, 0] {
         input.extend(word.to_ne_bytes());
     }

@@ -1,7 +1,7 @@
 //! Tests that the cells of a scene, recorded, give the reference's bits, and that a scene's text does not grow with it.
 
 use scene::bounds::Bounds;
-use scene::cells::Cells;
+use scene::cells::{Cells, ScalarBuilder};
 use scene::real::vec3;
 
 use super::*;
@@ -10,8 +10,9 @@ use super::*;
 fn cells_of(text: &[u8]) -> Option<&'static Cells<'static>> {
     let job = Box::leak(Box::new(scene::parse(text).expect("a valid job")));
     let still = Box::leak(Box::new(job.at(0).expect("a valid frame")));
-    let objects: Vec<_> = still.scene().objects.iter().map(|object| (object, None)).collect();
-    let cells = Cells::new(&objects, Bounds::symmetric(40.0, 40.0, 40.0))?;
+    let objects: Vec<_> =
+        still.scene().objects.iter().enumerate().map(|(index, object)| (index, object, None)).collect();
+    let cells = Cells::new(&objects, Bounds::symmetric(40.0, 40.0, 40.0), &ScalarBuilder)?;
     Some(Box::leak(Box::new(cells)))
 }
 
