@@ -10,6 +10,7 @@ use crate::job::{Frames, Image, Job};
 use crate::limits::{MAX_FULL_CHECK_BYTES, MIN_SAMPLED_FRAMES};
 use crate::scene::Scene;
 use crate::seek::{FrameTime, Seek, SeekError};
+use crate::shapes::WrittenNodes;
 
 /// Job evaluated at one of its frames: the input of rendering a picture.
 #[derive(Clone, Debug)]
@@ -19,6 +20,7 @@ pub struct JobAtFrame<'a> {
     frames: &'a Frames,
     frame: u32,
     is_animated: bool,
+    written: Option<&'a WrittenNodes>,
 }
 
 impl JobAtFrame<'_> {
@@ -45,6 +47,12 @@ impl JobAtFrame<'_> {
     /// Whether frames of the job differ in more than their sampling noise.
     pub fn is_animated(&self) -> bool {
         self.is_animated
+    }
+
+    /// JSON pointer in the document of a node of the scene; both pointers begin with `/scene`.
+    pub(crate) fn pointer_in_document(&self, pointer: &str) -> String {
+        let in_scene = pointer.strip_prefix("/scene").unwrap_or_default();
+        self.written.map_or_else(|| pointer.to_owned(), |written| format!("/scene{}", written.pointer(in_scene)))
     }
 }
 
@@ -74,7 +82,8 @@ impl Job {
     pub fn at(&self, frame: u32) -> Result<JobAtFrame<'_>, FrameError> {
         if !self.is_animated {
             let (scene, image) = (Cow::Borrowed(&self.scene), Cow::Borrowed(&self.image));
-            return Ok(JobAtFrame { scene, image, frames: &self.frames, frame, is_animated: false });
+            let (frames, written) = (&self.frames, self.written.as_deref());
+            return Ok(JobAtFrame { scene, image, frames, frame, is_animated: false, written });
         }
         let seconds = self.frames.time_of(frame);
         let (mut scene, mut image) = (self.scene.clone(), self.image.clone());
@@ -87,7 +96,8 @@ impl Job {
             return Err(error(format!("/scene/camera/{key}"), message.to_owned()));
         }
         let (scene, image) = (Cow::Owned(scene), Cow::Owned(image));
-        Ok(JobAtFrame { scene, image, frames: &self.frames, frame, is_animated: true })
+        let (frames, written) = (&self.frames, self.written.as_deref());
+        Ok(JobAtFrame { scene, image, frames, frame, is_animated: true, written })
     }
 
     /// JSON pointer in the document to an error in the scene, whose materials are stored by slot.
@@ -97,7 +107,11 @@ impl Job {
             let place = self.material_pointers.get(slot.parse::<usize>().ok()?)?;
             Some(format!("/scene{place}/{rest}"))
         });
-        in_slot.unwrap_or_else(|| format!("/scene{}", misfit.pointer))
+        in_slot.unwrap_or_else(|| {
+            let written = self.written.as_ref();
+            let pointer = written.map_or_else(|| misfit.pointer.clone(), |written| written.pointer(&misfit.pointer));
+            format!("/scene{pointer}")
+        })
     }
 }
 

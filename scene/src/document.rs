@@ -16,9 +16,10 @@ use crate::job::{Frames, Image, priority};
 use crate::json_scan;
 use crate::lights::{Light, default_lights};
 use crate::limits::MAX_LIGHTS;
-use crate::materials::{Material, MaterialRef};
+use crate::materials::{Material, MaterialRef, MaterialSlots};
 use crate::nodes::Node;
 use crate::scene::{March, Object, Scene, child_pointers};
+use crate::shapes::WrittenNodes;
 
 /// Body of a job submission.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -63,12 +64,26 @@ pub(crate) struct SceneDocument {
     /// Materials by name.
     #[serde(default)]
     pub materials: BTreeMap<String, Material>,
+    /// Shapes by name: `{ "use": name }` stands for one anywhere in an object or in another shape.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub shapes: BTreeMap<String, Node>,
     /// The objects, one or more. The nearest one is visible; if several are equally near, the first of them.
     #[schemars(length(min = 1))]
     pub objects: Vec<Object>,
     /// Limits of ray marching.
     #[serde(default)]
     pub march: March,
+}
+
+/// The named shapes of a document, after each `use` in its objects has been replaced.
+#[derive(Debug)]
+pub(crate) struct NamedShapes {
+    /// The nodes as written, if there are named shapes.
+    pub written: Option<WrittenNodes>,
+    /// Names of the shapes that no object uses.
+    pub unused_names: Vec<String>,
+    /// Shapes that no object uses, by name; those in other ones are left out.
+    pub unused: Vec<(String, Node)>,
 }
 
 /// Result of resolving a document's scene.
@@ -80,28 +95,38 @@ pub(crate) struct Resolved {
     pub material_pointers: Vec<String>,
     /// Names of materials that no object and no node uses.
     pub unused_names: Vec<String>,
-    /// Undefined material names: their JSON pointers in the scene, and the names.
-    pub unknown: Vec<(String, String)>,
+    /// Undefined material names by their JSON pointers in the document's scene.
+    pub unknown: BTreeMap<String, String>,
 }
 
 impl SceneDocument {
-    /// Scene with every material in its slot and defaults filled in.
-    pub(crate) fn resolve(self) -> Resolved {
+    /// Scene with every material in its slot and defaults filled in. Each `use` has been replaced.
+    pub(crate) fn resolve(self, shapes: &mut NamedShapes) -> Resolved {
         // Without `..`, so that a new field does not compile until it is stored in the scene.
-        let Self { mut camera, background, lights, fog, ambient_occlusion, materials: named, mut objects, march } =
-            self;
+        let Self {
+            mut camera,
+            background,
+            lights,
+            fog,
+            ambient_occlusion,
+            materials: named,
+            shapes: _,
+            mut objects,
+            march,
+        } = self;
         camera.fill_defaults();
-        let mut slots = MaterialResolver {
-            named: &named,
-            used: Vec::new(),
-            by_name: BTreeMap::new(),
-            material_pointers: Vec::new(),
-            unknown: Vec::new(),
-        };
+        let mut slots = MaterialResolver::new(&named, shapes.written.as_ref());
         for (index, object) in objects.iter_mut().enumerate() {
-            slots.resolve_object(object, index);
+            slots.resolve(&mut object.material, || format!("/objects/{index}/material"));
+            slots.resolve_tree(&mut object.shape, &mut format!("/objects/{index}/shape"));
         }
-        let MaterialResolver { used: materials, by_name, material_pointers: places, unknown, .. } = slots;
+        let MaterialResolver { slots, material_pointers: places, mut unknown, .. } = slots;
+        let mut in_unused = MaterialResolver::new(&named, shapes.written.as_ref());
+        for (name, shape) in &mut shapes.unused {
+            in_unused.resolve_tree(shape, &mut format!("/shapes/{}", json_scan::escape(name)));
+        }
+        unknown.extend(in_unused.unknown);
+        let MaterialSlots { used: materials, by_name, .. } = slots;
         let unused = named.keys().filter(|name| !by_name.contains_key(*name)).cloned().collect();
         let scene = Scene { camera, background, lights, fog, ambient_occlusion, materials, objects, march };
         Resolved { scene, material_pointers: places, unused_names: unused, unknown }
@@ -111,41 +136,43 @@ impl SceneDocument {
 /// Assigns slots to materials in the order of first use, so that equal scenes hash alike.
 struct MaterialResolver<'a> {
     named: &'a BTreeMap<String, Material>,
-    used: Vec<Material>,
-    by_name: BTreeMap<String, u32>,
+    written: Option<&'a WrittenNodes>,
+    slots: MaterialSlots,
     material_pointers: Vec<String>,
-    unknown: Vec<(String, String)>,
+    unknown: BTreeMap<String, String>,
 }
 
-impl MaterialResolver<'_> {
-    fn resolve_object(&mut self, object: &mut Object, index: usize) {
-        self.resolve(&mut object.material, || format!("/objects/{index}/material"));
-        self.resolve_tree(&mut object.shape, &mut Vec::new(), index);
+impl<'a> MaterialResolver<'a> {
+    fn new(named: &'a BTreeMap<String, Material>, written: Option<&'a WrittenNodes>) -> Self {
+        let (slots, material_pointers) = (MaterialSlots::default(), Vec::new());
+        Self { named, written, slots, material_pointers, unknown: BTreeMap::new() }
     }
 
     fn resolve(&mut self, material: &mut MaterialRef, pointer: impl Fn() -> String) {
-        let place = match material {
-            MaterialRef::Name(name) => format!("/materials/{}", json_scan::escape(name)),
-            MaterialRef::InPlace(_) | MaterialRef::Slot(_) => pointer(),
+        let written = self.written;
+        let pointer = || written.map_or_else(&pointer, |written| written.pointer(&pointer()));
+        let named = match material {
+            MaterialRef::Name(name) => Some(format!("/materials/{}", json_scan::escape(name))),
+            MaterialRef::InPlace(_) | MaterialRef::Slot(_) => None,
         };
-        if let Err(name) = material.resolve(self.named, &mut self.used, &mut self.by_name) {
-            self.unknown.push((pointer(), name));
+        if let Err(name) = material.resolve(self.named, &mut self.slots) {
+            self.unknown.insert(pointer(), name);
         }
-        if self.material_pointers.len() < self.used.len() {
-            self.material_pointers.push(place);
+        if self.material_pointers.len() < self.slots.used.len() {
+            self.material_pointers.push(named.unwrap_or_else(pointer));
         }
     }
 
-    fn resolve_tree(&mut self, node: &mut Node, path: &mut Vec<String>, object: usize) {
+    fn resolve_tree(&mut self, node: &mut Node, pointer: &mut String) {
         let name = node.name();
         if let Some(material) = node.material_mut() {
-            self.resolve(material, || format!("/objects/{object}/shape{}/{name}/material", path.concat()));
+            self.resolve(material, || format!("{pointer}/{name}/material"));
         }
-        let steps = child_pointers(node);
+        let (length, steps) = (pointer.len(), child_pointers(node));
         for (child, step) in node.children_mut().iter_mut().zip(steps) {
-            path.push(step);
-            self.resolve_tree(child, path, object);
-            path.pop();
+            pointer.push_str(&step);
+            self.resolve_tree(child, pointer);
+            pointer.truncate(length);
         }
     }
 }

@@ -1,11 +1,14 @@
 //! A job: a scene, and the pictures to render of it.
 
+use std::sync::Arc;
+
 use schemars::JsonSchema;
 use serde::{Deserialize, Deserializer, Serialize};
 
 use crate::limits::{MAX_EDGE_PX, MAX_FRAMES, MAX_SAMPLES};
 use crate::scene::Scene;
 use crate::seek::Seek;
+use crate::shapes::WrittenNodes;
 use crate::values::{ExposureStops, FrameRate, integer, integer_in_range};
 use crate::warnings;
 
@@ -27,6 +30,10 @@ pub struct Job {
     pub(crate) material_pointers: Vec<String>,
     /// Names of materials that no object uses.
     pub(crate) unused_materials: Vec<String>,
+    /// Names of shapes that no object uses.
+    pub(crate) unused_shapes: Vec<String>,
+    /// The nodes as written, if the document has named shapes.
+    pub(crate) written: Option<Arc<WrittenNodes>>,
 }
 
 /// A picture's size and file format.

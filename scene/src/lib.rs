@@ -34,6 +34,7 @@ pub mod sampling;
 pub mod scene;
 pub mod schema;
 mod seek;
+mod shapes;
 pub mod values;
 mod warnings;
 

@@ -20,6 +20,7 @@ use serde::{Deserialize, Serialize};
 pub use added::AddedMaterial;
 pub use diffuse::Diffuse;
 pub use material_ref::MaterialRef;
+pub(crate) use material_ref::MaterialSlots;
 pub use param::{ColorParam, ScalarKind, ScalarParam, TexturedScalar};
 pub use surface::Surface;
 pub use texture::Texture;

@@ -12,6 +12,7 @@ mod displace;
 mod displacement_bounds;
 mod fractals;
 mod modifiers;
+mod named;
 mod operators;
 mod per_axis;
 mod precomputed;
@@ -35,6 +36,7 @@ pub use fractals::{
     QuaternionJulia, Sierpinski,
 };
 pub use modifiers::{Bend, Copies, Elongate, Mirror, Onion, Paint, PolarRepeat, Repeat, Round, Stretch, Taper, Twist};
+pub use named::Use;
 pub use operators::{
     Chamfer, Columns, Difference, Engrave, Groove, Intersection, Morph, SeamKind, Stairs, Tongue, Union, Xor,
 };
@@ -218,6 +220,13 @@ macro_rules! nodes {
                 }
             }
 
+            /// Name of the shape that it stands for, if it is a `use`.
+            pub(crate) fn used_shape(&self) -> Option<&str> {
+                match self {
+                    $($(#[$attribute])* Self::$Kind(node) => Sdf::used_shape(node)),*
+                }
+            }
+
             /// Advice if its Lipschitz factor is so high that steps are tiny.
             pub(crate) fn lipschitz_advice(&self) -> &'static str {
                 match self {
@@ -320,6 +329,7 @@ nodes![
     MengerSponge,
     QuaternionJulia,
     Sierpinski,
+    Use,
     #[cfg(test)]
     AddedNode,
 ];

@@ -5,6 +5,7 @@ mod depends;
 mod form;
 mod list_form;
 mod messages;
+mod nodes;
 mod stand_ins;
 mod suggest;
 mod syntax;
@@ -12,18 +13,17 @@ mod syntax;
 mod tests;
 mod tree;
 
+use std::collections::BTreeSet;
+use std::sync::Arc;
+
 use serde::de::IgnoredAny;
 
 use crate::animation::{FrameError, frames_to_check};
-use crate::document::{JobDocument, Resolved};
+use crate::document::{JobDocument, NamedShapes, Resolved};
 use crate::error::{ParseError, ValidationError};
 use crate::job::{Format, Job, ToneMap};
 use crate::json_scan::{self, ScanError, ScanErrorKind};
-use crate::limits::{
-    MAX_JSON_DEPTH, MAX_LIGHTS, MAX_MATERIALS, MAX_NAME_CHARS, MAX_NODE_DEPTH, MAX_NODES, MAX_PIXELS, MAX_RAYS,
-};
-use crate::nodes::{Node, NodeError};
-use crate::scene::child_pointers;
+use crate::limits::{MAX_JSON_DEPTH, MAX_LIGHTS, MAX_MATERIALS, MAX_NAME_CHARS, MAX_NODE_DEPTH, MAX_PIXELS, MAX_RAYS};
 use crate::seek::{FrameTime, Seek};
 
 /// Maximum number of errors in one response.
@@ -117,15 +117,19 @@ type SemanticErrors = Vec<(String, String)>;
 /// keyframes.
 fn validate(document: JobDocument) -> Result<(Job, Vec<f64>), SemanticErrors> {
     let mut faults = faults_of_document(&document);
-    let JobDocument { name, scene, mut image, frames, priority } = document;
+    let JobDocument { name, mut scene, mut image, frames, priority } = document;
+    let mut shapes = nodes::expand(&mut scene, &mut faults);
     let names: Vec<String> = scene.materials.keys().cloned().collect();
-    let Resolved { mut scene, material_pointers: places, unused_names: unused, unknown } = scene.resolve();
+    let Resolved { mut scene, material_pointers: places, unused_names: unused, unknown } = scene.resolve(&mut shapes);
+    let NamedShapes { written, unused_names: unused_shapes, unused: _ } = shapes;
+    let in_document = |pointer: String| written.as_ref().map_or(pointer.clone(), |written| written.pointer(&pointer));
     for (pointer, name) in unknown {
         let known: Vec<&str> = names.iter().map(String::as_str).collect();
         faults.push((format!("/scene{pointer}"), suggest::unknown_material(&name, &known)));
     }
-    faults
-        .extend(scene.validation_errors().into_iter().map(|(pointer, message)| (format!("/scene{pointer}"), message)));
+    let in_scene = scene.validation_errors().into_iter();
+    let in_scene: BTreeSet<_> = in_scene.map(|(pointer, message)| (in_document(pointer), message)).collect();
+    faults.extend(in_scene.into_iter().map(|(pointer, message)| (format!("/scene{pointer}"), message)));
     if scene.used_materials().len() > MAX_MATERIALS {
         let used = scene.used_materials().len();
         let message = format!("uses {used} materials: use at most {MAX_MATERIALS}; materials with a name count once");
@@ -137,15 +141,26 @@ fn validate(document: JobDocument) -> Result<(Job, Vec<f64>), SemanticErrors> {
     let mut key_seconds = Vec::new();
     let clock = &mut FrameTime::recording(0.0, &mut key_seconds);
     let sought = scene.seek(clock).and_then(|in_scene| Ok(in_scene | image.seek(clock)?));
-    let is_animated = sought.map_err(|misfit| vec![(format!("/scene{}", misfit.pointer), misfit.message)])?;
+    let is_animated =
+        sought.map_err(|misfit| vec![(format!("/scene{}", in_document(misfit.pointer)), misfit.message)])?;
     let is_animated = is_animated || scene.camera.turntable.is_some();
     scene.prepare(is_animated);
-    let job =
-        Job { name, scene, image, frames, priority, is_animated, material_pointers: places, unused_materials: unused };
+    let job = Job {
+        name,
+        scene,
+        image,
+        frames,
+        priority,
+        is_animated,
+        material_pointers: places,
+        unused_materials: unused,
+        unused_shapes,
+        written: written.map(Arc::new),
+    };
     Ok((job, key_seconds))
 }
 
-/// Errors in a document that do not depend on its materials.
+/// Errors in a document that do not depend on its materials and nodes.
 fn faults_of_document(document: &JobDocument) -> SemanticErrors {
     let mut faults = SemanticErrors::new();
     let mut fault = |pointer: &str, message: String| faults.push((pointer.to_owned(), message));
@@ -162,49 +177,8 @@ fn faults_of_document(document: &JobDocument) -> SemanticErrors {
     if scene.objects.is_empty() {
         fault("/scene/objects", "is empty: a scene needs an object or more".to_owned());
     }
-    let mut nodes = 0;
-    for (index, object) in scene.objects.iter().enumerate() {
-        validate_node(&object.shape, &mut format!("/scene/objects/{index}/shape"), 1, &mut nodes, &mut fault);
-    }
-    if nodes > MAX_NODES {
-        fault("/scene/objects", format!("has {nodes} nodes: use at most {MAX_NODES}"));
-    }
     image(document, &mut fault);
     faults
-}
-
-/// Validates a node and all nodes in it. Returns whether they are valid, so that their bounds may be computed. Errors
-/// inside a node are reported first, because a node can be validated only if its children are valid.
-fn validate_node(
-    node: &Node,
-    pointer: &mut String,
-    depth: usize,
-    nodes: &mut usize,
-    fault: &mut impl FnMut(&str, String),
-) -> bool {
-    *nodes += 1;
-    if depth == MAX_NODE_DEPTH + 1 {
-        fault(pointer, format!("nests {depth} nodes deep: nest at most {MAX_NODE_DEPTH}"));
-    }
-    let mut is_sound = true;
-    let length = pointer.len();
-    for (child, step) in node.children().iter().zip(child_pointers(node)) {
-        pointer.push_str(&step);
-        is_sound &= validate_node(child, pointer, depth + 1, nodes, fault);
-        pointer.truncate(length);
-    }
-    let name = node.name();
-    if node.has_child_list() && node.children().is_empty() {
-        fault(&format!("{pointer}/{name}/of"), format!("is empty: {name} needs a shape or more"));
-        return false;
-    }
-    match is_sound.then(|| node.fault()).flatten() {
-        Some(NodeError { pointer: place, message }) => {
-            fault(&format!("{pointer}/{name}/{place}"), message);
-            false
-        }
-        None => is_sound,
-    }
 }
 
 fn image(document: &JobDocument, fault: &mut impl FnMut(&str, String)) {

@@ -145,6 +145,20 @@ pub(crate) fn child_pointers(node: &Node) -> Vec<String> {
     }
 }
 
+/// The child of a node that a JSON pointer leads into, and the length of the pointer's part up to the child.
+pub(crate) fn child_at<'n>(node: &'n Node, pointer: &str) -> Option<(&'n Node, usize)> {
+    let mut steps = pointer.split('/').skip(1);
+    let (name, list) = (steps.next()?, steps.next()?);
+    let index = if node.has_child_list() { steps.next()? } else { "" };
+    let child = match (node.has_child_list(), list) {
+        (false, "child") => node.children().first()?,
+        (true, "of") => node.children().get(index.parse::<usize>().ok()?)?,
+        _ => return None,
+    };
+    let separators = if node.has_child_list() { 3 } else { 2 };
+    Some((child, separators + name.len() + list.len() + index.len()))
+}
+
 fn default_material() -> MaterialRef {
     serde_json::from_str(r#"{ "diffuse": {} }"#).expect("a material")
 }

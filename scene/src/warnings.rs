@@ -97,6 +97,9 @@ fn job_warnings(job: &Job) -> Vec<String> {
     for name in &job.unused_materials {
         warnings.push(format!("material \"{name}\" is not used"));
     }
+    for name in &job.unused_shapes {
+        warnings.push(format!("shape \"{name}\" is not used"));
+    }
     warnings
 }
 
@@ -105,14 +108,14 @@ fn frame_warnings(still: &JobAtFrame<'_>) -> Vec<Warning> {
     let seen = view::of(still);
     let known = [
         (WarningKind::HighCost, scene::high_cost(scene)),
-        (WarningKind::HighLipschitz, scene::high_lipschitz(scene)),
+        (WarningKind::HighLipschitz, scene::high_lipschitz(still)),
         (WarningKind::Lighting, scene::light(scene)),
         (WarningKind::DenseMedium, scene::dense_media(scene)),
         (WarningKind::TooFewBounces, scene::bounces(scene)),
         (WarningKind::Colors, numbers::colors_of_255(scene)),
-        (WarningKind::Radians, numbers::radians(scene)),
-        (WarningKind::Swims, own_space::swims(scene)),
-        (WarningKind::Empty, empty::difference(scene)),
+        (WarningKind::Radians, numbers::radians(still)),
+        (WarningKind::Swims, own_space::swims(still)),
+        (WarningKind::Empty, empty::difference(still)),
         (WarningKind::Touching, clear::touching(scene)),
         (WarningKind::Mirrors, clear::nothing_to_mirror(scene)),
         (WarningKind::Samples, samples::too_many(scene, still.image())),

@@ -1,7 +1,8 @@
 //! Reference to a material: by name or in place in a job file, by slot in a scene.
 
 use std::borrow::Cow;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashMap};
+use std::sync::Arc;
 
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::de::{MapAccess, Visitor, value::MapAccessDeserializer};
@@ -15,8 +16,8 @@ use crate::seek::{FrameTime, Seek, SeekError};
 pub enum MaterialRef {
     /// In a job file: by name.
     Name(String),
-    /// In a job file: in place.
-    InPlace(Box<Material>),
+    /// In a job file: in place. Copies of a named shape share it.
+    InPlace(Arc<Material>),
     /// In a scene: index among the materials in use.
     Slot(u32),
 }
@@ -30,25 +31,38 @@ impl MaterialRef {
         }
     }
 
-    /// Assigns the material a slot in `used`, the materials in use so far. Returns the name if there is no such
-    /// material.
+    /// Assigns the material a slot. Returns the name if there is no such material.
     pub(crate) fn resolve(
         &mut self,
         named: &BTreeMap<String, Material>,
-        used: &mut Vec<Material>,
-        slots: &mut BTreeMap<String, u32>,
+        slots: &mut MaterialSlots,
     ) -> Result<(), String> {
+        let MaterialSlots { used, by_name, in_place } = slots;
         let slot = match std::mem::replace(self, Self::Slot(0)) {
             Self::Name(name) => {
                 let Some(material) = named.get(&name) else { return Err(name) };
-                *slots.entry(name).or_insert_with(|| add_slot(used, material.clone()))
+                *by_name.entry(name).or_insert_with(|| add_slot(used, material.clone()))
             }
-            Self::InPlace(material) => add_slot(used, *material),
+            Self::InPlace(material) => {
+                let add = || (add_slot(used, (*material).clone()), Arc::clone(&material));
+                in_place.entry(Arc::as_ptr(&material)).or_insert_with(add).0
+            }
             Self::Slot(slot) => slot,
         };
         *self = Self::Slot(slot);
         Ok(())
     }
+}
+
+/// Slots of the materials in use so far.
+#[derive(Debug, Default)]
+pub(crate) struct MaterialSlots {
+    /// The materials, by slot.
+    pub used: Vec<Material>,
+    /// Slots of the named materials.
+    pub by_name: BTreeMap<String, u32>,
+    /// Slots of the materials in place, by address; each is held, so that no other one gets its address.
+    in_place: HashMap<*const Material, (u32, Arc<Material>)>,
 }
 
 fn add_slot(used: &mut Vec<Material>, material: Material) -> u32 {
@@ -61,7 +75,7 @@ impl Seek for MaterialRef {
         match self {
             // The materials in slots are sought once, in the list of used materials.
             Self::Name(_) | Self::Slot(_) => Ok(false),
-            Self::InPlace(material) => material.seek(clock),
+            Self::InPlace(material) => Arc::make_mut(material).seek(clock),
         }
     }
 }
@@ -81,7 +95,7 @@ impl<'de> Visitor<'de> for MaterialUseVisitor {
     }
 
     fn visit_map<A: MapAccess<'de>>(self, map: A) -> Result<MaterialRef, A::Error> {
-        Material::deserialize(MapAccessDeserializer::new(map)).map(|material| MaterialRef::InPlace(Box::new(material)))
+        Material::deserialize(MapAccessDeserializer::new(map)).map(|material| MaterialRef::InPlace(Arc::new(material)))
     }
 }
 

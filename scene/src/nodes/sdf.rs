@@ -154,6 +154,11 @@ pub trait Sdf {
         false
     }
 
+    /// Name of the shape that it stands for, if it is a `use`.
+    fn used_shape(&self) -> Option<&str> {
+        None
+    }
+
     /// Advice for the warning that its Lipschitz factor is so high that steps are tiny.
     fn lipschitz_advice(&self) -> &'static str {
         "change it less, or over a greater length"

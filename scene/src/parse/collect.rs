@@ -34,7 +34,7 @@ const MIN_READ_BYTES: usize = 256;
 /// A part of a job that is parsed separately.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum DocumentPart {
-    /// The job, without its objects, materials and lights.
+    /// The job, without its objects, shapes, materials and lights.
     Job,
     /// An object, without its shape.
     Object,
@@ -80,7 +80,7 @@ impl DocumentPart {
         match (self, path.as_slice()) {
             (Self::Job, ["scene", "objects"]) => of_list(stand_ins::OBJECTS),
             (Self::Job, ["scene", "lights"]) => of_list("[]"),
-            (Self::Job, ["scene", "materials"]) => (!value.members().is_empty()).then_some("{}"),
+            (Self::Job, ["scene", "materials" | "shapes"]) => (!value.members().is_empty()).then_some("{}"),
             (Self::Object, ["shape"]) | (Self::Node, [_, "child"]) => Some(stand_ins::NODE),
             (Self::Node, [_, "of"]) => of_list(stand_ins::NODES),
             _ => None,
@@ -99,7 +99,7 @@ impl DocumentPart {
             list.into_iter().flat_map(move |path| {
                 let count = match value.at(&path).map(|list| &list.body) {
                     Some(tree::Body::Array(entries)) => entries.len(),
-                    Some(tree::Body::Object(members)) if part == Self::Material => members.len(),
+                    Some(tree::Body::Object(members)) if self == Self::Job => members.len(),
                     _ => 0,
                 };
                 (0..count).map(move |index| (part, [path.as_slice(), &[index]].concat()))
@@ -108,6 +108,7 @@ impl DocumentPart {
         match self {
             Self::Job => entries(&["scene", "objects"], Self::Object)
                 .chain(entries(&["scene", "materials"], Self::Material))
+                .chain(entries(&["scene", "shapes"], Self::Node))
                 .chain(entries(&["scene", "lights"], Self::Light))
                 .collect(),
             Self::Object => below(&["shape"], Self::Node).into_iter().collect(),

@@ -35,33 +35,40 @@ fn needed(pointer: &str) -> Vec<Needed> {
             vec![whole(&format!("/scene/lights/{index}")), whole("/scene/background")]
         }
         ["scene", "objects", index, "shape", rest @ ..] => {
-            let mut node = format!("/scene/objects/{index}/shape");
-            let mut rest = rest;
-            loop {
-                let length = match rest {
-                    [_, "child", _, ..] => 2,
-                    [_, "of", place, _, ..] if place.parse::<usize>().is_ok() => 3,
-                    _ => break,
-                };
-                let (inside, below) = rest.split_at(length);
-                for step in inside {
-                    node.push('/');
-                    node.push_str(step);
-                }
-                rest = below;
-            }
-            match rest {
-                // A material by its name, or a medium.
-                [_, "material"] => vec![whole(pointer), alone("/scene/materials")],
-                [] => vec![alone(pointer)],
-                [..] => vec![whole(&node)],
-            }
+            of_node(pointer, format!("/scene/objects/{index}/shape"), rest)
         }
+        ["scene", "shapes", name, rest @ ..] => of_node(pointer, format!("/scene/shapes/{name}"), rest),
         ["scene", "objects", _, "material"] => vec![whole(pointer), alone("/scene/materials")],
         ["image", "layers" | "exposure" | "tone_map", ..] => {
             vec![whole(pointer), alone("/image/format"), alone("/image/layers")]
         }
         _ => vec![alone(pointer)],
+    }
+}
+
+/// Parts that an error in a node depends on: its `pointer`, that of the outermost node, and the steps below that.
+fn of_node(pointer: &str, mut node: String, mut rest: &[&str]) -> Vec<Needed> {
+    let whole = |pointer: &str| Needed { pointer: pointer.to_owned(), is_whole: true };
+    let alone = |pointer: &str| Needed { pointer: pointer.to_owned(), is_whole: false };
+    loop {
+        let length = match rest {
+            [_, "child", _, ..] => 2,
+            [_, "of", place, _, ..] if place.parse::<usize>().is_ok() => 3,
+            _ => break,
+        };
+        let (inside, below) = rest.split_at(length);
+        for step in inside {
+            node.push('/');
+            node.push_str(step);
+        }
+        rest = below;
+    }
+    match rest {
+        // A material by its name, or a medium.
+        [_, "material"] => vec![whole(pointer), alone("/scene/materials")],
+        [] => vec![alone(pointer)],
+        // The node may use any shape.
+        [..] => vec![whole(&node), whole("/scene/shapes")],
     }
 }
 
@@ -80,6 +87,8 @@ mod tests {
         assert!(!sure("/scene/objects/0/shape/torus/tube", "/scene/objects/0/shape/torus/radius"));
         assert!(!sure("/scene/objects/0/shape/twist/child", "/scene/objects/0/shape/twist/child/box/size"));
         assert!(!sure("/scene/objects/0/material", "/scene/materials"));
+        assert!(!sure("/scene/objects/0/shape/repeat/child", "/scene/shapes/leg/torus/tube"));
+        assert!(!sure("/scene/shapes/leg/torus/tube", "/scene/shapes/leg/torus/radius"));
         assert!(!sure("/image/layers", "/image/format"));
         assert!(!sure("/image", "/image"));
     }

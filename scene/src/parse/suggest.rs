@@ -165,16 +165,26 @@ pub(super) fn unknown_key(key: &str, known: &[&str]) -> String {
 
 /// Message for a material name that is not defined.
 pub(super) fn unknown_material(name: &str, known: &[&str]) -> String {
+    undefined(name, known, "materials", "material")
+}
+
+/// Message for a name of a shape that is not defined.
+pub(super) fn unknown_shape(name: &str, known: &[&str]) -> String {
+    undefined(name, known, "shapes", "shape")
+}
+
+/// Message for a name that is not a key of an object of the scene.
+fn undefined(name: &str, known: &[&str], object: &str, kind: &str) -> String {
     let name = shortened(name);
     let cure = match nearest(&name, known) {
         Some(meant) => format!("did you mean \"{meant}\"?"),
-        None if known.is_empty() => "define it there, or write a material in place".to_owned(),
+        None if known.is_empty() => format!("define it there, or write a {kind} in place"),
         None if known.len() > MAX_LISTED => {
             format!("define it there, or use one of the {} that are defined", known.len())
         }
         None => format!("choose one of {}", known.join(", ")),
     };
-    format!("\"{name}\" is not in /scene/materials: {cure}")
+    format!("\"{name}\" is not in /scene/{object}: {cure}")
 }
 
 /// "`a`", "`a` or `b`", "one of `a`, `b`, `c`".

@@ -2,7 +2,9 @@
 
 use super::*;
 use crate::error::ValidationError;
+use crate::limits::MAX_NODES;
 use crate::materials::Material;
+use crate::nodes::Node;
 
 const SEVERAL: &str = include_str!("../../../tests/bad_input/several.txt");
 

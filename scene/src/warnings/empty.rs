@@ -1,8 +1,9 @@
 //! Warnings about differences that are empty.
 
+use crate::animation::JobAtFrame;
 use crate::nodes::{Exactness, Node};
 use crate::real::{Vec3, vec3};
-use crate::scene::{Scene, child_pointers};
+use crate::scene::child_pointers;
 
 /// Maximum number of boxes tested in one difference.
 const MAX_BOXES: usize = 512;
@@ -12,11 +13,13 @@ const MAX_ALL_BOXES: usize = 8192;
 const MAX_EVALUATIONS: f32 = 2000.0;
 
 /// A difference that is empty.
-pub(super) fn difference(scene: &Scene) -> Option<String> {
+pub(super) fn difference(still: &JobAtFrame<'_>) -> Option<String> {
+    let scene = still.scene();
     let mut boxes_left = MAX_ALL_BOXES;
     scene.objects.iter().enumerate().find_map(|(index, object)| {
         let mut pointer = format!("/scene/objects/{index}/shape");
         let place = empty_difference(&object.shape, &mut pointer, &mut boxes_left)?;
+        let place = still.pointer_in_document(&place);
         Some(format!(
             "{place} is empty: the shapes subtracted from the first one remove all of it; change their order or their sizes"
         ))

@@ -2,6 +2,7 @@
 
 use serde_json::Value;
 
+use crate::animation::JobAtFrame;
 use crate::materials::Shade;
 use crate::nodes::Node;
 use crate::scene::{Scene, child_pointers};
@@ -67,7 +68,8 @@ fn color_of_255(value: &Value, pointer: &mut String, is_reflectance: bool) -> Op
 }
 
 /// Angles that are in radians.
-pub(super) fn radians(scene: &Scene) -> Option<String> {
+pub(super) fn radians(still: &JobAtFrame<'_>) -> Option<String> {
+    let scene = still.scene();
     if let Some(fov) = scene.camera.fov.as_ref().filter(|fov| fov.get() < MIN_FOV && !fov.is_animated()) {
         let degrees = f64::from(fov.get()).to_degrees().round();
         let fov = fov.get();
@@ -77,21 +79,24 @@ pub(super) fn radians(scene: &Scene) -> Option<String> {
     }
     scene.objects.iter().enumerate().find_map(|(index, object)| {
         let mut pointer = format!("/scene/objects/{index}/shape");
-        rotation_in_radians(&object.shape, &mut pointer)
+        let (place, rest) = rotation_in_radians(&object.shape, &mut pointer)?;
+        Some(format!("{}{rest}", still.pointer_in_document(&place)))
     })
 }
 
-fn rotation_in_radians(node: &Node, pointer: &mut String) -> Option<String> {
+/// JSON pointer of a rotation whose angles are in radians, and the rest of the warning.
+fn rotation_in_radians(node: &Node, pointer: &mut String) -> Option<(String, String)> {
     if node.name() == "rotate"
         && let Some(angles) = angles_of(node).filter(|angles| are_radians(angles))
     {
         let degrees: Vec<String> = angles.iter().map(|angle| format!("{}", angle.to_degrees().round())).collect();
         let angles: Vec<String> = angles.iter().map(ToString::to_string).collect();
-        return Some(format!(
-            "{pointer}/rotate/degrees is [{}], which looks like radians: write [{}], the degrees",
+        let rest = format!(
+            " is [{}], which looks like radians: write [{}], the degrees",
             angles.join(", "),
             degrees.join(", ")
-        ));
+        );
+        return Some((format!("{pointer}/rotate/degrees"), rest));
     }
     let length = pointer.len();
     node.children().iter().zip(child_pointers(node)).find_map(|(child, step)| {

@@ -1,17 +1,20 @@
 //! Warnings about textures that do not follow their animated object.
 
+use crate::animation::JobAtFrame;
 use crate::materials::Shade;
 use crate::nodes::Node;
-use crate::scene::{Scene, child_pointers};
+use crate::scene::child_pointers;
 
 /// Animated shapes whose texture is fixed in another space.
-pub(super) fn swims(scene: &Scene) -> Option<String> {
+pub(super) fn swims(still: &JobAtFrame<'_>) -> Option<String> {
+    let scene = still.scene();
     scene.objects.iter().enumerate().find_map(|(index, object)| {
         let is_textured = |slot: u32| {
             scene.used_materials().get(slot as usize).is_some_and(|material| material.is_textured() && !material.is_medium())
         };
         let mut pointer = format!("/scene/objects/{index}/shape");
         let place = moves_under(&object.shape, is_textured(object.material.slot()), &is_textured, &mut pointer)?;
+        let place = still.pointer_in_document(&place);
         Some(format!(
             "the texture does not follow {place}, which is animated: put a `paint` with the material inside the animated node"
         ))

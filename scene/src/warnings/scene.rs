@@ -1,6 +1,7 @@
 //! Warnings about shapes, materials and lights that do not fit together.
 
 use super::objects;
+use crate::animation::JobAtFrame;
 use crate::lights::{LightSource, default_lights};
 use crate::limits::MAX_MEDIUM_STEPS;
 use crate::materials::{Material, Shade};
@@ -30,12 +31,14 @@ pub(super) fn high_cost(scene: &Scene) -> Option<String> {
 }
 
 /// Objects whose Lipschitz factor makes steps tiny.
-pub(super) fn high_lipschitz(scene: &Scene) -> Option<String> {
+pub(super) fn high_lipschitz(still: &JobAtFrame<'_>) -> Option<String> {
+    let scene = still.scene();
     let stretches: Vec<f32> = scene.objects.iter().map(|object| object.shape.stretch()).collect();
     let steep: Vec<usize> = (0..stretches.len()).filter(|&index| stretches[index] > STEEPEST).collect();
     let steepest = steep.iter().copied().reduce(|a, b| if stretches[b] > stretches[a] { b } else { a })?;
     let mut pointer = format!("/scene/objects/{steepest}/shape");
     let cure = main_cause(&scene.objects[steepest].shape, &mut pointer).lipschitz_advice();
+    let pointer = still.pointer_in_document(&pointer);
     let others = if steep.len() > 1 { format!(" (also near {})", objects(&steep)) } else { String::new() };
     let stretch = stretches[steepest];
     let part = if stretch < 1e6 { format!("1/{stretch:.0}") } else { "less than a millionth".to_owned() };

@@ -14,6 +14,7 @@ mod profiles;
 mod repetition;
 mod rounded;
 mod seams;
+mod shapes;
 mod surface;
 mod unions;
 mod warnings;
