@@ -17,7 +17,7 @@ use crate::json_scan;
 use crate::lights::{Light, default_lights};
 use crate::limits::MAX_LIGHTS;
 use crate::materials::{Material, MaterialRef, MaterialSlots};
-use crate::nodes::Node;
+use crate::nodes::{Node, material_pointer};
 use crate::scene::{March, Object, Scene, child_pointers};
 use crate::shapes::WrittenNodes;
 
@@ -65,7 +65,7 @@ pub(crate) struct SceneDocument {
     #[serde(default)]
     pub materials: BTreeMap<String, Material>,
     /// Shapes by name: `{ "use": name }` stands for one anywhere in an object or in another shape.
-    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    #[serde(default)]
     pub shapes: BTreeMap<String, Node>,
     /// The objects, one or more. The nearest one is visible; if several are equally near, the first of them.
     #[schemars(length(min = 1))]
@@ -165,8 +165,8 @@ impl<'a> MaterialResolver<'a> {
 
     fn resolve_tree(&mut self, node: &mut Node, pointer: &mut String) {
         let name = node.name();
-        if let Some(material) = node.material_mut() {
-            self.resolve(material, || format!("{pointer}/{name}/material"));
+        for (placement, material) in node.materials_mut() {
+            self.resolve(material, || format!("{pointer}/{name}{}", material_pointer(placement)));
         }
         let (length, steps) = (pointer.len(), child_pointers(node));
         for (child, step) in node.children_mut().iter_mut().zip(steps) {

@@ -8,6 +8,8 @@ pub const MAX_JSON_DEPTH: usize = 256;
 pub const MAX_NODE_DEPTH: usize = 64;
 /// Maximum number of nodes of a scene.
 pub const MAX_NODES: usize = 100_000;
+/// Maximum number of scattered copies of a scene, each times the cost of the surface under it in simple nodes.
+pub const MAX_PLACING_COST: f32 = 2e6;
 /// Maximum number of materials in use in a scene.
 pub const MAX_MATERIALS: usize = 1_024;
 /// Maximum number of lights of a scene.

@@ -7,6 +7,7 @@
 #[cfg(test)]
 mod added;
 mod bvh;
+mod copies;
 mod cost;
 mod displace;
 mod displacement_bounds;
@@ -17,6 +18,7 @@ mod operators;
 mod per_axis;
 mod precomputed;
 mod primitives;
+mod scatter;
 mod sdf;
 mod sweeps;
 mod terrain;
@@ -29,13 +31,18 @@ use serde::{Deserialize, Serialize};
 
 #[cfg(test)]
 pub use added::AddedNode;
+pub use copies::{
+    AtPlacements, Copies, GridPlacements, LinePlacements, Placement, PlacementCount, Placements, RingPlacements,
+};
 pub use displace::{Displace, DisplacementFunction, Sine};
 pub use displacement_bounds::CachedDisplacementBounds;
 pub use fractals::{
     ApollonianGasket, KaleidoscopicFolds, KaleidoscopicIfs, Mandelbox, MandelbrotRelief, Mandelbulb, MengerSponge,
     QuaternionJulia, Sierpinski,
 };
-pub use modifiers::{Bend, Copies, Elongate, Mirror, Onion, Paint, PolarRepeat, Repeat, Round, Stretch, Taper, Twist};
+pub use modifiers::{
+    Bend, CopyCount, Elongate, Mirror, Onion, Paint, PolarRepeat, Repeat, Round, Stretch, Taper, Twist,
+};
 pub use named::Use;
 pub use operators::{
     Chamfer, Columns, Difference, Engrave, Groove, Intersection, Morph, SeamKind, Stairs, Tongue, Union, Xor,
@@ -49,6 +56,7 @@ pub use primitives::{
     Link, OctagonalPrism, Octahedron, Plane, PolygonSides, Pyramid, Quad, RegularPyramid, Rhombus, RoundCone,
     RoundedCylinder, SchwarzP, SolidAngle, Sphere, Tetrahedron, Torus, Triangle, TriangularPrism, U, Vesica,
 };
+pub use scatter::{BallRegion, BoxRegion, DiscRegion, Scatter, ScatterRegion};
 pub use sdf::{Exactness, NodeError, Primitive, Sdf};
 pub use sweeps::{Extrude, Revolve};
 pub use terrain::HeightField;
@@ -108,17 +116,53 @@ macro_rules! nodes {
                 }
             }
 
-            /// Material that it names, if any.
+            /// Material of all of its shape, if it names one.
             pub(crate) fn material(&self) -> Option<&MaterialRef> {
                 match self {
                     $($(#[$attribute])* Self::$Kind(node) => node.material()),*
                 }
             }
 
-            /// Mutable access to that material.
-            pub(crate) fn material_mut(&mut self) -> Option<&mut MaterialRef> {
+            /// A node that it measures and does not show, if any.
+            pub(crate) fn base(&self) -> Option<&Node> {
                 match self {
-                    $($(#[$attribute])* Self::$Kind(node) => node.material_mut()),*
+                    $($(#[$attribute])* Self::$Kind(node) => node.base()),*
+                }
+            }
+
+            /// Mutable access to that node.
+            pub(crate) fn base_mut(&mut self) -> Option<&mut Node> {
+                match self {
+                    $($(#[$attribute])* Self::$Kind(node) => node.base_mut()),*
+                }
+            }
+
+            /// Cost of measuring that node, in evaluations of a simple node for each of its evaluations per copy.
+            pub(crate) fn placing_cost(&self) -> f32 {
+                match self {
+                    $($(#[$attribute])* Self::$Kind(node) => node.placing_cost()),*
+                }
+            }
+
+            /// Materials that it names; one of a placement has the placement's index.
+            pub(crate) fn materials(&self) -> Vec<(Option<usize>, &MaterialRef)> {
+                match self {
+                    $($(#[$attribute])* Self::$Kind(node) => node.materials()),*
+                }
+            }
+
+            /// Mutable access to these materials.
+            pub(crate) fn materials_mut(&mut self) -> Vec<(Option<usize>, &mut MaterialRef)> {
+                match self {
+                    $($(#[$attribute])* Self::$Kind(node) => node.materials_mut()),*
+                }
+            }
+
+            /// Number of nodes in its children, each counted as often as it is copied; saturating. `children` has the
+            /// number in each.
+            pub(crate) fn nodes_in_children(&self, children: &mut dyn Iterator<Item = u64>) -> u64 {
+                match self {
+                    $($(#[$attribute])* Self::$Kind(node) => node.nodes_in_children(children)),*
                 }
             }
 
@@ -330,6 +374,8 @@ nodes![
     QuaternionJulia,
     Sierpinski,
     Use,
+    Copies,
+    Scatter,
     #[cfg(test)]
     AddedNode,
 ];
@@ -362,20 +408,26 @@ impl Node {
         Ok(())
     }
 
-    /// Its size in simple nodes, children included.
+    /// Its size in simple nodes, children included, each counted as often as it is copied.
     pub fn node_count(&self) -> u32 {
-        self.weight() + self.children().iter().map(Self::node_count).sum::<u32>()
+        let inside = self.nodes_in_children(&mut self.children().iter().map(|child| child.node_count().into()));
+        self.weight().saturating_add(u32::try_from(inside).unwrap_or(u32::MAX))
     }
 
     /// Whether any node in it names a material.
     pub fn has_own_materials(&self) -> bool {
-        self.material().is_some() || self.children().iter().any(Self::has_own_materials)
+        !self.materials().is_empty() || self.children().iter().any(Self::has_own_materials)
     }
 
     /// The signed distance at `p`.
     pub fn distance<R: Real>(&self, p: Vec3<R>) -> R {
         self.sample::<R, Distance<R>>(p).0
     }
+}
+
+/// JSON pointer in a node of a material that it names; a placement's has the placement's index.
+pub(crate) fn material_pointer(placement: Option<usize>) -> String {
+    placement.map_or_else(|| "/material".to_owned(), |index| format!("/at/{index}/material"))
 }
 
 /// Name in JSON: `InfiniteCylinder` becomes `infinite_cylinder`.

@@ -123,7 +123,7 @@ fn validate(document: JobDocument) -> Result<(Job, Vec<f64>), SemanticErrors> {
     let Resolved { mut scene, material_pointers: places, unused_names: unused, unknown } = scene.resolve(&mut shapes);
     let NamedShapes { written, unused_names: unused_shapes, unused: _ } = shapes;
     let in_document = |pointer: String| written.as_ref().map_or(pointer.clone(), |written| written.pointer(&pointer));
-    for (pointer, name) in unknown {
+    for (pointer, name) in unknown.into_iter().take(MAX_ERRORS) {
         let known: Vec<&str> = names.iter().map(String::as_str).collect();
         faults.push((format!("/scene{pointer}"), suggest::unknown_material(&name, &known)));
     }

@@ -19,6 +19,7 @@ use std::sync::Arc;
 pub(crate) use bundle::bundle;
 pub use bundle::{Bundle, MaskValue, Merge};
 pub use interval::{Interval, IntervalBits, Tribool};
+pub(crate) use reference::F32Bits;
 pub use vector::{Vec3, vec3};
 
 /// Below this, [`Real::sqrt`] is 0, so that a GPU may compute a root through its reciprocal.

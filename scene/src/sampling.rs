@@ -9,7 +9,7 @@
 //! pcg3d: Mark Jarzynski and Marc Olano, "Hash functions for GPU rendering", Journal of Computer Graphics Techniques
 //! 9(3), 2020, <https://jcgt.org/published/0009/03/02/>.
 
-use crate::real::Real;
+use crate::real::{F32Bits, Real};
 
 /// 2³² times the R2 sequence's steps, 1/ρ and 1/ρ² for the plastic number ρ.
 const STEP_X: u32 = 0xc13f_a9a9;
@@ -97,6 +97,11 @@ impl<R: Real> Sampler<R> {
 /// Neighboring pixels have different thresholds.
 pub fn thresholds<R: Real>(x: R, y: R) -> [R; 3] {
     pcg3d::<R>(to_u32(x), to_u32(y), x.uniform_bits(0)).map(to_unit_float)
+}
+
+/// Three numbers, 0 to 1 excluding 1, that follow from a seed, an index and a dimension.
+pub(crate) fn hashed_numbers(seed: u32, index: u32, dimension: u32) -> [f32; 3] {
+    pcg3d::<f32>(F32Bits(seed), F32Bits(index), F32Bits(dimension)).map(to_unit_float)
 }
 
 /// The pcg3d hash of Jarzynski and Olano.

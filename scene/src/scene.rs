@@ -10,7 +10,7 @@ use crate::fog::Fog;
 use crate::lights::{Light, LightSource};
 use crate::limits::{MAX_BOUNCES, MAX_STEPS};
 use crate::materials::{Material, MaterialRef, Shade};
-use crate::nodes::{Node, NodeError};
+use crate::nodes::{Node, NodeError, material_pointer};
 use crate::seek::Seek;
 use crate::values::{Length, integer_in_range};
 
@@ -120,11 +120,12 @@ impl Scene {
 
     /// Finds `paint` nodes whose material is a medium, which only a whole object can have.
     fn medium_paint_errors(&self, node: &Node, pointer: &mut String, faults: &mut Vec<(String, String)>) {
-        let material = node.material().and_then(|material| self.materials.get(material.slot() as usize));
-        if material.is_some_and(Shade::is_medium) {
-            let message =
-                "fills a whole object and cannot be painted on part of one: make the part an object of its own";
-            faults.push((format!("{pointer}/{}/material", node.name()), message.to_owned()));
+        for (placement, material) in node.materials() {
+            if self.materials.get(material.slot() as usize).is_some_and(Shade::is_medium) {
+                let message =
+                    "fills a whole object and cannot be painted on part of one: make the part an object of its own";
+                faults.push((format!("{pointer}/{}{}", node.name(), material_pointer(placement)), message.to_owned()));
+            }
         }
         let length = pointer.len();
         for (child, step) in node.children().iter().zip(child_pointers(node)) {
@@ -145,18 +146,25 @@ pub(crate) fn child_pointers(node: &Node) -> Vec<String> {
     }
 }
 
+/// The JSON pointer from a node to the node that it measures.
+pub(crate) fn base_pointer(node: &Node) -> String {
+    format!("/{}/on", node.name())
+}
+
 /// The child of a node that a JSON pointer leads into, and the length of the pointer's part up to the child.
 pub(crate) fn child_at<'n>(node: &'n Node, pointer: &str) -> Option<(&'n Node, usize)> {
     let mut steps = pointer.split('/').skip(1);
     let (name, list) = (steps.next()?, steps.next()?);
-    let index = if node.has_child_list() { steps.next()? } else { "" };
-    let child = match (node.has_child_list(), list) {
-        (false, "child") => node.children().first()?,
-        (true, "of") => node.children().get(index.parse::<usize>().ok()?)?,
-        _ => return None,
-    };
-    let separators = if node.has_child_list() { 3 } else { 2 };
-    Some((child, separators + name.len() + list.len() + index.len()))
+    let length = 2 + name.len() + list.len();
+    match (list, node.has_child_list()) {
+        ("child", false) => Some((node.children().first()?, length)),
+        ("of", true) => {
+            let index = steps.next()?;
+            Some((node.children().get(index.parse::<usize>().ok()?)?, length + 1 + index.len()))
+        }
+        ("on", _) => Some((node.base()?, length)),
+        _ => None,
+    }
 }
 
 fn default_material() -> MaterialRef {

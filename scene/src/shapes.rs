@@ -7,7 +7,7 @@ use std::collections::BTreeMap;
 
 use crate::json_scan;
 use crate::nodes::Node;
-use crate::scene::{child_at, child_pointers};
+use crate::scene::{base_pointer, child_at, child_pointers};
 
 /// Size of a tree of nodes in which every `use` is replaced.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -24,13 +24,11 @@ impl TreeSize {
         if let Some(name) = node.used_shape() {
             return shapes.get(name).copied().unwrap_or(Self { nodes: 1, depth: 1 });
         }
-        let (mut nodes, mut depth) = (1_u64, 0);
-        for child in node.children() {
-            let child = Self::of(child, shapes);
-            nodes = nodes.saturating_add(child.nodes);
-            depth = depth.max(child.depth);
-        }
-        Self { nodes, depth: depth.saturating_add(1) }
+        let sizes: Vec<Self> = node.children().iter().map(|child| Self::of(child, shapes)).collect();
+        let nodes = node.nodes_in_children(&mut sizes.iter().map(|size| size.nodes));
+        let base = node.base().map_or(Self { nodes: 0, depth: 0 }, |base| Self::of(base, shapes));
+        let depth = sizes.iter().map(|size| size.depth).fold(base.depth, usize::max);
+        Self { nodes: nodes.saturating_add(base.nodes).saturating_add(1), depth: depth.saturating_add(1) }
     }
 }
 
@@ -45,7 +43,8 @@ pub(crate) fn each_use<'n>(
         visit(pointer, name, depth);
     }
     let length = pointer.len();
-    for (child, step) in node.children().iter().zip(child_pointers(node)) {
+    let base = node.base().map(|base| (base, base_pointer(node)));
+    for (child, step) in node.children().iter().zip(child_pointers(node)).chain(base) {
         pointer.push_str(&step);
         each_use(child, pointer, depth + 1, visit);
         pointer.truncate(length);

@@ -243,6 +243,21 @@ constant_numbers! {
     /// Frames per second.
     FrameRate: |v| (0.001..=1000.0).contains(&v), "a rate from 0.001 to 1000 frames a second",
         { "type": "number", "minimum": 0.001, "maximum": 1000, "description": "Frames a second." };
+    /// A coordinate or an offset that is the same in all frames, in scene units.
+    ConstantCoordinate: |v| v.abs() <= MAX_LENGTH, "within ±1e6",
+        { "type": "number", "minimum": -1e6, "maximum": 1e6, "description": "A coordinate or an offset, in scene units, the same in all frames." };
+    /// A size that is the same in all frames, in scene units.
+    ConstantLength: |v| (MIN_LENGTH..=MAX_LENGTH).contains(&v), "a size from 1e-6 to 1e6",
+        { "type": "number", "minimum": 1e-6, "maximum": 1e6, "description": "A size, in scene units, the same in all frames." };
+    /// A length that may be 0 and is the same in all frames, in scene units.
+    ConstantLengthOrZero: |v| v == 0.0 || (MIN_LENGTH..=MAX_LENGTH).contains(&v), "0, or a size from 1e-6 to 1e6",
+        { "type": "number", "minimum": 0, "maximum": 1e6, "description": "0, or a size from 1e-6 to 1e6, in scene units, the same in all frames." };
+    /// An angle that is the same in all frames, in degrees.
+    ConstantDegrees: |v| v.abs() <= 36_000.0, "an angle within ±36000 degrees",
+        { "type": "number", "minimum": -36000, "maximum": 36000, "description": "An angle, in degrees, the same in all frames." };
+    /// A uniform scale that is the same in all frames.
+    ConstantScale: |v| (1e-6..=1e6).contains(&v), "a factor from 1e-6 to 1e6",
+        { "type": "number", "minimum": 1e-6, "maximum": 1e6, "description": "A uniform scale, the same in all frames." };
 }
 
 /// Deserializes any integer that JSON can hold.
@@ -408,7 +423,12 @@ impl Rotation {
 
 /// The columns of Rz·Ry·Rx, which are the rows of its inverse.
 fn inverse_rows(degrees: &[Degrees; 3]) -> [Vec3<f32>; 3] {
-    let [(sx, cx), (sy, cy), (sz, cz)] = degrees.each_ref().map(|angle| sin_cos_degrees(angle.get()));
+    inverse_rows_of(degrees.each_ref().map(Degrees::get))
+}
+
+/// Rows of the inverse of a rotation by these angles in degrees about the fixed x, y and z axes.
+pub(crate) fn inverse_rows_of(degrees: [f32; 3]) -> [Vec3<f32>; 3] {
+    let [(sx, cx), (sy, cy), (sz, cz)] = degrees.map(sin_cos_degrees);
     [
         vec3(cz * cy, sz * cy, -sy),
         vec3(cz * sy * sx - sz * cx, sz * sy * sx + cz * cx, cy * sx),

@@ -41,9 +41,14 @@ impl PartialEq for UnionBvh {
 impl UnionBvh {
     /// Hierarchy of all shapes but the first; empty if skipping is not worthwhile.
     pub(super) fn new(shapes: &[Node], is_animated: bool) -> Self {
-        let measured = |shape| Measured { bounds: finite_bounds(shape, is_animated), nodes: shape.node_count() };
-        let measured: Vec<Measured> = shapes.iter().map(measured).collect();
-        let all = (shapes.len() > 1).then(|| build(&measured, 1..shapes.len()));
+        Self::of(shapes.iter().map(|shape| (shape.bounds(0.0), shape.node_count())), is_animated)
+    }
+
+    /// The same, given the bounds and the number of nodes of each shape.
+    pub(super) fn of(shapes: impl Iterator<Item = (Bounds, u32)>, is_animated: bool) -> Self {
+        let measured = |(bounds, nodes)| Measured { bounds: finite(bounds, is_animated), nodes };
+        let measured: Vec<Measured> = shapes.map(measured).collect();
+        let all = (measured.len() > 1).then(|| build(&measured, 1..measured.len()));
         // Boxed, so that nodes stay small.
         Self(all.filter(BvhNode::has_bounds).map(Box::new))
     }
@@ -57,7 +62,7 @@ impl BvhNode {
 
 fn build(shapes: &[Measured], range: Range<usize>) -> BvhNode {
     let own = &shapes[range.clone()];
-    let nodes: u32 = own.iter().map(|shape| shape.nodes).sum();
+    let nodes = own.iter().fold(0_u32, |nodes, shape| nodes.saturating_add(shape.nodes));
     let bounds = own.iter().map(|shape| shape.bounds).reduce(|a, b| Some(a?.union(b?))).flatten();
     let middle = range.start + range.len() / 2;
     let is_long = range.len() > 1 && nodes >= 2 * MIN_BVH_NODES;
@@ -73,14 +78,13 @@ struct Measured {
 
 /// Bounds of a shape, if they are finite. For an animated job there are bounds in any case: an infinite shape, such as
 /// a tilted plane, may be finite in the next frame.
-fn finite_bounds(shape: &Node, is_animated: bool) -> Option<Bounds> {
-    let bounds = shape.bounds(0.0);
+fn finite(bounds: Bounds, is_animated: bool) -> Option<Bounds> {
     if is_animated { Some(bounds.clamped_to_finite()) } else { Some(bounds).filter(|bounds| bounds.is_finite()) }
 }
 
 impl Node {
     /// Bounds for skipping this object when a ray is distant, if that is worthwhile.
     pub(crate) fn culling_bounds(&self, is_animated: bool) -> Option<Bounds> {
-        finite_bounds(self, is_animated).filter(|_| self.node_count() >= MIN_BVH_NODES)
+        finite(self.bounds(0.0), is_animated).filter(|_| self.node_count() >= MIN_BVH_NODES)
     }
 }

@@ -1,7 +1,7 @@
 //! Modifiers of a shape other than its position.
 
 mod bend;
-mod cached;
+pub(super) mod cached;
 mod elongation;
 mod mirror;
 mod nearest_copy;
@@ -18,7 +18,7 @@ pub use bend::Bend;
 pub use elongation::{Elongate, Stretch};
 pub use mirror::Mirror;
 pub use polar_repeat::PolarRepeat;
-pub use repeat::{Copies, Repeat};
+pub use repeat::{CopyCount, Repeat};
 pub use taper::Taper;
 pub use thickness::{Onion, Round};
 pub use twist::Twist;
@@ -55,8 +55,12 @@ impl Sdf for Paint {
         Some(&self.material)
     }
 
-    fn material_mut(&mut self) -> Option<&mut MaterialRef> {
-        Some(&mut self.material)
+    fn materials(&self) -> Vec<(Option<usize>, &MaterialRef)> {
+        vec![(None, &self.material)]
+    }
+
+    fn materials_mut(&mut self) -> Vec<(Option<usize>, &mut MaterialRef)> {
+        vec![(None, &mut self.material)]
     }
 
     around_child!();

@@ -128,18 +128,13 @@ const GROUP_PARTS: usize = 8;
 
 /// Whether the shapes of a union are combined in groups. The seam of a left fold may reach any later shape, so that no
 /// part of a long list could be left out where it is distant; groups end that.
-fn is_grouped(count: usize, smooth: &LengthOrZero) -> bool {
+pub(super) fn is_grouped(count: usize, smooth: &LengthOrZero) -> bool {
     count > MAX_LEFT_FOLD && !smooth.is_zero()
 }
 
 /// Combines the values of `count` leaves: one after another, or in groups of eight, groups of eight of these, and so on,
 /// in the order of their indices.
-pub(super) fn fold_indexed<V>(
-    count: usize,
-    in_groups: bool,
-    leaf: &mut impl FnMut(usize) -> V,
-    join: &impl Fn(V, V) -> V,
-) -> V {
+fn fold_indexed<V>(count: usize, in_groups: bool, leaf: &mut impl FnMut(usize) -> V, join: &impl Fn(V, V) -> V) -> V {
     if in_groups {
         fold_group(0..count, leaf, join)
     } else {
@@ -178,7 +173,7 @@ fn fold_left<V>(
 
 /// Maximum by which the smooth union of `count` shapes is less than the least of their distances, in widths of the
 /// seam. Of equal distances, a seam gives a quarter less; of a sum that is `u` widths less, (1 − u)²/4 less than that.
-fn seam_sink(count: usize, in_groups: bool) -> f32 {
+pub(super) fn seam_sink(count: usize, in_groups: bool) -> f32 {
     let joined = |parts: usize, of_part: f32| {
         // It approaches 1, and after some hundred parts it is 1 for all purposes.
         (1..parts.min(1 << 10)).fold(of_part, |sink, _| {
@@ -219,12 +214,7 @@ impl Sdf for Union {
     ] }"#;
 
     fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>) -> V {
-        match &self.bvh.0 {
-            Some(all) => self.union_bvh(all, self.of[0].sample(p), p),
-            None => fold_indexed(self.of.len(), self.is_grouped(), &mut |index| self.of[index].sample(p), &|a, b| {
-                smooth_min(a, b, &self.smooth)
-            }),
-        }
+        union_indexed(self.of.len(), &self.smooth, &self.bvh, &|index| self.of[index].sample(p), p)
     }
 
     fn precompute(&mut self, is_animated: bool) {
@@ -272,29 +262,58 @@ impl Union {
     fn is_grouped(&self) -> bool {
         is_grouped(self.of.len(), &self.smooth)
     }
+}
 
+/// Combines the values of `count` shapes; `bvh` is their hierarchy, if they have one.
+pub(super) fn union_indexed<R: Real, V: SdfValue<R>>(
+    count: usize,
+    smooth: &LengthOrZero,
+    bvh: &UnionBvh,
+    shape: &impl Fn(usize) -> V,
+    p: Vec3<R>,
+) -> V {
+    let join = |a, b| smooth_min(a, b, smooth);
+    match &bvh.0 {
+        Some(all) => BvhUnion { smooth, shape, join: &join, p }.merge(all, shape(0)),
+        None => fold_indexed(count, is_grouped(count, smooth), &mut |index| shape(index), &join),
+    }
+}
+
+/// Union of shapes in a hierarchy, evaluated at `p`.
+struct BvhUnion<'a, R, S, J> {
+    smooth: &'a LengthOrZero,
+    shape: &'a S,
+    join: &'a J,
+    p: Vec3<R>,
+}
+
+impl<R: Real, S, J> BvhUnion<'_, R, S, J> {
     /// Merges the shapes of a BVH node into the result so far, if the node is near enough: shapes farther away than
     /// the seam is wide do not change the minimum.
-    fn union_bvh<R: Real, V: SdfValue<R>>(&self, run: &BvhNode, sum: V, p: Vec3<R>) -> V {
+    fn merge<V: SdfValue<R>>(&self, run: &BvhNode, sum: V) -> V
+    where
+        S: Fn(usize) -> V,
+        J: Fn(V, V) -> V,
+    {
         match &run.bounds {
             Some(bounds) => {
-                let beyond = bounds.distance_lower_bound(p);
-                let beyond = if self.smooth.is_zero() { beyond } else { beyond - p.x.uniform(self.smooth.get()) };
-                sum.combine_unless_farther(beyond, |sum| self.union_children(run, sum, p))
+                let beyond = bounds.distance_lower_bound(self.p);
+                let beyond = if self.smooth.is_zero() { beyond } else { beyond - self.p.x.uniform(self.smooth.get()) };
+                sum.combine_unless_farther(beyond, |sum| self.merge_children(run, sum))
             }
-            None => self.union_children(run, sum, p),
+            None => self.merge_children(run, sum),
         }
     }
 
-    fn union_children<R: Real, V: SdfValue<R>>(&self, run: &BvhNode, sum: V, p: Vec3<R>) -> V {
+    fn merge_children<V: SdfValue<R>>(&self, run: &BvhNode, sum: V) -> V
+    where
+        S: Fn(usize) -> V,
+        J: Fn(V, V) -> V,
+    {
         if let Some([first, second]) = run.children.as_deref() {
-            return self.union_bvh(second, self.union_bvh(first, sum, p), p);
+            return self.merge(second, self.merge(first, sum));
         }
-        let mut sum = sum;
-        for shape in &self.of[run.shapes.clone()] {
-            sum = smooth_min(sum, shape.sample(p), &self.smooth);
-        }
-        sum
+        run.shapes.clone().fold(sum, |sum, index| (self.join)(sum, (self.shape)(index)))
     }
 }
 
@@ -337,6 +356,6 @@ impl Sdf for Difference {
     }
 }
 
-fn default_smooth() -> LengthOrZero {
+pub(super) fn default_smooth() -> LengthOrZero {
     LengthOrZero::new(0.0).expect("0 is in range")
 }

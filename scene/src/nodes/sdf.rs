@@ -83,20 +83,46 @@ pub trait Sdf {
         &mut []
     }
 
+    /// A node under `on` that it measures and does not show, if any.
+    fn base(&self) -> Option<&Node> {
+        None
+    }
+
+    /// Mutable access to that node.
+    fn base_mut(&mut self) -> Option<&mut Node> {
+        None
+    }
+
+    /// Cost of measuring that node, in evaluations of a simple node for each of its evaluations per copy.
+    fn placing_cost(&self) -> f32 {
+        0.0
+    }
+
     /// Precomputes values that speed up its evaluation; its children have been precomputed before. If the job is
     /// animated, the result must have the same form in all frames.
     fn precompute(&mut self, is_animated: bool) {
         let _ = is_animated;
     }
 
-    /// Material that it names, if any.
+    /// Material of all of its shape, if it names one.
     fn material(&self) -> Option<&MaterialRef> {
         None
     }
 
-    /// Mutable access to that material.
-    fn material_mut(&mut self) -> Option<&mut MaterialRef> {
-        None
+    /// Materials that it names; one of a placement has the placement's index.
+    fn materials(&self) -> Vec<(Option<usize>, &MaterialRef)> {
+        Vec::new()
+    }
+
+    /// Mutable access to these materials.
+    fn materials_mut(&mut self) -> Vec<(Option<usize>, &mut MaterialRef)> {
+        Vec::new()
+    }
+
+    /// Number of nodes in its children, each counted as often as it is copied; saturating. `children` has the number
+    /// in each.
+    fn nodes_in_children(&self, children: &mut dyn Iterator<Item = u64>) -> u64 {
+        children.fold(0, u64::saturating_add)
     }
 
     /// A Lipschitz factor L: |d(p) − d(q)| ≤ L · |p − q|. A march divides by it.

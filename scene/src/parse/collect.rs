@@ -81,7 +81,7 @@ impl DocumentPart {
             (Self::Job, ["scene", "objects"]) => of_list(stand_ins::OBJECTS),
             (Self::Job, ["scene", "lights"]) => of_list("[]"),
             (Self::Job, ["scene", "materials" | "shapes"]) => (!value.members().is_empty()).then_some("{}"),
-            (Self::Object, ["shape"]) | (Self::Node, [_, "child"]) => Some(stand_ins::NODE),
+            (Self::Object, ["shape"]) | (Self::Node, [_, "child" | "on"]) => Some(stand_ins::NODE),
             (Self::Node, [_, "of"]) => of_list(stand_ins::NODES),
             _ => None,
         }
@@ -115,6 +115,7 @@ impl DocumentPart {
             Self::Node => match value.members() {
                 [node] => below(&[&node.read_as, "child"], Self::Node)
                     .into_iter()
+                    .chain(below(&[&node.read_as, "on"], Self::Node))
                     .chain(entries(&[&node.read_as, "of"], Self::Node))
                     .collect(),
                 _ => Vec::new(),

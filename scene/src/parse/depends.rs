@@ -52,7 +52,7 @@ fn of_node(pointer: &str, mut node: String, mut rest: &[&str]) -> Vec<Needed> {
     let alone = |pointer: &str| Needed { pointer: pointer.to_owned(), is_whole: false };
     loop {
         let length = match rest {
-            [_, "child", _, ..] => 2,
+            [_, "child" | "on", _, ..] => 2,
             [_, "of", place, _, ..] if place.parse::<usize>().is_ok() => 3,
             _ => break,
         };

@@ -4,12 +4,12 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use super::{SemanticErrors, suggest};
+use super::{MAX_ERRORS, SemanticErrors, suggest};
 use crate::document::{NamedShapes, SceneDocument};
 use crate::json_scan::escape;
-use crate::limits::{MAX_NODE_DEPTH, MAX_NODES};
+use crate::limits::{MAX_NODE_DEPTH, MAX_NODES, MAX_PLACING_COST};
 use crate::nodes::{Node, NodeError};
-use crate::scene::child_pointers;
+use crate::scene::{base_pointer, child_pointers};
 use crate::shapes::{TreeSize, WrittenNodes, each_use, in_order_of_use, target};
 
 /// Maximum number of names listed in a message about a cycle.
@@ -20,7 +20,14 @@ pub(super) fn expand(scene: &mut SceneDocument, faults: &mut SemanticErrors) -> 
     let shapes = std::mem::take(&mut scene.shapes);
     unknown_uses(scene, &shapes, faults);
     let limits = limits(scene, &shapes, faults);
-    let mut expansion = Expansion { shapes: &shapes, limits, is_valid: BTreeMap::new(), used: BTreeSet::new(), faults };
+    let mut expansion = Expansion {
+        shapes: &shapes,
+        limits,
+        is_valid: BTreeMap::new(),
+        used: BTreeSet::new(),
+        placing_cost: 0.0,
+        faults,
+    };
     let written = (!shapes.is_empty()).then(|| scene.objects.iter().map(|object| object.shape.clone()).collect());
     for (index, object) in scene.objects.iter_mut().enumerate() {
         expansion.node(&mut object.shape, &mut Some(format!("/scene/objects/{index}/shape")), 1);
@@ -38,7 +45,7 @@ fn unknown_uses(scene: &SceneDocument, shapes: &BTreeMap<String, Node>, faults: 
     let named = shapes.iter().map(|(name, shape)| (format!("/scene/shapes/{}", escape(name)), shape));
     for (mut pointer, node) in objects.chain(named) {
         each_use(node, &mut pointer, 1, &mut |pointer, name, _| {
-            if !shapes.contains_key(name) {
+            if !shapes.contains_key(name) && faults.len() < MAX_ERRORS {
                 let known: Vec<&str> = shapes.keys().map(String::as_str).collect();
                 faults.push((format!("{pointer}/use"), suggest::unknown_shape(name, &known)));
             }
@@ -46,7 +53,7 @@ fn unknown_uses(scene: &SceneDocument, shapes: &BTreeMap<String, Node>, faults: 
     }
 }
 
-/// What the limits allow.
+/// Sizes of the shapes, and whether they are within the limits.
 #[derive(Clone, Debug)]
 struct Limits<'s> {
     /// Names of the shapes, each after those that it uses; empty if no `use` can be replaced.
@@ -73,7 +80,10 @@ fn limits<'s>(scene: &SceneDocument, shapes: &'s BTreeMap<String, Node>, faults:
         let size = TreeSize::of(&shapes[name], &limits.sizes);
         let pointer = format!("/scene/shapes/{}", escape(name));
         limits.can_replace &= !nests_too_deep(&shapes[name], &pointer, size, &limits.sizes, faults);
-        if size.nodes > MAX_NODES as u64 {
+        if let Some(fault) = too_many_copies(&shapes[name], pointer.clone(), &limits.sizes) {
+            faults.push(fault);
+            limits.can_replace = false;
+        } else if size.nodes > MAX_NODES as u64 {
             let message =
                 format!("has {} nodes, counting those of the shapes in it: use at most {MAX_NODES}", size.nodes);
             faults.push((pointer, message));
@@ -85,25 +95,49 @@ fn limits<'s>(scene: &SceneDocument, shapes: &'s BTreeMap<String, Node>, faults:
         }
         limits.sizes.insert(name, size);
     }
-    let (mut nodes, mut written) = (0_u64, 0_u64);
+    let (mut nodes, mut written, mut copies_fault) = (0_u64, 0_u64, None);
     for (index, object) in scene.objects.iter().enumerate() {
         let size = TreeSize::of(&object.shape, &limits.sizes);
         let pointer = format!("/scene/objects/{index}/shape");
         limits.can_replace &= !nests_too_deep(&object.shape, &pointer, size, &limits.sizes, faults);
+        copies_fault = copies_fault.or_else(|| too_many_copies(&object.shape, pointer, &limits.sizes));
         nodes = nodes.saturating_add(size.nodes);
         written = written.saturating_add(written_nodes(&object.shape));
     }
     if nodes > MAX_NODES as u64 {
         let counted = if nodes > written { ", counting each use of a shape and each copy" } else { "" };
-        faults.push(("/scene/objects".to_owned(), format!("has {nodes} nodes{counted}: use at most {MAX_NODES}")));
+        let in_all = || ("/scene/objects".to_owned(), format!("has {nodes} nodes{counted}: use at most {MAX_NODES}"));
+        faults.push(copies_fault.unwrap_or_else(in_all));
         limits.can_replace = false;
         limits.can_evaluate = nodes == written;
     }
     limits
 }
 
+/// Error for the innermost node whose copies alone are more nodes than a scene may have.
+fn too_many_copies(node: &Node, mut pointer: String, sizes: &BTreeMap<&str, TreeSize>) -> Option<(String, String)> {
+    let size = TreeSize::of(node, sizes);
+    if size.nodes <= MAX_NODES as u64 || node.used_shape().is_some() {
+        return None;
+    }
+    let children: Vec<TreeSize> = node.children().iter().map(|child| TreeSize::of(child, sizes)).collect();
+    if let Some(large) = children.iter().position(|child| child.nodes > MAX_NODES as u64) {
+        pointer.push_str(&child_pointers(node)[large]);
+        return too_many_copies(&node.children()[large], pointer, sizes);
+    }
+    let once = children.iter().fold(0, |nodes: u64, child| nodes.saturating_add(child.nodes));
+    let copied = node.nodes_in_children(&mut children.iter().map(|child| child.nodes));
+    (copied > once).then(|| {
+        let nodes = size.nodes;
+        let message = format!(
+            "makes {nodes} nodes of its copies: use fewer copies, because a scene has at most {MAX_NODES} nodes"
+        );
+        (format!("{pointer}/{}", node.name()), message)
+    })
+}
+
 fn written_nodes(node: &Node) -> u64 {
-    1 + node.children().iter().map(written_nodes).sum::<u64>()
+    1 + node.children().iter().chain(node.base()).map(written_nodes).sum::<u64>()
 }
 
 /// Reports each `use` whose shape nests too deep where it is used.
@@ -154,10 +188,12 @@ struct Expansion<'s, 'f> {
     is_valid: BTreeMap<&'s str, bool>,
     /// Names of the shapes that are used by an object.
     used: BTreeSet<&'s str>,
+    /// See [`MAX_PLACING_COST`].
+    placing_cost: f32,
     faults: &'f mut SemanticErrors,
 }
 
-impl<'s> Expansion<'s, '_> {
+impl Expansion<'_, '_> {
     /// Replaces each `use` in a node, and validates the nodes if their JSON `pointer` is given. Returns whether they
     /// are valid, so that their bounds may be computed. Errors inside a node are reported first, because a node can be
     /// validated only if its children are valid.
@@ -166,10 +202,13 @@ impl<'s> Expansion<'s, '_> {
             return self.replace(node);
         }
         let Some(at) = pointer else {
-            node.children_mut().iter_mut().for_each(|child| {
+            for child in node.children_mut() {
                 self.node(child, &mut None, depth + 1);
-            });
-            return true;
+            }
+            if let Some(base) = node.base_mut() {
+                self.node(base, &mut None, depth + 1);
+            }
+            return self.can_place(node, "/scene/shapes");
         };
         if depth == MAX_NODE_DEPTH + 1 {
             self.faults.push((at.clone(), format!("nests {depth} nodes deep: nest at most {MAX_NODE_DEPTH}")));
@@ -186,6 +225,14 @@ impl<'s> Expansion<'s, '_> {
                 at.truncate(length);
             }
         }
+        let step = base_pointer(node);
+        if let (Some(base), Some(at)) = (node.base_mut(), pointer.as_mut()) {
+            at.push_str(&step);
+            is_sound &= self.node(base, pointer, depth + 1);
+        }
+        if let Some(at) = pointer {
+            at.truncate(length);
+        }
         let at = pointer.as_deref().unwrap_or_default();
         self.validate(node, at, is_sound)
     }
@@ -197,7 +244,8 @@ impl<'s> Expansion<'s, '_> {
             self.faults.push((format!("{pointer}/{name}/of"), format!("is empty: {name} needs a shape or more")));
             return false;
         }
-        if !are_children_sound || !self.limits.can_evaluate {
+        let place = format!("{pointer}{}", base_pointer(node));
+        if !are_children_sound || !self.limits.can_evaluate || !self.can_place(node, &place) {
             return false;
         }
         match node.fault() {
@@ -209,21 +257,32 @@ impl<'s> Expansion<'s, '_> {
         }
     }
 
+    /// Whether the copies that a node scatters can be placed within the scene's limit. Reports the first that cannot.
+    fn can_place(&mut self, node: &Node, pointer: &str) -> bool {
+        let (before, cost) = (self.placing_cost, node.placing_cost());
+        self.placing_cost += cost;
+        if before <= MAX_PLACING_COST && self.placing_cost > MAX_PLACING_COST {
+            let message = format!(
+                "takes too long to place copies on: use fewer copies, or a simpler shape; the copies, each times the nodes under it, may be {MAX_PLACING_COST:e} in a scene"
+            );
+            self.faults.push((pointer.to_owned(), message));
+        }
+        cost == 0.0 || self.placing_cost <= MAX_PLACING_COST
+    }
+
     /// Replaces a `use` by its shape. Returns whether the shape is valid.
     fn replace(&mut self, node: &mut Node) -> bool {
         self.note_use(node);
         let Some((name, shape)) = target(self.shapes, node).filter(|_| self.limits.can_replace) else { return false };
         let mut shape = shape.clone();
-        let is_valid = match self.is_valid.get(name) {
-            Some(&is_valid) => {
-                self.node(&mut shape, &mut None, 1);
-                is_valid
-            }
-            None => {
-                let is_valid = self.node(&mut shape, &mut Some(format!("/scene/shapes/{}", escape(name))), 1);
-                self.is_valid.insert(name, is_valid);
-                is_valid
-            }
+        let known = self.is_valid.get(name).copied();
+        let is_valid = if let Some(is_valid) = known {
+            self.node(&mut shape, &mut None, 1);
+            is_valid
+        } else {
+            let is_valid = self.node(&mut shape, &mut Some(format!("/scene/shapes/{}", escape(name))), 1);
+            self.is_valid.insert(name, is_valid);
+            is_valid
         };
         *node = shape;
         is_valid
@@ -244,9 +303,10 @@ impl<'s> Expansion<'s, '_> {
 
     /// Validates the shapes that no object uses. Returns those that are in no other shape, each `use` replaced.
     fn unused(&mut self) -> Vec<(String, Node)> {
-        let names: Vec<&'s str> = match self.limits.can_replace {
-            true => self.limits.order.iter().rev().copied().collect(),
-            false => self.shapes.keys().map(String::as_str).collect(),
+        let names: Vec<&'s str> = if self.limits.can_replace {
+            self.limits.order.iter().rev().copied().collect()
+        } else {
+            self.shapes.keys().map(String::as_str).collect()
         };
         let (mut unused, mut nodes) = (Vec::new(), 0_u64);
         for name in names {

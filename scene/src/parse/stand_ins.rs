@@ -19,7 +19,7 @@ const SCENE: &str =
 pub(super) const JOB: &str = r#"{"scene":{"camera":{"position":[0,0,5],"look_at":[0,0,0]},"objects":[{"shape":{"sphere":{"radius":1}}}]},"image":{"width":32,"height":32}}"#;
 
 /// Stand-ins in the order in which they are tried, simplest first.
-pub(super) const VALUES: [&str; 32] = [
+pub(super) const VALUES: [&str; 33] = [
     "1",
     "2",
     "8",
@@ -37,6 +37,7 @@ pub(super) const VALUES: [&str; 32] = [
     "{}",
     "null",
     "[[0,1]]",
+    "[{}]",
     r##"[[0,"#000000"],[1,"#ffffff"]]"##,
     r##"["#000000","#ffffff"]"##,
     "[[0,0],[1,0],[0,1]]",

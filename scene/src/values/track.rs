@@ -66,7 +66,7 @@ macro_rules! visit_numbers {
 /// Deserializes a number that cannot be animated.
 pub(super) struct ConstantVisitor<T>(PhantomData<T>);
 
-impl<T: RangedNumber> Visitor<'_> for ConstantVisitor<T> {
+impl<'de, T: RangedNumber> Visitor<'de> for ConstantVisitor<T> {
     type Value = T;
 
     fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -74,6 +74,10 @@ impl<T: RangedNumber> Visitor<'_> for ConstantVisitor<T> {
     }
 
     visit_numbers!(T);
+
+    fn visit_map<A: MapAccess<'de>>(self, _: A) -> Result<T, A::Error> {
+        Err(A::Error::custom("cannot be a track: write a number, the same for all frames"))
+    }
 }
 
 /// Deserializes a number, or a track.
@@ -102,7 +106,7 @@ impl<'de, T: RangedNumber> Visitor<'de> for NumberOrTrack<T> {
 
 /// Deserializes a number that cannot be animated.
 pub(super) fn read_constant<'de, T: RangedNumber, D: Deserializer<'de>>(d: D) -> Result<T, D::Error> {
-    d.deserialize_f64(ConstantVisitor(PhantomData))
+    d.deserialize_any(ConstantVisitor(PhantomData))
 }
 
 /// Deserializes a number, or a track.

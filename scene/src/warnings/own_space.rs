@@ -28,7 +28,8 @@ fn moves_under(
     is_textured: &impl Fn(u32) -> bool,
     pointer: &mut String,
 ) -> Option<String> {
-    let is_under_texture = node.material().map_or(is_under_texture, |material| is_textured(material.slot()));
+    let is_any_textured = node.materials().iter().any(|(_, material)| is_textured(material.slot()));
+    let is_under_texture = is_any_textured || (is_under_texture && node.material().is_none());
     if is_under_texture && node.is_placement_animated() && is_bare(node) {
         return Some(format!("{pointer}/{}", node.name()));
     }

@@ -5,7 +5,7 @@ use crate::animation::JobAtFrame;
 use crate::camera::{Project, View};
 use crate::integrator::Integrator;
 use crate::job::Image;
-use crate::materials::Shade;
+use crate::materials::{MaterialRef, Shade};
 use crate::nodes::Node;
 use crate::scene::Scene;
 
@@ -80,7 +80,8 @@ fn inside(scene: &Scene, image: &Image, view: &View) -> Option<String> {
 
 /// Whether a part of a shape is painted with a transmissive material.
 fn is_transmissive(scene: &Scene, node: &Node) -> bool {
-    node.material().is_some_and(|material| scene.used_materials()[material.slot() as usize].is_transmissive())
+    let is_clear = |material: &MaterialRef| scene.used_materials()[material.slot() as usize].is_transmissive();
+    node.materials().iter().any(|(_, material)| is_clear(material))
         || node.children().iter().any(|child| is_transmissive(scene, child))
 }
 

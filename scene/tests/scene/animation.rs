@@ -43,10 +43,10 @@ fn points() -> impl Iterator<Item = scene::real::Vec3<f32>> {
 }
 
 #[test]
-fn every_number_is_a_count_or_can_be_animated() {
+fn every_number_can_be_animated_or_says_that_it_is_constant() {
     each_number(|name, _, own, with| match with(json!({ "keys": [[0, own], [1, own]] })) {
         Ok(_) => {}
-        Err(error) => assert!(error.to_string().contains("is a count"), "{name}: {error}"),
+        Err(error) => assert!(error.to_string().contains("cannot be a track"), "{name}: {error}"),
     });
 }
 

@@ -4,6 +4,7 @@
 mod animation;
 mod cells;
 mod contract;
+mod copies;
 mod extremes;
 mod fractals;
 mod kinds;
@@ -13,6 +14,7 @@ mod penumbra;
 mod profiles;
 mod repetition;
 mod rounded;
+mod scatter;
 mod seams;
 mod shapes;
 mod surface;

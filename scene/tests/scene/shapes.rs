@@ -113,7 +113,7 @@ fn warnings_point_into_the_shape() {
 #[test]
 fn an_error_in_a_shape_is_reported_once_and_there() {
     let torus = r#"{ "translate": { "by": [1, 0, 0], "child": { "torus": { "radius": 1, "tube": 2 } } } }"#;
-    let uses = vec![r#"{ "use": "ring/s" }"#; 5].join(", ");
+    let uses = [r#"{ "use": "ring/s" }"#; 5].join(", ");
     has_faults(
         &format!(r#""ring/s": {torus}"#),
         &format!(r#"{{ "shape": {{ "union": {{ "of": [{uses}] }} }} }}"#),
@@ -235,16 +235,18 @@ fn doubling_shapes_are_rejected_before_they_are_copied() {
         r#"{ "shape": { "use": "s60" } }"#,
         &[("/scene/shapes/s16", "has 131071 nodes, counting those of the shapes in it: use at most 100000")],
     );
-    let four = vec![r#"{ "shape": { "use": "s15" } }"#; 4].join(", ");
+    let four = [r#"{ "shape": { "use": "s15" } }"#; 4].join(", ");
     has_faults(
         &doubling(15),
         &four,
         &[("/scene/objects", "has 262140 nodes, counting each use of a shape and each copy: use at most 100000")],
     );
-    let unused: String =
-        (0..9).map(|index| format!(r#", "u{index}": {{ "union": {{ "of": [{{ "use": "s14" }}] }} }}"#)).collect();
+    let mut unused = doubling(14);
+    for index in 0..9 {
+        write!(unused, r#", "u{index}": {{ "union": {{ "of": [{{ "use": "s14" }}] }} }}"#).unwrap();
+    }
     has_faults(
-        &(doubling(14) + &unused),
+        &unused,
         &format!(r#"{{ "shape": {BALL} }}"#),
         &[("/scene/shapes", "more than 100000 nodes that no object uses")],
     );

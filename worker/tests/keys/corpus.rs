@@ -78,6 +78,7 @@ pub(crate) fn jobs() -> Vec<Value> {
     }));
     scenes.extend(materials().iter().map(|material| scene(&ball(), material, &sun(), &gradient())));
     scenes.extend(shapes().iter().map(|shape| scene(shape, &gray(), &sun(), &gradient())));
+    scenes.push(named_shapes());
     [plain(), png(), graded(), ungraded(), layered()].into_iter().chain(scenes.iter().map(job)).collect()
 }
 
@@ -172,5 +173,16 @@ fn shapes() -> Vec<Value> {
         bumps(json!({ "sine": { "frequency": 7 } })),
         bumps(octaves("cellular")),
         bumps(octaves("gardner")),
+        json!({ "copies": { "child": { "box": { "size": [0.5, 0.8, 0.6] } }, "at": {
+            "by": [[-0.7, 0, 0], [0.7, 0.2, 0.3]], "degrees": [[0, 20, 10], [40, 0, 0]], "scale": [1, 1.3],
+            "material": [{ "diffuse": { "kd": [0.8, 0.2, 0.1] } }, { "flat": { "color": [0.1, 0.5, 0.2] } }]
+        } } }),
     ]
+}
+
+/// A scene with named shapes, one of which is used.
+fn named_shapes() -> Value {
+    let mut scene = scene(&json!({ "use": "used" }), &gray(), &sun(), &gradient());
+    scene["shapes"] = json!({ "used": ball(), "other": { "box": { "size": [1, 1.5, 1] } } });
+    scene
 }

@@ -6,11 +6,11 @@ use crate::seek::Invalidate;
 
 /// Value computed once. Ignored by `==`, because it follows from the node's numbers.
 #[derive(Clone, Debug)]
-pub(super) struct Cached<T>(OnceLock<T>);
+pub(in crate::nodes) struct Cached<T>(OnceLock<T>);
 
 impl<T> Cached<T> {
     /// The value, computed by `find` at the first call.
-    pub(super) fn get(&self, find: impl FnOnce() -> T) -> &T {
+    pub(in crate::nodes) fn get(&self, find: impl FnOnce() -> T) -> &T {
         self.0.get_or_init(find)
     }
 }
@@ -31,4 +31,25 @@ impl<T> PartialEq for Cached<T> {
     fn eq(&self, _: &Self) -> bool {
         true
     }
+}
+
+/// Value computed once from numbers that are the same in all frames, so that it outlasts changes of the others.
+#[derive(Clone, Debug, PartialEq)]
+pub(in crate::nodes) struct Kept<T>(Cached<T>);
+
+impl<T> Kept<T> {
+    /// The value, computed by `find` at the first call.
+    pub(in crate::nodes) fn get(&self, find: impl FnOnce() -> T) -> &T {
+        self.0.get(find)
+    }
+}
+
+impl<T> Default for Kept<T> {
+    fn default() -> Self {
+        Self(Cached::default())
+    }
+}
+
+impl<T> Invalidate for Kept<T> {
+    fn invalidate(&mut self) {}
 }

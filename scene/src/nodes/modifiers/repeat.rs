@@ -31,7 +31,7 @@ pub struct Repeat {
     pub cell: [Option<Spacing>; 3],
     /// Number of copies along x, y and z, centered on the shape; null for infinitely many.
     #[serde(default)]
-    pub count: [Option<Copies>; 3],
+    pub count: [Option<CopyCount>; 3],
     /// The shape, at most four cells wide.
     pub child: Child,
     /// Values derived from the fields above.
@@ -42,9 +42,9 @@ pub struct Repeat {
 
 /// Number of copies along an axis.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, JsonSchema, Seek)]
-pub struct Copies(#[schemars(range(min = 1, max = MAX_COPIES))] u32);
+pub struct CopyCount(#[schemars(range(min = 1, max = MAX_COPIES))] u32);
 
-impl<'de> Deserialize<'de> for Copies {
+impl<'de> Deserialize<'de> for CopyCount {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         integer_in_range(deserializer, 1, MAX_COPIES, "copies").map(Self)
     }
@@ -74,8 +74,8 @@ struct Axis {
 }
 
 impl Axis {
-    fn new(cell: f32, count: Option<Copies>, low: f32, high: f32) -> Self {
-        let count = count.map(|Copies(count)| count);
+    fn new(cell: f32, count: Option<CopyCount>, low: f32, high: f32) -> Self {
+        let count = count.map(|CopyCount(count)| count);
         let width = high - low;
         let looked_at = max_overlapping(width, cell).min(MAX_EVALUATED_COPIES as f32);
         let half = count.map(|count| (count / 2) as f32);
