@@ -26,7 +26,7 @@ pub use tree::{CellBuilder, CellTree, LeafDistances, ScalarBuilder};
 pub use walk::Located;
 
 /// Minimum number of leaves for which cells are worth their cost.
-const MIN_LEAVES: usize = 8;
+const MIN_LEAVES: usize = 100;
 
 /// A scene's program and its cells.
 #[derive(Clone, Debug)]

@@ -126,8 +126,17 @@ impl<'a> Integrator<'a> {
         Self::with_builder(still, &ScalarBuilder)
     }
 
+    /// Prepares the integrator for few rays of a frame, without cells: they meet the same surfaces at other steps.
+    pub(crate) fn without_cells(still: &'a JobAtFrame<'_>) -> Self {
+        Self::with(still, None)
+    }
+
     /// Prepares the integrator for one frame, with cells that are built in this way; they are the same in each.
     pub fn with_builder(still: &'a JobAtFrame<'_>, how: &dyn CellBuilder) -> Self {
+        Self::with(still, Some(how))
+    }
+
+    fn with(still: &'a JobAtFrame<'_>, how: Option<&dyn CellBuilder>) -> Self {
         let (scene, image, moves) = (still.scene(), still.image(), still.is_animated());
         let view = scene.camera.view(image.width, image.height);
         let clothes = MaterialTable::new(scene);
@@ -142,14 +151,14 @@ impl<'a> Integrator<'a> {
         let step_scales: Vec<Option<f32>> =
             scene.objects.iter().map(|object| shrink(object.shape.stretch(), moves)).collect();
         let bounds = bounds.with_margin(view.origin());
-        let cells = clothes.is_plain().then(|| {
+        let cells = how.filter(|_| clothes.is_plain()).and_then(|how| {
             let objects: Vec<_> =
                 surfaces.iter().map(|&index| (index, &scene.objects[index], step_scales[index])).collect();
             Cells::new(&objects, reach(bounds, view.origin(), scene.march.max_distance.get()), how)
         });
         Self {
             scene,
-            cells: cells.flatten(),
+            cells,
             cull_bounds: if boxes.iter().all(Option::is_none) { Vec::new() } else { boxes },
             shares_nearest: scene.nodes() >= SHARED_DISTANCE_NODES,
             bounds,

@@ -49,7 +49,7 @@ pub struct MarchResult<R: Real> {
 
 bundle!(MarchResult { t, near, distance, steps, evaluations, hit });
 
-/// What a march learns about a point of a ray.
+/// A field at a point of a ray, for a march.
 #[derive(Clone, Copy, Debug)]
 pub struct FieldSample<R: Real> {
     /// The field's value, or a lower bound of the distance to the surface.

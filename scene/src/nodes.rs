@@ -9,6 +9,7 @@ mod added;
 mod bvh;
 mod copies;
 mod cost;
+mod cut;
 mod displace;
 mod displacement_bounds;
 mod fractals;
@@ -34,6 +35,8 @@ pub use added::AddedNode;
 pub use copies::{
     AtPlacements, Copies, GridPlacements, LinePlacements, Placement, PlacementCount, Placements, RingPlacements,
 };
+pub use cut::{Cut, Part};
+pub(crate) use cut::{FoldStep, for_each_step};
 pub use displace::{Displace, DisplacementFunction, Sine};
 pub use displacement_bounds::CachedDisplacementBounds;
 pub use fractals::{
@@ -44,10 +47,10 @@ pub use modifiers::{
     Bend, CopyCount, Elongate, Mirror, Onion, Paint, PolarRepeat, Repeat, Round, Stretch, Taper, Twist,
 };
 pub use named::Use;
+pub(crate) use operators::smooth_min;
 pub use operators::{
     Chamfer, Columns, Difference, Engrave, Groove, Intersection, Morph, SeamKind, Stairs, Tongue, Union, Xor,
 };
-pub(crate) use operators::{FoldStep, smooth_min};
 pub use per_axis::PerAxis;
 pub use precomputed::{Precompute, Precomputed};
 pub use primitives::{
@@ -106,6 +109,27 @@ macro_rules! nodes {
             pub(crate) fn children_mut(&mut self) -> &mut [Node] {
                 match self {
                     $($(#[$attribute])* Self::$Kind(node) => node.children_mut()),*
+                }
+            }
+
+            /// How it is cut into leaves.
+            pub(crate) fn cut(&self) -> Cut<'_> {
+                match self {
+                    $($(#[$attribute])* Self::$Kind(node) => node.cut()),*
+                }
+            }
+
+            /// The point in the space of its child, if it is [`Cut::Child`].
+            pub(crate) fn to_child<R: Real>(&self, p: Vec3<R>) -> Vec3<R> {
+                match self {
+                    $($(#[$attribute])* Self::$Kind(node) => node.to_child(p)),*
+                }
+            }
+
+            /// Bounds in the space around it, if it is [`Cut::Child`].
+            pub(crate) fn bounds_from_child(&self, child: Bounds) -> Bounds {
+                match self {
+                    $($(#[$attribute])* Self::$Kind(node) => node.bounds_from_child(child)),*
                 }
             }
 

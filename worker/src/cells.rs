@@ -63,7 +63,7 @@ const FAMILIES: [&str; 48] = [
 
 /// Builds cells with the fastest evaluator of this CPU.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct FastBuilder;
+pub struct FastBuilder;
 
 /// Functions of a program's families.
 struct Families<'a> {

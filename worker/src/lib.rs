@@ -8,7 +8,7 @@ pub mod bench;
 pub mod blob;
 #[cfg(test)]
 mod c_program;
-mod cells;
+pub mod cells;
 pub mod cpu;
 pub mod cuda;
 pub mod frame;

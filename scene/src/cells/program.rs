@@ -4,7 +4,7 @@ use std::collections::HashMap;
 
 use super::trace::{Symbol, Trace, trace};
 use crate::bounds::Bounds;
-use crate::nodes::{Distance, Exactness, FoldStep, Node, smooth_min};
+use crate::nodes::{Cut, Distance, Exactness, FoldStep, Node, Part, for_each_step, smooth_min};
 use crate::real::{Interval, Real, Table, Vec3, vec3};
 use crate::scene::Object;
 use crate::values::LengthOrZero;
@@ -39,7 +39,7 @@ pub struct Program<'a> {
 pub(super) struct Leaf<'a> {
     /// Transforms above the shape, the outermost first.
     above: Vec<&'a Node>,
-    shape: &'a Node,
+    shape: Part<'a>,
     bounds: Bounds,
     /// Its Lipschitz factor, if one holds everywhere.
     lipschitz: Option<f32>,
@@ -203,7 +203,7 @@ impl<'a> Program<'a> {
 impl Leaf<'_> {
     /// Its distance at a point of the scene.
     pub(super) fn distance<R: Real>(&self, p: Vec3<R>) -> R {
-        let p = self.above.iter().fold(p, |p, node| to_child(node, p));
+        let p = self.above.iter().fold(p, |p, node| node.to_child(p));
         self.shape.distance(p)
     }
 
@@ -233,20 +233,7 @@ impl Leaf<'_> {
 
     /// Box that contains every point whose distance is at most `isolevel`.
     fn bounds_of(&self, isolevel: f32) -> Bounds {
-        self.above.iter().rev().fold(self.shape.bounds(isolevel), |bounds, node| match node {
-            Node::Translate(translate) => bounds.translated(translate.by.get()),
-            Node::Rotate(rotate) => bounds.rotated(rotate.degrees.inverse_rows()),
-            _ => bounds,
-        })
-    }
-}
-
-/// The point in the space of a transform's child; nodes that only paint change none.
-fn to_child<R: Real>(node: &Node, p: Vec3<R>) -> Vec3<R> {
-    match node {
-        Node::Translate(translate) => translate.to_child(p),
-        Node::Rotate(rotate) => rotate.to_child(p),
-        _ => p,
+        self.above.iter().rev().fold(self.shape.bounds(isolevel), |bounds, node| node.bounds_from_child(bounds))
     }
 }
 
@@ -318,30 +305,40 @@ struct Cutter<'a> {
 impl<'a> Cutter<'a> {
     /// Adds the operations of a node, whose value is then joined with the one before.
     fn cut(&mut self, node: &'a Node, join: Option<JoinKind<'a>>) {
-        match node {
-            Node::Translate(_) | Node::Rotate(_) | Node::Paint(_) => {
+        match node.cut() {
+            Cut::Leaf => self.leaf(Part::Shape(node), join),
+            Cut::Child(child) => {
                 self.above.push(node);
-                self.cut(&node.children()[0], join);
+                self.cut(child, join);
                 self.above.pop();
             }
-            Node::Union(union) if union.of.len() > 1 => {
-                let seam = JoinKind::Union(&union.smooth);
-                union.for_each_step(|step| match step {
-                    FoldStep::First(shape) => self.cut(shape, None),
-                    FoldStep::Next(shape) => self.cut(shape, Some(seam)),
+            Cut::Union(smooth, parts) => {
+                let seam = JoinKind::Union(smooth);
+                if let [only] = parts[..] {
+                    return self.part(only, join);
+                }
+                for_each_step(&parts, smooth, |step| match step {
+                    FoldStep::First(part) => self.part(part, None),
+                    FoldStep::Next(part) => self.part(part, Some(seam)),
                     FoldStep::Join => self.join(seam),
                 });
                 if let Some(join) = join {
                     self.join(join);
                 }
             }
-            _ => self.leaf(node, join),
         }
     }
 
-    fn leaf(&mut self, shape: &'a Node, join: Option<JoinKind<'a>>) {
+    fn part(&mut self, part: Part<'a>, join: Option<JoinKind<'a>>) {
+        match part {
+            Part::Shape(shape) => self.cut(shape, join),
+            Part::Copy(..) => self.leaf(part, join),
+        }
+    }
+
+    fn leaf(&mut self, shape: Part<'a>, join: Option<JoinKind<'a>>) {
         let (above, bounds) = (self.above.clone(), Bounds::INFINITE);
-        let lipschitz = (shape.exactness() != Exactness::Estimate).then(|| shape.stretch());
+        let lipschitz = (shape.node().exactness() != Exactness::Estimate).then(|| shape.node().stretch());
         let mut leaf = Leaf { above, shape, bounds, lipschitz, object: self.object, family: 0, numbers: Vec::new() };
         leaf.bounds = leaf.bounds_of(0.0);
         let Trace { text, numbers, .. } = trace(|[x, y, z]: [Symbol; 3]| {

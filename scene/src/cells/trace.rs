@@ -12,7 +12,7 @@ thread_local! {
     static TRACE: RefCell<Trace> = const { RefCell::new(Trace { text: Vec::new(), numbers: Vec::new(), next: 0 }) };
 }
 
-/// What was traced: the operations, and the numbers of the scene in the order of their use.
+/// A traced formula: the operations, and the numbers of the scene in the order of their use.
 #[derive(Debug, Default)]
 pub(super) struct Trace {
     pub(super) text: Vec<u32>,

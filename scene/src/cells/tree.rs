@@ -57,7 +57,7 @@ pub(super) struct CellFrame {
     pub(super) levels: u32,
 }
 
-/// What builds cells: the scalar reference here, or machine code on several threads.
+/// A way to build cells: the scalar reference here, or machine code on several threads.
 pub trait CellBuilder {
     /// A function that appends the distances of leaves at points: of the first leaf at all points, then of the second.
     fn evaluator<'a>(&self, program: &'a Program<'_>) -> Box<dyn LeafDistances + 'a>;
@@ -261,7 +261,9 @@ impl Builder<'_, '_> {
     fn cell(&self, part: &mut Part, cell: &Cell, list: &[Operation], value: Interval) -> u32 {
         let leaves = list.iter().filter(|operation| operation.leaf.is_some()).count();
         let bound = value.low.max(0.0);
-        if bound > 0.0 || leaves <= self.short_list || cell.level == self.frame.levels {
+        // A ray enters the inside of shapes only through a surface, or from a camera there.
+        let has_surface = value.low <= 0.0 && value.high >= 0.0;
+        if !has_surface || leaves <= self.short_list || cell.level == self.frame.levels {
             return part.record(self.program, bound, list);
         }
         let words: Vec<u32> =

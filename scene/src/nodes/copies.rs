@@ -10,6 +10,7 @@ pub use at::{AtPlacements, GridPlacements, LinePlacements, PlacementCount, RingP
 pub use placement::{Placement, Placements};
 
 use super::bvh::UnionBvh;
+use super::cut::{Cut, Part};
 use super::modifiers::cached::Kept;
 use super::operators::{default_smooth, is_grouped, seam_sink, union_indexed};
 use super::transforms::around_child;
@@ -101,6 +102,12 @@ impl Sdf for Copies {
     }
 
     around_child!();
+
+    fn cut(&self) -> Cut<'_> {
+        let placements = self.placements();
+        let copy = |index| Part::Copy(placements, index, &self.child);
+        Cut::Union(&self.smooth, (0..placements.all().len()).map(copy).collect())
+    }
 
     fn materials(&self) -> Vec<(Option<usize>, &MaterialRef)> {
         match &self.at {

@@ -23,6 +23,7 @@ pub use taper::Taper;
 pub use thickness::{Onion, Round};
 pub use twist::Twist;
 
+use super::cut::Cut;
 use super::transforms::around_child;
 use super::{Child, Node, Sdf, SdfValue};
 use crate::bounds::Bounds;
@@ -64,6 +65,10 @@ impl Sdf for Paint {
     }
 
     around_child!();
+
+    fn cut(&self) -> Cut<'_> {
+        Cut::Child(&self.child)
+    }
 
     fn bounds(&self, isolevel: f32) -> Bounds {
         self.child.bounds(isolevel)

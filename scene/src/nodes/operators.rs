@@ -11,7 +11,6 @@ mod carving;
 mod seams;
 mod xor;
 
-use std::cell::RefCell;
 use std::ops::Range;
 
 use schemars::JsonSchema;
@@ -22,6 +21,7 @@ pub use seams::{Chamfer, Columns, SeamKind, Stairs};
 pub use xor::Xor;
 
 use super::bvh::{BvhNode, UnionBvh};
+use super::cut::{Cut, Part};
 use super::value::indicator;
 use super::{Exactness, Node, Sdf, SdfValue};
 use crate::bounds::Bounds;
@@ -134,7 +134,12 @@ pub(super) fn is_grouped(count: usize, smooth: &LengthOrZero) -> bool {
 
 /// Combines the values of `count` leaves: one after another, or in groups of eight, groups of eight of these, and so on,
 /// in the order of their indices.
-fn fold_indexed<V>(count: usize, in_groups: bool, leaf: &mut impl FnMut(usize) -> V, join: &impl Fn(V, V) -> V) -> V {
+pub(super) fn fold_indexed<V>(
+    count: usize,
+    in_groups: bool,
+    leaf: &mut impl FnMut(usize) -> V,
+    join: &impl Fn(V, V) -> V,
+) -> V {
     if in_groups {
         fold_group(0..count, leaf, join)
     } else {
@@ -221,6 +226,10 @@ impl Sdf for Union {
         self.bvh = if self.is_grouped() { UnionBvh::default() } else { UnionBvh::new(&self.of, is_animated) };
     }
 
+    fn cut(&self) -> Cut<'_> {
+        Cut::Union(&self.smooth, self.of.iter().map(Part::Shape).collect())
+    }
+
     around_list!();
 
     fn bounds(&self, isolevel: f32) -> Bounds {
@@ -229,36 +238,7 @@ impl Sdf for Union {
     }
 }
 
-/// Step of the combination of a union's shapes.
-#[derive(Clone, Copy, Debug)]
-pub(crate) enum FoldStep<'a> {
-    /// A group begins with a shape.
-    First(&'a Node),
-    /// A shape joins its group.
-    Next(&'a Node),
-    /// A group joins the one before.
-    Join,
-}
-
 impl Union {
-    /// Calls `see` with the steps in which the shapes are combined, in order.
-    pub(crate) fn for_each_step<'a>(&'a self, see: impl FnMut(FoldStep<'a>)) {
-        let see = RefCell::new(see);
-        // The value of a part: a shape whose step comes with its join, or a group whose steps have been seen.
-        let all =
-            fold_indexed(self.of.len(), self.is_grouped(), &mut |index| Some(&self.of[index]), &|first, second| {
-                let see = &mut *see.borrow_mut();
-                if let Some(first) = first {
-                    see(FoldStep::First(first));
-                }
-                see(second.map_or(FoldStep::Join, FoldStep::Next));
-                None
-            });
-        if let Some(only) = all {
-            see.into_inner()(FoldStep::First(only));
-        }
-    }
-
     fn is_grouped(&self) -> bool {
         is_grouped(self.of.len(), &self.smooth)
     }

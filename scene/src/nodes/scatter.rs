@@ -13,6 +13,7 @@ use self::surface::SurfaceBelow;
 use self::throw::throw;
 use super::bvh::UnionBvh;
 use super::copies::{Placement, PlacementCount, Placements};
+use super::cut::{Cut, Part};
 use super::modifiers::cached::Kept;
 use super::operators::{default_smooth, is_grouped, seam_sink, union_indexed};
 use super::{Child, Exactness, Node, NodeError, Sdf, SdfValue};
@@ -154,6 +155,12 @@ impl Sdf for Scatter {
             }
             Ok(_) | Err(_) => UnionBvh::default(),
         };
+    }
+
+    fn cut(&self) -> Cut<'_> {
+        let Ok(ScatteredCopies { placements, shapes }) = self.placed() else { return Cut::Leaf };
+        let copy = |(index, &shape): (usize, &usize)| Part::Copy(placements, index, &self.of[shape]);
+        Cut::Union(&self.smooth, shapes.iter().enumerate().map(copy).collect())
     }
 
     fn children(&self) -> &[Node] {

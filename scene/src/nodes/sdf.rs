@@ -1,5 +1,6 @@
 //! The interface of a node.
 
+use super::cut::Cut;
 use super::{Node, SdfValue};
 use crate::bounds::Bounds;
 use crate::materials::MaterialRef;
@@ -96,6 +97,21 @@ pub trait Sdf {
     /// Cost of measuring that node, in evaluations of a simple node for each of its evaluations per copy.
     fn placing_cost(&self) -> f32 {
         0.0
+    }
+
+    /// How it is cut into leaves.
+    fn cut(&self) -> Cut<'_> {
+        Cut::Leaf
+    }
+
+    /// The point in the space of its child, if it is [`Cut::Child`].
+    fn to_child<R: Real>(&self, p: Vec3<R>) -> Vec3<R> {
+        p
+    }
+
+    /// Bounds in the space around it, if it is [`Cut::Child`].
+    fn bounds_from_child(&self, child: Bounds) -> Bounds {
+        child
     }
 
     /// Precomputes values that speed up its evaluation; its children have been precomputed before. If the job is

@@ -3,6 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use super::cut::Cut;
 use super::{Child, Node, Sdf, SdfValue};
 use crate::bounds::Bounds;
 use crate::real::{Real, Vec3, vec3};
@@ -53,21 +54,6 @@ macro_rules! around_child {
 
 pub(super) use around_child;
 
-impl Translate {
-    /// The point in the space of the shape.
-    pub(crate) fn to_child<R: Real>(&self, p: Vec3<R>) -> Vec3<R> {
-        p - Vec3::uniform(p.x, self.by.get())
-    }
-}
-
-impl Rotate {
-    /// The point in the space of the shape.
-    pub(crate) fn to_child<R: Real>(&self, p: Vec3<R>) -> Vec3<R> {
-        let [x, y, z] = self.degrees.inverse_rows();
-        vec3(p.dot_uniform(x), p.dot_uniform(y), p.dot_uniform(z))
-    }
-}
-
 impl Sdf for Translate {
     const EXAMPLE: &str = r#"{ "by": [0.6, 0.3, 0], "child": { "box": { "size": [1, 1, 1] } } }"#;
 
@@ -77,8 +63,20 @@ impl Sdf for Translate {
 
     around_child!();
 
+    fn cut(&self) -> Cut<'_> {
+        Cut::Child(&self.child)
+    }
+
+    fn to_child<R: Real>(&self, p: Vec3<R>) -> Vec3<R> {
+        p - Vec3::uniform(p.x, self.by.get())
+    }
+
+    fn bounds_from_child(&self, child: Bounds) -> Bounds {
+        child.translated(self.by.get())
+    }
+
     fn bounds(&self, isolevel: f32) -> Bounds {
-        self.child.bounds(isolevel).translated(self.by.get())
+        self.bounds_from_child(self.child.bounds(isolevel))
     }
 
     fn is_placement_animated(&self) -> bool {
@@ -95,8 +93,21 @@ impl Sdf for Rotate {
 
     around_child!();
 
+    fn cut(&self) -> Cut<'_> {
+        Cut::Child(&self.child)
+    }
+
+    fn to_child<R: Real>(&self, p: Vec3<R>) -> Vec3<R> {
+        let [x, y, z] = self.degrees.inverse_rows();
+        vec3(p.dot_uniform(x), p.dot_uniform(y), p.dot_uniform(z))
+    }
+
+    fn bounds_from_child(&self, child: Bounds) -> Bounds {
+        child.rotated(self.degrees.inverse_rows())
+    }
+
     fn bounds(&self, isolevel: f32) -> Bounds {
-        self.child.bounds(isolevel).rotated(self.degrees.inverse_rows())
+        self.bounds_from_child(self.child.bounds(isolevel))
     }
 
     fn rotation(&self) -> Option<&Rotation> {

@@ -185,11 +185,14 @@ impl Placements {
         }
     }
 
+    /// Bounds of a copy, given the shape's bounds for an isolevel.
+    pub(crate) fn bounds_of(&self, index: usize, isolevel: f32, shape: impl Fn(f32) -> Bounds) -> Bounds {
+        let Placement { by, scale, inverse_rows, .. } = &self.all[index];
+        shape(isolevel / scale).scaled(*scale).rotated(*inverse_rows).translated(*by)
+    }
+
     /// Bounds of each copy, given the shape's bounds for an isolevel.
     pub(crate) fn bounds(&self, isolevel: f32, shape: impl Fn(usize, f32) -> Bounds) -> impl Iterator<Item = Bounds> {
-        // Copies of one size have the same bounds before they are placed.
-        self.all.iter().enumerate().map(move |(index, copy)| {
-            shape(index, isolevel / copy.scale).scaled(copy.scale).rotated(copy.inverse_rows).translated(copy.by)
-        })
+        (0..self.all.len()).map(move |index| self.bounds_of(index, isolevel, |own| shape(index, own)))
     }
 }
