@@ -20,13 +20,9 @@ mod tree;
 mod walk;
 
 use crate::bounds::Bounds;
-use crate::scene::Object;
 pub use program::Program;
 pub use tree::{CellBuilder, CellTree, LeafDistances, ScalarBuilder};
 pub use walk::Located;
-
-/// Minimum number of leaves for which cells are worth their cost.
-const MIN_LEAVES: usize = 100;
 
 /// A scene's program and its cells.
 #[derive(Clone, Debug)]
@@ -36,16 +32,11 @@ pub struct Cells<'a> {
 }
 
 impl<'a> Cells<'a> {
-    /// Cuts objects, each with its index and the factor of its distance, and builds their cells. `reach` contains the
-    /// points at which the scene will be evaluated; points outside are slow. `None` if the scene has few leaves, or too
-    /// many families.
-    pub fn new(objects: &[(usize, &'a Object, Option<f32>)], reach: Bounds, how: &dyn CellBuilder) -> Option<Self> {
-        let program = Program::new(objects)?;
-        if program.leaf_count() < MIN_LEAVES {
-            return None;
-        }
+    /// Builds the cells of a program. `reach` contains the points at which the scene will be evaluated; points outside
+    /// are slow.
+    pub fn new(program: Program<'a>, reach: Bounds, how: &dyn CellBuilder) -> Self {
         let tree = CellTree::new(&program, reach, how);
-        Some(Self { program, tree })
+        Self { program, tree }
     }
 
     /// The scene's leaves and joins.

@@ -12,7 +12,7 @@ use crate::animation::JobAtFrame;
 use crate::backgrounds::Backdrop;
 use crate::bounds::Bounds;
 use crate::camera::{Ray, View};
-use crate::cells::{CellBuilder, Cells, ScalarBuilder};
+use crate::cells::{CellBuilder, Cells, Program, ScalarBuilder};
 use crate::limits::MAX_SAMPLES;
 use crate::march::{Approach, MarchRange, MarchResult, RELAXATION, Tolerance, find_root, march_to_root};
 use crate::materials::{Material, Shade, ShadingPoint};
@@ -61,6 +61,8 @@ pub struct Integrator<'a> {
     cells: Option<Cells<'a>>,
 }
 
+/// From this number of leaves on, a scene has cells. For fewer, the way through cells costs more than it saves.
+const MIN_CELL_LEAVES: usize = 100;
 /// From this number of nodes on, separate formulas for the distance and for the nearest object would be too much code.
 const SHARED_DISTANCE_NODES: u32 = 32;
 
@@ -154,7 +156,9 @@ impl<'a> Integrator<'a> {
         let cells = how.filter(|_| clothes.is_plain()).and_then(|how| {
             let objects: Vec<_> =
                 surfaces.iter().map(|&index| (index, &scene.objects[index], step_scales[index])).collect();
-            Cells::new(&objects, reach(bounds, view.origin(), scene.march.max_distance.get()), how)
+            let program = Program::new(&objects).filter(|program| program.leaf_count() >= MIN_CELL_LEAVES)?;
+            let reach = reach(bounds, view.origin(), scene.march.max_distance.get());
+            Some(Cells::new(program, reach, how))
         });
         Self {
             scene,

@@ -79,7 +79,7 @@ pub(super) struct Operation {
 }
 
 impl<'a> Program<'a> {
-    /// Cuts objects at their outermost joins. `None` if the scene has too many families, or joins nested too deeply.
+    /// Cuts objects, each with its index and the factor of its distance, at their outermost joins. `None` if the scene has too many families, or joins nested too deeply.
     pub fn new(objects: &[(usize, &'a Object, Option<f32>)]) -> Option<Self> {
         let mut cutter = Cutter::default();
         for (index, &(number, object, scale)) in objects.iter().enumerate() {

@@ -16,10 +16,10 @@ const BLOCK_CELLS: u32 = BLOCK_EDGE * BLOCK_EDGE * BLOCK_EDGE;
 /// Maximum depth of the tree: coordinates of cells are exact in `f32`.
 pub(super) const MAX_LEVELS: u32 = 10;
 /// Number of leaves in a list up to which a cell is not divided.
-const SHORT_LIST: usize = 4;
-/// The same for scenes of more than [`MANY_LEAVES`].
-const SHORT_LIST_OF_MANY: usize = 8;
-const MANY_LEAVES: usize = 50_000;
+const SHORT_LIST: usize = 8;
+/// Part of its parent's leaves up to which a cell is divided: where shapes overlap so much that smaller cells hardly
+/// have fewer, their number would only grow.
+const SHORTER: f32 = 0.75;
 
 /// Bit of a cell's word that tells that it is divided; the others are the index of its block or record.
 pub(super) const IS_BLOCK: u32 = 1 << 31;
@@ -55,6 +55,8 @@ pub(super) struct CellFrame {
     pub(super) unit: f32,
     /// Depth of the tree.
     pub(super) levels: u32,
+    /// Number of its outermost levels, whose innermost cells touch at the center of the shapes.
+    outer_levels: u32,
 }
 
 /// A way to build cells: the scalar reference here, or machine code on several threads.
@@ -116,15 +118,13 @@ struct Builder<'a, 'b> {
     program: &'b Program<'a>,
     frame: CellFrame,
     distances: Box<dyn LeafDistances + 'b>,
-    short_list: usize,
 }
 
 impl CellTree {
     /// Builds the cells of a program. `reach` contains every point at which it will be evaluated.
     pub(super) fn new(program: &Program<'_>, reach: Bounds, how: &dyn CellBuilder) -> Self {
         let frame = CellFrame::new(program, reach);
-        let short_list = if program.leaf_count() > MANY_LEAVES { SHORT_LIST_OF_MANY } else { SHORT_LIST };
-        let builder = Builder { program, frame, distances: how.evaluator(program), short_list };
+        let builder = Builder { program, frame, distances: how.evaluator(program) };
         let all = program.operations();
         // The cells of the outermost block, and their list there.
         let root = Cell { at: [0; 3], level: 0 };
@@ -133,7 +133,7 @@ impl CellTree {
         how.for_each(parts.len(), &|index| {
             let (cell, list, value) = &children[index];
             let mut part = Part::default();
-            let word = builder.cell(&mut part, cell, list, *value);
+            let word = builder.cell(&mut part, cell, list, *value, program.leaf_count());
             let is_new = parts[index].set((part, word)).is_ok();
             debug_assert!(is_new, "each part is built once");
         });
@@ -236,7 +236,7 @@ impl CellFrame {
         }
         let inner_levels: u32 = match program.leaf_count() {
             0..=64 => 3,
-            65..=2_000 => 4,
+            65..=20_000 => 4,
             _ => 5,
         };
         let unit = edge / BLOCK_EDGE.pow(inner_levels) as f32;
@@ -252,22 +252,27 @@ impl CellFrame {
             half *= BLOCK_EDGE as f32;
             levels += 1;
         }
-        Self { center, unit, levels }
+        Self { center, unit, levels, outer_levels: levels - inner_levels }
     }
 }
 
 impl Builder<'_, '_> {
-    /// Word of a cell in its part, from its list and the interval of its value.
-    fn cell(&self, part: &mut Part, cell: &Cell, list: &[Operation], value: Interval) -> u32 {
+    /// Word of a cell in its part, from its list, the interval of its value, and the number of its parent's leaves.
+    fn cell(&self, part: &mut Part, cell: &Cell, list: &[Operation], value: Interval, of_parent: usize) -> u32 {
         let leaves = list.iter().filter(|operation| operation.leaf.is_some()).count();
         let bound = value.low.max(0.0);
         // A ray enters the inside of shapes only through a surface, or from a camera there.
         let has_surface = value.low <= 0.0 && value.high >= 0.0;
-        if !has_surface || leaves <= self.short_list || cell.level == self.frame.levels {
+        // In the outer part of the tree, one cell may have all shapes.
+        let is_shorter = leaves as f32 <= SHORTER * of_parent as f32 || cell.level <= self.frame.outer_levels + 1;
+        if !has_surface || leaves <= SHORT_LIST || !is_shorter || cell.level == self.frame.levels {
             return part.record(self.program, bound, list);
         }
-        let words: Vec<u32> =
-            self.children(cell, list).iter().map(|(cell, list, value)| self.cell(part, cell, list, *value)).collect();
+        let words: Vec<u32> = self
+            .children(cell, list)
+            .iter()
+            .map(|(cell, list, value)| self.cell(part, cell, list, *value, leaves))
+            .collect();
         part.blocks.extend(words);
         (part.blocks.len() as u32 - BLOCK_CELLS) | IS_BLOCK
     }

@@ -1,18 +1,19 @@
 //! Tests that the cells of a scene, recorded, give the reference's bits, and that a scene's text does not grow with it.
 
 use scene::bounds::Bounds;
-use scene::cells::{Cells, ScalarBuilder};
+use scene::cells::{CellBuilder, Cells, Program, ScalarBuilder};
 use scene::real::vec3;
 
 use super::*;
+use crate::cells::FastBuilder;
 
 /// The first frame of a job as cells; it lives as long as the test.
-fn cells_of(text: &[u8]) -> Option<&'static Cells<'static>> {
+fn cells_of(text: &[u8], how: &dyn CellBuilder) -> Option<&'static Cells<'static>> {
     let job = Box::leak(Box::new(scene::parse(text).expect("a valid job")));
     let still = Box::leak(Box::new(job.at(0).expect("a valid frame")));
     let objects: Vec<_> =
         still.scene().objects.iter().enumerate().map(|(index, object)| (index, object, None)).collect();
-    let cells = Cells::new(&objects, Bounds::symmetric(40.0, 40.0, 40.0), &ScalarBuilder)?;
+    let cells = Cells::new(Program::new(&objects)?, Bounds::symmetric(40.0, 40.0, 40.0), how);
     Some(Box::leak(Box::new(cells)))
 }
 
@@ -47,7 +48,7 @@ fn cells_of_every_shipped_scene_give_the_reference_bits() {
     for entry in std::fs::read_dir(folder).expect("the scenes are there") {
         let path = entry.expect("a folder can be read").path();
         if path.extension().is_some_and(|extension| extension == "json")
-            && let Some(cells) = cells_of(&std::fs::read(&path).expect("a job file"))
+            && let Some(cells) = cells_of(&std::fs::read(&path).expect("a job file"), &FastBuilder)
         {
             compare_packets(&formula_of(&path.display().to_string(), cells), 2);
         }
@@ -56,7 +57,17 @@ fn cells_of_every_shipped_scene_give_the_reference_bits() {
 
 #[test]
 fn the_text_of_many_shapes_is_that_of_few() {
-    let [few, many] = [100, 3_000].map(|count| formula_of("shapes", cells_of(many(count).as_bytes()).expect("cells")));
+    let [few, many] =
+        [100, 3_000].map(|count| formula_of("shapes", cells_of(many(count).as_bytes(), &FastBuilder).expect("cells")));
     assert!(few.tape.has_same_code(&many.tape), "the tape of 3,000 shapes differs from that of 100");
     compare_packets(&many, 4);
+}
+
+#[test]
+fn machine_code_and_the_reference_build_the_same_cells() {
+    let job = many(500);
+    let [fast, scalar] = [&FastBuilder as &dyn CellBuilder, &ScalarBuilder].map(|how| cells_of(job.as_bytes(), how));
+    let [fast, scalar] = [fast, scalar].map(|cells| cells.expect("cells").tree().words().clone());
+    assert_eq!(fast.len(), scalar.len());
+    assert!(fast == scalar, "the tables of {} words differ", fast.len());
 }
