@@ -12,7 +12,7 @@ use crate::animation::JobAtFrame;
 use crate::backgrounds::Backdrop;
 use crate::bounds::Bounds;
 use crate::camera::{Ray, View};
-use crate::cells::{CellBuilder, Cells, Program, ScalarBuilder};
+use crate::cells::{CellBuilder, Cells, Program};
 use crate::limits::MAX_SAMPLES;
 use crate::march::{Approach, MarchRange, MarchResult, RELAXATION, Tolerance, find_root, march_to_root};
 use crate::materials::{Material, Shade, ShadingPoint};
@@ -61,8 +61,6 @@ pub struct Integrator<'a> {
     cells: Option<Cells<'a>>,
 }
 
-/// From this number of leaves on, a scene has cells. For fewer, the way through cells costs more than it saves.
-const MIN_CELL_LEAVES: usize = 100;
 /// From this number of nodes on, separate formulas for the distance and for the nearest object would be too much code.
 const SHARED_DISTANCE_NODES: u32 = 32;
 
@@ -125,16 +123,12 @@ impl<R: Real> ShadingPoint<R> {
 impl<'a> Integrator<'a> {
     /// Prepares the integrator for one frame.
     pub fn new(still: &'a JobAtFrame<'_>) -> Self {
-        Self::with_builder(still, &ScalarBuilder)
-    }
-
-    /// Prepares the integrator for few rays of a frame, without cells: they meet the same surfaces at other steps.
-    pub(crate) fn without_cells(still: &'a JobAtFrame<'_>) -> Self {
         Self::with(still, None)
     }
 
-    /// Prepares the integrator for one frame, with cells that are built in this way; they are the same in each.
-    pub fn with_builder(still: &'a JobAtFrame<'_>, how: &dyn CellBuilder) -> Self {
+    /// The same with cells, if every object has one material. Rays meet the same surfaces, at other steps. No picture
+    /// is rendered so yet: a step through cells costs more than the hierarchies of unions save.
+    pub fn with_cells(still: &'a JobAtFrame<'_>, how: &dyn CellBuilder) -> Self {
         Self::with(still, Some(how))
     }
 
@@ -156,7 +150,7 @@ impl<'a> Integrator<'a> {
         let cells = how.filter(|_| clothes.is_plain()).and_then(|how| {
             let objects: Vec<_> =
                 surfaces.iter().map(|&index| (index, &scene.objects[index], step_scales[index])).collect();
-            let program = Program::new(&objects).filter(|program| program.leaf_count() >= MIN_CELL_LEAVES)?;
+            let program = Program::new(&objects)?;
             let reach = reach(bounds, view.origin(), scene.march.max_distance.get());
             Some(Cells::new(program, reach, how))
         });

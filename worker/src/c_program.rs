@@ -25,6 +25,10 @@ int main() {
 }
 ";
 
+/// Words of a tape's own table.
+const WORD_AT: &str =
+    "INLINE_FN unsigned word_at(unsigned index, unsigned last) { return words[index < last ? index : last]; }";
+
 /// C source of the entry of this name of each tape, which has three arguments, for both compilers. The function
 /// `evaluate` returns the first result of one of the `ENTRIES`, by its number; `main` follows it.
 pub(crate) fn source(tapes: &[&Tape], entry: &str, main: &str) -> String {
@@ -37,15 +41,10 @@ pub(crate) fn source(tapes: &[&Tape], entry: &str, main: &str) -> String {
         let uniforms: Vec<String> =
             tape.uniforms().iter().map(|&bits| format!("{:?}f", f32::from_bits(bits))).collect();
         let (count, uniforms) = (uniforms.len().max(1), uniforms.join(", "));
-        let words: Vec<String> =
-            tape.table().iter().flat_map(|table| table.iter()).map(|word| format!("{word}u")).collect();
-        let (words, numbers) = (words.join(", "), "UNIFORM unsigned numbers");
         let _ = writeln!(text, "namespace t{index} {{\nUNIFORM float uniforms[{count}] = {{{uniforms}}};");
-        if tape.table().is_some() {
-            let _ = writeln!(
-                text,
-                "{numbers}[] = {{{words}}};\nstatic unsigned word_at(unsigned index, unsigned last) {{ return numbers[index < last ? index : last]; }}"
-            );
+        if let Some(table) = tape.table() {
+            let words: Vec<String> = table.iter().map(|word| format!("{word}u")).collect();
+            let _ = writeln!(text, "UNIFORM unsigned words[] = {{{}}};\n{WORD_AT}", words.join(", "));
         }
         let _ = writeln!(text, "{code}}}\n");
         let _ = writeln!(cases, "        case {index}: return t{index}::step_{entry}(a, b, c).f0;");

@@ -10,7 +10,6 @@ use rayon::prelude::*;
 use rayon::{ThreadPool, ThreadPoolBuilder};
 use scene::{Integrator, JobAtFrame};
 
-use crate::cells::FastBuilder;
 use crate::picture_tape::{EVALUATIONS, record_evaluations};
 use crate::simd::Simd;
 use crate::{CancelFlag, RenderError, Renderer, TilePixels, TileRequest};
@@ -73,7 +72,7 @@ impl CpuRenderer {
 
     fn kernel<'a>(&self, still: &'a JobAtFrame<'_>) -> Result<Kernel<'a>, RenderError> {
         Ok(match self.simd {
-            Simd::Scalar => Kernel::Reference(Box::new(Integrator::with_builder(still, &FastBuilder)), still.image()),
+            Simd::Scalar => Kernel::Reference(Box::new(Integrator::new(still)), still.image()),
             simd => Kernel::Prepared(self.kernels.prepare(still, simd)?),
         })
     }
@@ -95,7 +94,7 @@ impl Renderer for CpuRenderer {
         progress: &(dyn Fn(u64) + Sync),
     ) -> Result<TilePixels, RenderError> {
         let still = run.job.at(run.frame)?;
-        let kernel = self.threads.install(|| self.kernel(&still))?;
+        let kernel = self.kernel(&still)?;
         let (image, left, width) = (&run.job.image, run.rect.x, run.rect.width as usize);
         let mut pixels = TilePixels::zeroed(run.rect, image.channels().len());
         let height = block(kernel.lanes()).1;

@@ -13,7 +13,6 @@ use anyhow::{Context, ensure};
 use proto::Rect;
 use proto::preview_helper::CostSample;
 use scene::{Integrator, Job};
-use worker::cells::FastBuilder;
 use worker::image::{Encoders, PictureSpec};
 use worker::stitch::TileRows;
 use worker::{CancelFlag, CpuRenderer, Renderer, Simd, TilePixels, TileRequest};
@@ -73,7 +72,7 @@ impl FrameCost {
 fn measure(job: &Job, frame: u32, renderers: &[CpuRenderer], limit: Duration) -> anyhow::Result<FrameCost> {
     let start = Instant::now();
     let still = job.at(frame)?;
-    std::hint::black_box(Integrator::with_builder(&still, &FastBuilder));
+    std::hint::black_box(Integrator::new(&still));
     let setup_seconds = start.elapsed().as_secs_f64();
     let picture = PictureSpec::new(&still);
     let mut job = job.clone();
@@ -84,7 +83,7 @@ fn measure(job: &Job, frame: u32, renderers: &[CpuRenderer], limit: Duration) ->
     let done = Mutex::new(Vec::new());
     let program_start = Instant::now();
     let moved = job.at(frame)?;
-    std::hint::black_box(Integrator::with_builder(&moved, &FastBuilder));
+    std::hint::black_box(Integrator::new(&moved));
     let program_seconds = program_start.elapsed().as_secs_f64();
     let before = cpu_seconds();
     let start = Instant::now();

@@ -1,7 +1,6 @@
 //! Constructive solid geometry: combines shapes, sharply or smoothly.
 //!
-//! `of` is folded from the left; a smooth union of more than 64 shapes is folded in groups of eight. With `smooth`
-//! k > 0, h = max(k − |a − b|, 0) rounds the seam by h²/(4k): Inigo Quilez's quadratic polynomial minimum,
+//! `of` is folded from the left. With `smooth` k > 0, h = max(k − |a − b|, 0) rounds the seam by h²/(4k): Inigo Quilez's quadratic polynomial minimum,
 //! <https://iquilezles.org/articles/smin/>. The child whose distance is used is visible; within the seam the other one
 //! has the weight ½(h/k)².
 //!
@@ -121,8 +120,9 @@ fn fold_children<R: Real, V: SdfValue<R>>(of: &[Node], p: Vec3<R>, join: impl Fn
     fold_left(0..of.len(), 1, &mut |range| of[range.start].sample(p), &join)
 }
 
-/// Maximum number of shapes that a smooth union combines one after another.
-const MAX_LEFT_FOLD: usize = 64;
+/// Maximum number of shapes that a smooth union combines one after another: all that a scene may have. Groups make
+/// short lists in cells, but as long as pictures are not rendered by cells, a left fold with its hierarchy is faster.
+const MAX_LEFT_FOLD: usize = crate::limits::MAX_NODES;
 /// Number of parts of each group of a larger smooth union.
 const GROUP_PARTS: usize = 8;
 
@@ -195,8 +195,16 @@ pub(super) fn seam_sink(count: usize, in_groups: bool) -> f32 {
 }
 
 macro_rules! around_list {
-    () => {
+    ($join_bounds:expr) => {
         const HAS_CHILD_LIST: bool = true;
+
+        fn bounds(&self, isolevel: f32) -> Bounds {
+            // Each seam bulges by a quarter of its width at most.
+            let bulge = self.smooth.get() * 0.25 * (self.of.len() - 1) as f32;
+            let mut of = self.of.iter().map(|shape| shape.bounds(isolevel + bulge));
+            let first = of.next().expect("a list has one shape or more");
+            of.fold(first, $join_bounds)
+        }
 
         fn exactness(&self) -> Exactness {
             self.of.iter().map(Node::exactness).fold(Exactness::Bound, Exactness::max)
@@ -230,12 +238,7 @@ impl Sdf for Union {
         Cut::Union(&self.smooth, self.of.iter().map(Part::Shape).collect())
     }
 
-    around_list!();
-
-    fn bounds(&self, isolevel: f32) -> Bounds {
-        let isolevel = isolevel + self.smooth.get() * seam_sink(self.of.len(), self.is_grouped());
-        self.of.iter().map(|shape| shape.bounds(isolevel)).reduce(Bounds::union).unwrap_or(Bounds::EMPTY)
-    }
+    around_list!(Bounds::union);
 }
 
 impl Union {
@@ -307,12 +310,7 @@ impl Sdf for Intersection {
         fold_children(&self.of, p, |a, b| smooth_max(a, b, &self.smooth))
     }
 
-    around_list!();
-
-    // A smooth maximum is never less than the greatest distance.
-    fn bounds(&self, isolevel: f32) -> Bounds {
-        self.of.iter().map(|shape| shape.bounds(isolevel)).reduce(Bounds::intersection).unwrap_or(Bounds::EMPTY)
-    }
+    around_list!(Bounds::intersection);
 }
 
 impl Sdf for Difference {
@@ -325,11 +323,7 @@ impl Sdf for Difference {
         fold_children(&self.of, p, |a, b| smooth_subtract(a, b, &self.smooth))
     }
 
-    around_list!();
-
-    fn bounds(&self, isolevel: f32) -> Bounds {
-        self.of[0].bounds(isolevel)
-    }
+    around_list!(|first, _| first);
 
     fn subtracts(&self) -> bool {
         true

@@ -28,7 +28,7 @@ pub(super) fn of(still: &JobAtFrame<'_>) -> Option<Warning> {
     if let Some(text) = inside(scene, image, &view) {
         return Some(Warning { kind: WarningKind::CameraInside, text });
     }
-    let program = Integrator::without_cells(still);
+    let program = Integrator::new(still);
     let share = program.fraction_out_of_steps(image.width, image.height, work)?;
     (share > MAX_OUT_OF_STEPS).then(|| Warning { kind: WarningKind::OutOfSteps, text: out_of_steps(scene, share) })
 }

@@ -105,7 +105,7 @@ fn union(random: &mut Random, depth: u32, most: u32) -> String {
 
 fn random_job(seed: u32) -> Job {
     let mut random = Random(seed.wrapping_mul(0x9e37_79b9) | 1);
-    let most = [4, 20, 90][seed as usize % 3];
+    let most = [4, 20, 50][seed as usize % 3];
     let mut objects: Vec<String> =
         (0..1 + seed % 3).map(|_| format!(r#"{{ "shape": {} }}"#, union(&mut random, 2, most))).collect();
     if seed % 2 == 0 {
@@ -122,13 +122,13 @@ fn random_job(seed: u32) -> Job {
 
 #[test]
 fn cells_of_random_scenes_give_the_value_of_the_whole() {
-    for seed in 0..24 {
+    for seed in 0..12 {
         check(&format!("random scene {seed}"), &random_job(seed), 40);
     }
 }
 
 #[test]
-#[ignore = "long: a thousand random scenes at 10⁵ points together, and 10⁴ points of each shipped one; 5 minutes"]
+#[ignore = "long: a thousand random scenes; 12 minutes"]
 fn cells_of_a_thousand_random_scenes_give_the_value_of_the_whole() {
     for seed in 0..1_000 {
         check(&format!("random scene {seed}"), &random_job(seed), 100);

@@ -18,7 +18,6 @@ mod scatter;
 mod seams;
 mod shapes;
 mod surface;
-mod unions;
 mod warnings;
 mod witness;
 

@@ -131,6 +131,7 @@ impl Program {
             let address = table.as_ptr().addr() as u64;
             table.as_ptr().expose_provenance();
             words.extend([address as u32, (address >> 32) as u32]);
+            words.resize(uniform_bytes(self.isa, self.uniforms, true) / size_of::<u32>(), 0);
         }
         Uniforms { numbers: packets(words.into_iter()), table }
     }
@@ -180,9 +181,14 @@ impl Program {
     }
 }
 
-/// Bytes of a program's uniforms, with the address of its table.
+/// Bytes of a program's uniforms, with the address of its table: then whole packets, so that vectors that end with them
+/// are aligned.
 pub(super) fn uniform_bytes(isa: &Isa, uniforms: usize, has_table: bool) -> usize {
-    if has_table { isa.table_address_at(uniforms) + size_of::<u64>() } else { isa.input_bytes(uniforms) }
+    if has_table {
+        (isa.table_address_at(uniforms) + size_of::<u64>()).next_multiple_of(size_of::<Packet>())
+    } else {
+        isa.input_bytes(uniforms)
+    }
 }
 
 /// Words as the code of an extension expects them.

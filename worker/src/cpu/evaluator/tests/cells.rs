@@ -1,5 +1,6 @@
 //! Tests that the cells of a scene, recorded, give the reference's bits, and that a scene's text does not grow with it.
 
+use scene::Integrator;
 use scene::bounds::Bounds;
 use scene::cells::{CellBuilder, Cells, Program, ScalarBuilder};
 use scene::real::vec3;
@@ -58,8 +59,8 @@ fn cells_of_every_shipped_scene_give_the_reference_bits() {
 #[test]
 fn the_text_of_many_shapes_is_that_of_few() {
     let [few, many] =
-        [100, 3_000].map(|count| formula_of("shapes", cells_of(many(count).as_bytes(), &FastBuilder).expect("cells")));
-    assert!(few.tape.has_same_code(&many.tape), "the tape of 3,000 shapes differs from that of 100");
+        [40, 400].map(|count| formula_of("shapes", cells_of(many(count).as_bytes(), &FastBuilder).expect("cells")));
+    assert!(few.tape.has_same_code(&many.tape), "the tape of 400 shapes differs from that of 40");
     compare_packets(&many, 4);
 }
 
@@ -70,4 +71,30 @@ fn machine_code_and_the_reference_build_the_same_cells() {
     let [fast, scalar] = [fast, scalar].map(|cells| cells.expect("cells").tree().words().clone());
     assert_eq!(fast.len(), scalar.len());
     assert!(fast == scalar, "the tables of {} words differ", fast.len());
+}
+
+/// A pixel of a scene with cells, on every back end.
+#[test]
+fn pixels_by_cells_give_the_reference_bits() {
+    let job = Box::leak(Box::new(scene::parse(many(200).as_bytes()).expect("a valid job")));
+    let still = Box::leak(Box::new(job.at(0).expect("a valid frame")));
+    let [by_cells, without] = [Integrator::with_cells(still, &FastBuilder), Integrator::new(still)];
+    let (by_cells, without) = (&*Box::leak(Box::new(by_cells)), &*Box::leak(Box::new(without)));
+    fn place<R: Real>([x, y, _]: [R; 3]) -> (R, R) {
+        ((x * 2.0).floor() + 4.0, (y * 2.0).floor() + 4.0)
+    }
+    let light = |all: [Expr; 3]| by_cells.pixel(place(all).0, place(all).1).color.x;
+    compare_packets(&Formula::new("light", light, |all| by_cells.pixel(place(all).0, place(all).1).color.x), 4);
+    let mut hits = 0;
+    for pixel in 0..64 {
+        let (x, y) = ((pixel % 8) as f32, (pixel / 8) as f32);
+        let (got, want) = (by_cells.aovs(x, y), without.aovs(x, y));
+        assert_eq!(got.depth.is_finite(), want.depth.is_finite(), "a hit at ({x}, {y})");
+        if want.depth.is_finite() {
+            hits += 1;
+            assert!((got.depth / want.depth - 1.0).abs() < 2e-4, "at ({x}, {y}): {} for {}", got.depth, want.depth);
+            assert!(got.object == want.object, "at ({x}, {y})");
+        }
+    }
+    assert!((10..60).contains(&hits), "{hits} of 64 pixels are hits");
 }
