@@ -10,7 +10,7 @@
 //! Leaving shapes out is exact: rounding is monotonic, so that where a shape's least value is a seam's width above
 //! another's greatest, the depth into the seam is 0 at every point, and the smooth minimum is the other's value.
 //!
-//! Matt Keeter, "Massively parallel rendering of complex closed-form implicit surfaces", ACM Transactions on Graphics
+//! M. Keeter, "Massively parallel rendering of complex closed-form implicit surfaces", ACM Transactions on Graphics
 //! 39(4), 2020, prunes formulas by intervals; Wilhem Barbier et al., "Lipschitz pruning: hierarchical simplification of
 //! primitive-based SDFs", Computer Graphics Forum 44(2), 2025, prunes lists of smooth joins.
 

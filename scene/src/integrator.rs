@@ -57,7 +57,7 @@ pub struct Integrator<'a> {
     seen: Tolerance,
     /// Indices of the surfaces with fine detail, whose normals are averaged over a pixel.
     fine: Vec<usize>,
-    /// The surfaces' cells, if there are so many shapes that a point should not cost all of them.
+    /// The surfaces' cells, if the caller asked for them.
     cells: Option<Cells<'a>>,
 }
 

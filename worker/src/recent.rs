@@ -1,4 +1,4 @@
-//! What was made last, kept by its key.
+//! The values that were made last, by their keys.
 
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, PoisonError};

@@ -225,12 +225,12 @@ impl Cells<'_> {
     fn leaf<R: Real>(&self, word: R::Bits, p: Vec3<R>) -> R {
         let row = R::from_bits(word & ROW_MASK);
         let mut value = p.x.constant(0.0);
-        for index in 0..self.program.family_count() {
+        for (index, name) in LEAVES.into_iter().enumerate().take(self.program.family_count()) {
             let is_this = is_equal(p.x, family(word), index as u32);
             let inside = || {
                 let distance =
                     |(row, p): (R, Vec3<R>)| self.program.family_distance(&self.tree.words, index, row.to_bits(), p);
-                p.x.call(LEAVES[index], (row, p), distance)
+                p.x.call(name, (row, p), distance)
             };
             value = if self.program.family_count() == 1 { inside() } else { R::when(is_this, value, inside) };
         }

@@ -107,8 +107,8 @@ fn random_job(seed: u32) -> Job {
     let mut random = Random(seed.wrapping_mul(0x9e37_79b9) | 1);
     let most = [4, 20, 50][seed as usize % 3];
     let mut objects: Vec<String> =
-        (0..1 + seed % 3).map(|_| format!(r#"{{ "shape": {} }}"#, union(&mut random, 2, most))).collect();
-    if seed % 2 == 0 {
+        (0..=seed % 3).map(|_| format!(r#"{{ "shape": {} }}"#, union(&mut random, 2, most))).collect();
+    if seed.is_multiple_of(2) {
         objects.push(r#"{ "shape": { "plane": { "normal": [0, 1, 0], "offset": -1 } } }"#.to_owned());
         objects.push(r#"{ "shape": { "copies": { "smooth": 0.1, "child": { "torus": { "radius": 0.2, "tube": 0.05 } }, "at": { "grid": [5, 4, 5], "step": [0.5, 0.6, 0.7] } } } }"#.to_owned());
     }

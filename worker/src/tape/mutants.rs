@@ -242,7 +242,7 @@ fn assert_equal(name: &str, tape: &Tape) -> usize {
         let of_lane = |lane: usize| (0..rows).map(|row| arguments[row * LANES + lane]).collect::<Vec<f32>>();
         let want: Vec<_> = (0..LANES).map(|lane| evaluate(tape, entry.name, &of_lane(lane))).collect();
         for (simd, evaluator) in &evaluators {
-            let (inputs, mut frame) = (evaluator.inputs(&tape), evaluator.frame());
+            let (inputs, mut frame) = (evaluator.inputs(tape), evaluator.frame());
             // Wide ones are given each lane more than once.
             let width = evaluator.lanes().max(LANES);
             let given: Vec<f32> =

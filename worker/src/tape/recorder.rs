@@ -143,15 +143,14 @@ pub(super) fn uniform(kind: ValueType, bits: u32) -> ValueId {
 /// Word of a table. All words of a tape are of one table.
 pub(super) fn word(table: &Table, index: ValueId) -> ValueId {
     let known = with(|recorder| recorder.tape.table.clone());
-    match known {
-        Some(known) => assert!(Table::ptr_eq(&known, table), "a formula reads one table"),
-        None => {
-            let last = new_uniform(ValueType::U32, table.len() as u32 - 1);
-            with(|recorder| {
-                recorder.tape.table = Some(table.clone());
-                recorder.last_word = Some(last);
-            });
-        }
+    if let Some(known) = known {
+        assert!(Table::ptr_eq(&known, table), "a formula reads one table");
+    } else {
+        let last = new_uniform(ValueType::U32, table.len() as u32 - 1);
+        with(|recorder| {
+            recorder.tape.table = Some(table.clone());
+            recorder.last_word = Some(last);
+        });
     }
     word_at(index)
 }

@@ -27,7 +27,7 @@ fn formula_of(name: &str, cells: &'static Cells<'static>) -> Formula {
 fn many(count: u32) -> String {
     let shape = |index: u32| {
         let place = |salt: u32| (index * salt % 1009) as f32 / 252.0 - 2.0;
-        let solid = if index % 3 == 0 {
+        let solid = if index.is_multiple_of(3) {
             r#"{ "box": { "size": [0.1, 0.2, 0.1] } }"#
         } else {
             r#"{ "sphere": { "radius": 0.08 } }"#
@@ -73,6 +73,11 @@ fn machine_code_and_the_reference_build_the_same_cells() {
     assert!(fast == scalar, "the tables of {} words differ", fast.len());
 }
 
+/// A pixel of 8 × 8 from numbers between -2 and 2.
+fn place<R: Real>([x, y, _]: [R; 3]) -> (R, R) {
+    ((x * 2.0).floor() + 4.0, (y * 2.0).floor() + 4.0)
+}
+
 /// A pixel of a scene with cells, on every back end.
 #[test]
 fn pixels_by_cells_give_the_reference_bits() {
@@ -80,9 +85,6 @@ fn pixels_by_cells_give_the_reference_bits() {
     let still = Box::leak(Box::new(job.at(0).expect("a valid frame")));
     let [by_cells, without] = [Integrator::with_cells(still, &FastBuilder), Integrator::new(still)];
     let (by_cells, without) = (&*Box::leak(Box::new(by_cells)), &*Box::leak(Box::new(without)));
-    fn place<R: Real>([x, y, _]: [R; 3]) -> (R, R) {
-        ((x * 2.0).floor() + 4.0, (y * 2.0).floor() + 4.0)
-    }
     let light = |all: [Expr; 3]| by_cells.pixel(place(all).0, place(all).1).color.x;
     compare_packets(&Formula::new("light", light, |all| by_cells.pixel(place(all).0, place(all).1).color.x), 4);
     let mut hits = 0;
