@@ -3,12 +3,13 @@
 //! A scene is cut at its outermost joins into *leaves*, and the tree above them is a list of operations in the order
 //! in which they are computed (`program.rs`). Leaves whose formulas differ in numbers only are one *family*, and each
 //! leaf is a *row* of numbers (`trace.rs`). Space is divided into a tree of cells, each of which has the part of the
-//! list that can matter in it, found by interval arithmetic (`tree.rs`): **the list of a cell gives the value of the
+//! list that can matter in it, found by Lipschitz factors (`tree.rs`): **the list of a cell gives the value of the
 //! whole scene, bit for bit, at every point of the cell.** A cell without a surface also has a lower bound of the
 //! distance in it, so that a ray can leave it in one step (`walk.rs`).
 //!
-//! Leaving shapes out is exact: rounding is monotonic, so that where a shape's least value is a seam's width above
-//! another's greatest, the depth into the seam is 0 at every point, and the smooth minimum is the other's value.
+//! Leaving shapes out is exact: where a shape's least value is a seam's width above another's greatest, the depth into
+//! the seam is 0 at every point, and the smooth minimum is the other's value. Least and greatest values follow from the
+//! distance at a cell's center, with a margin of 2⁻¹⁶ of its size for rounding; tests compare them bit for bit.
 //!
 //! M. Keeter, "Massively parallel rendering of complex closed-form implicit surfaces", ACM Transactions on Graphics
 //! 39(4), 2020, prunes formulas by intervals; Wilhem Barbier et al., "Lipschitz pruning: hierarchical simplification of
@@ -22,7 +23,7 @@ mod walk;
 use crate::bounds::Bounds;
 pub use program::Program;
 pub use tree::{CellBuilder, CellTree, LeafDistances, ScalarBuilder};
-pub use walk::Located;
+pub use walk::{FAMILY_NAMES, Located};
 
 /// A scene's program and its cells.
 #[derive(Clone, Debug)]

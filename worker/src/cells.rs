@@ -3,63 +3,11 @@
 use std::sync::atomic::AtomicBool;
 
 use rayon::prelude::*;
-use scene::cells::{CellBuilder, LeafDistances, Program};
+use scene::cells::{CellBuilder, FAMILY_NAMES, LeafDistances, Program};
 use scene::real::{Real, Vec3, vec3};
 
 use crate::cpu::{Evaluator, Inputs};
 use crate::tape::{Expr, record};
-
-/// Names of the families' entries.
-const FAMILIES: [&str; 48] = [
-    "family_0",
-    "family_1",
-    "family_2",
-    "family_3",
-    "family_4",
-    "family_5",
-    "family_6",
-    "family_7",
-    "family_8",
-    "family_9",
-    "family_10",
-    "family_11",
-    "family_12",
-    "family_13",
-    "family_14",
-    "family_15",
-    "family_16",
-    "family_17",
-    "family_18",
-    "family_19",
-    "family_20",
-    "family_21",
-    "family_22",
-    "family_23",
-    "family_24",
-    "family_25",
-    "family_26",
-    "family_27",
-    "family_28",
-    "family_29",
-    "family_30",
-    "family_31",
-    "family_32",
-    "family_33",
-    "family_34",
-    "family_35",
-    "family_36",
-    "family_37",
-    "family_38",
-    "family_39",
-    "family_40",
-    "family_41",
-    "family_42",
-    "family_43",
-    "family_44",
-    "family_45",
-    "family_46",
-    "family_47",
-];
 
 /// Builds cells with the fastest evaluator of this CPU.
 #[derive(Clone, Copy, Debug)]
@@ -75,7 +23,7 @@ struct Families<'a> {
 impl CellBuilder for FastBuilder {
     fn evaluator<'a>(&self, program: &'a Program<'_>) -> Box<dyn LeafDistances + 'a> {
         let tape = record(|recording| {
-            for (family, name) in FAMILIES.iter().enumerate().take(program.family_count()) {
+            for (family, name) in FAMILY_NAMES.iter().enumerate().take(program.family_count()) {
                 recording.entry(name, |[x, y, z, row]: [Expr; 4]| {
                     vec![program.family_distance(program.rows(), family, row.to_bits(), vec3(x, y, z))]
                 });
@@ -116,7 +64,7 @@ impl LeafDistances for Families<'_> {
                 let last = some.last().map_or(0, |(_, row)| *row);
                 arguments.extend(rows.chain(std::iter::repeat(last)).take(length).map(f32::from_bits));
                 results.resize(length, 0.0);
-                self.evaluator.run(FAMILIES[family], &mut frame, &self.inputs, &cancel, &arguments, &mut results);
+                self.evaluator.run(FAMILY_NAMES[family], &mut frame, &self.inputs, &cancel, &arguments, &mut results);
                 for ((place, _), values) in some.iter().zip(results.chunks_exact(points.len())) {
                     let to = first + place * points.len();
                     distances[to..to + points.len()].copy_from_slice(values);

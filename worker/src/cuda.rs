@@ -304,14 +304,14 @@ impl CudaRenderer {
         let (program, _) = self.program(source, &runs[runs.len() / 2], cancel)?;
         let mut buffer = self.take_buffer(numbers)?;
         let mut known = lock(&program.known);
-        let given = (source.parameters.clone(), source.table.clone());
-        if known.numbers.as_ref() != Some(&given) {
+        let is_given = |(numbers, table): &(_, _)| *numbers == source.parameters && *table == source.table;
+        if !known.numbers.as_ref().is_some_and(is_given) {
             known.numbers = None;
             self.device.set_uniforms(&program.loaded, &source.parameters)?;
             // The launches before read the table that is replaced: its memory is freed after them.
             known.uploaded =
                 source.table.as_ref().map(|table| self.device.set_table(&program.loaded, table)).transpose()?;
-            known.numbers = Some(given);
+            known.numbers = Some((source.parameters.clone(), source.table.clone()));
         }
         let layout = launches::lay_out(&rects, planes, program.shape).ordered(&known.cost, image.samples);
         let laid_out = self.device.lay_out(&layout)?;

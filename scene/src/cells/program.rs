@@ -10,7 +10,7 @@ use crate::scene::Object;
 use crate::values::LengthOrZero;
 
 /// Maximum number of families: each is a function of the compiled text.
-const MAX_FAMILIES: usize = 48;
+pub(super) const MAX_FAMILIES: usize = 48;
 /// Words of a scene's table before its rows.
 pub(super) const FIRST_WORDS: usize = 2;
 /// Maximum number of values that wait for a join.
@@ -79,7 +79,8 @@ pub(super) struct Operation {
 }
 
 impl<'a> Program<'a> {
-    /// Cuts objects, each with its index and the factor of its distance, at their outermost joins. `None` if the scene has too many families, or joins nested too deeply.
+    /// Cuts objects, each with its index and the factor of its distance, at their outermost joins. `None` if the scene
+    /// has too many families, or joins nested too deeply.
     pub fn new(objects: &[(usize, &'a Object, Option<f32>)]) -> Option<Self> {
         let mut cutter = Cutter::default();
         for (index, &(number, object, scale)) in objects.iter().enumerate() {

@@ -1,7 +1,7 @@
 //! The cell of a point, the value of its list there, and the way of a ray out of it.
 
 use super::Cells;
-use super::program::{JoinKind, MAX_STACK};
+use super::program::{JoinKind, MAX_FAMILIES, MAX_STACK};
 use super::tree::{BLOCK_EDGE, MAX_LEVELS, NO_LEAF, OUTSIDE, ROW_BITS};
 use crate::camera::Ray;
 use crate::real::{Bits, Bundle, Merge, Real, Vec3, bundle, vec3};
@@ -16,7 +16,7 @@ macro_rules! names {
 }
 
 /// Names of the families' functions in compiled texts.
-const LEAVES: [&str; 48] = names!["leaf_": 0 1 2 3 4 5 6 7 8 9 10 11 12 13 14 15 16 17 18 19 20 21 22 23 24 25 26 27 28 29
+pub const FAMILY_NAMES: [&str; MAX_FAMILIES] = names!["leaf_": 0 1 2 3 4 5 6 7 8 9 10 11 12 13 14 15 16 17 18 19 20 21 22 23 24 25 26 27 28 29
     30 31 32 33 34 35 36 37 38 39 40 41 42 43 44 45 46 47];
 
 /// The bits of an operation's word that are a row.
@@ -225,7 +225,7 @@ impl Cells<'_> {
     fn leaf<R: Real>(&self, word: R::Bits, p: Vec3<R>) -> R {
         let row = R::from_bits(word & ROW_MASK);
         let mut value = p.x.constant(0.0);
-        for (index, name) in LEAVES.into_iter().enumerate().take(self.program.family_count()) {
+        for (index, name) in FAMILY_NAMES.into_iter().enumerate().take(self.program.family_count()) {
             let is_this = is_equal(p.x, family(word), index as u32);
             let inside = || {
                 let distance =
