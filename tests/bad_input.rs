@@ -226,7 +226,7 @@ fn too_much() -> Vec<Case> {
         large("nodes 65 deep", nested(65), Some(OBJECT), 422, "64"),
         large("nodes 5,000 deep", nested(5000), Some(OBJECT), 422, "64"),
         large("arrays 100,000 deep", "[".repeat(100_000), None, 422, "256"),
-        large("100,001 nodes", wide(100_001), Some(""), 422, "100000"),
+        large("1,000,001 nodes", wide(1_000_001), Some(""), 422, "1000000"),
     ]
 }
 
@@ -383,12 +383,12 @@ fn suspicious_scene_is_accepted_with_a_warning() {
 #[test]
 fn body_over_the_limit_is_rejected() {
     let farm = Farm::start(&["--workers", "0"]);
-    let padded = format!("{SOUND}{}", " ".repeat(9 << 20));
+    let padded = format!("{SOUND}{}", " ".repeat(32 << 20));
     let problem = farm.post(&padded).problem(413, "too_large");
-    assert!(problem["detail"].as_str().is_some_and(|detail| detail.contains("8388608")), "{problem}");
+    assert!(problem["detail"].as_str().is_some_and(|detail| detail.contains("33554432")), "{problem}");
     let output = finish(sdfarm(&["check", "-"]), padded.as_bytes());
     assert_eq!(output.status.code(), Some(2));
-    assert!(text(&output.stderr).contains("8 MiB"), "{}", text(&output.stderr));
+    assert!(text(&output.stderr).contains("32 MiB"), "{}", text(&output.stderr));
 }
 
 #[test]

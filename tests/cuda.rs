@@ -111,11 +111,24 @@ fn small(name: &str) -> Value {
     job
 }
 
-/// Job with this many nodes.
-fn of_nodes(spheres: usize) -> Value {
-    let mut job = jobs::as_png(&small("csg"));
+/// Job with an object of this many spheres, which are children of an operation.
+fn of_spheres(operation: &str, spheres: usize) -> Value {
+    let mut job = small("csg");
     let sphere = |number: usize| json!({ "translate": { "by": [number % 20, number / 20, 0], "child": { "sphere": { "radius": 0.3 } } } });
-    job["scene"]["objects"] = json!([{ "shape": { "union": { "of": (0..spheres).map(sphere).collect::<Vec<_>>() } } }]);
+    job["scene"]["objects"] =
+        json!([{ "shape": { operation: { "of": (0..spheres).map(sphere).collect::<Vec<_>>() } } }]);
+    job
+}
+
+/// Job with this many nodes, which are not cut into leaves.
+fn of_nodes(spheres: usize) -> Value {
+    jobs::as_png(&of_spheres("intersection", spheres))
+}
+
+/// Job of cells, whose kernel asks for those that it needs.
+fn of_cells() -> Value {
+    let mut job = of_spheres("union", 300);
+    job["scene"]["camera"] = json!({ "position": [9.5, 7, -22], "look_at": [9.5, 7, 0] });
     job
 }
 
@@ -268,6 +281,7 @@ fn gpu_gives_cpu_bytes_for_all_blocks_and_tiles() {
         jobs::as_png(&small("mandelbulb")),
         jobs::as_exr(&small("paper/smoothing")),
         jobs::as_exr(&small("dice")),
+        jobs::as_exr(&of_cells()),
     ];
     let flags: [&[&str]; 4] = [&[], &["--block", "128x1"], &["--block", "16x16", "--tile", "32"], &["--block", "7x3"]];
     for job in pictures {

@@ -19,6 +19,7 @@ const MARK: &str = "==== next line ====";
 const LINES: &[(&str, &[&str])] = &[
     ("farm=", &[]),
     ("curl -s --json @job.json -H 'Idempotency-Key: shot-12-take-3'", &["\"state\":\"", "\"frames\":{"]),
+    ("gzip -c job.json | curl -s --json @-", &["\"id\":\"", "\"state\":\""]),
     ("curl -s --json @job.json -H 'Prefer: wait=30'", &["\"state\":\"succeeded\""]),
     ("id=$(sdfarm submit job.json --wait --server $farm)", &[]),
     ("curl -s -H 'Prefer: wait=60' \"$farm/v1/jobs/$id\"", &["\"state\":\"succeeded\"", "\"paused\":false"]),

@@ -3,13 +3,14 @@
 //! It sends requests and names errors; display, retries and waiting are up to its caller.
 
 mod health;
+mod job_body;
 mod jobs;
 mod pictures;
 
 use std::io::Write;
 use std::time::Duration;
 
-use reqwest::header::{CACHE_CONTROL, CONTENT_TYPE};
+use reqwest::header::CACHE_CONTROL;
 use reqwest::{Method, RequestBuilder, Response};
 use serde::de::DeserializeOwned;
 
@@ -118,7 +119,7 @@ impl Client {
 
     /// Submits a job file. With `no_cache` it is rendered even if its pictures are already stored.
     pub async fn submit(&self, job: Vec<u8>, no_cache: bool) -> Result<JobView, ClientError> {
-        let request = self.request(Method::POST, "/v1/jobs").header(CONTENT_TYPE, "application/json").body(job);
+        let request = job_body::attach(self.request(Method::POST, "/v1/jobs"), job);
         let request = if no_cache { request.header(CACHE_CONTROL, "no-cache") } else { request };
         self.json(request).await
     }
@@ -126,7 +127,7 @@ impl Client {
     /// Validates a job file without submitting it.
     pub async fn dry_run(&self, job: Vec<u8>) -> Result<DryRun, ClientError> {
         let request = self.request(Method::POST, "/v1/jobs").query(&[("dry_run", "true")]);
-        self.json(request.header(CONTENT_TYPE, "application/json").body(job)).await
+        self.json(job_body::attach(request, job)).await
     }
 
     /// Reads a job.

@@ -16,14 +16,16 @@
 //! primitive-based SDFs", Computer Graphics Forum 44(2), 2025, prunes lists of smooth joins.
 
 mod program;
+mod prune;
 mod trace;
 mod tree;
 mod walk;
 
 use crate::bounds::Bounds;
 pub use program::Program;
-pub use tree::{CellBuilder, CellTree, LeafDistances, ScalarBuilder};
-pub use walk::{FAMILY_NAMES, Located};
+pub use prune::{Pruned, Pruner, Regions, Unpruned};
+pub use tree::{CellBuilder, CellTree, Distances, LeafDistances, ScalarBuilder};
+pub use walk::{DistanceLists, Located};
 
 /// A scene's program and its cells.
 #[derive(Clone, Debug)]

@@ -91,6 +91,8 @@ pub(crate) struct NamedShapes {
 pub(crate) struct Resolved {
     /// The scene, before precomputation.
     pub scene: Scene,
+    /// Number of materials in use; the scene has no more than are allowed.
+    pub material_count: usize,
     /// JSON pointer in the scene, for each material in use.
     pub material_pointers: Vec<String>,
     /// Names of materials that no object and no node uses.
@@ -126,10 +128,10 @@ impl SceneDocument {
             in_unused.resolve_tree(shape, &mut format!("/shapes/{}", json_scan::escape(name)));
         }
         unknown.extend(in_unused.unknown);
-        let MaterialSlots { used: materials, by_name, .. } = slots;
+        let MaterialSlots { used: materials, count: material_count, by_name, .. } = slots;
         let unused = named.keys().filter(|name| !by_name.contains_key(*name)).cloned().collect();
         let scene = Scene { camera, background, lights, fog, ambient_occlusion, materials, objects, march };
-        Resolved { scene, material_pointers: places, unused_names: unused, unknown }
+        Resolved { scene, material_count, material_pointers: places, unused_names: unused, unknown }
     }
 }
 
@@ -170,7 +172,7 @@ impl<'a> MaterialResolver<'a> {
         }
         let (length, steps) = (pointer.len(), child_pointers(node));
         for (child, step) in node.children_mut().iter_mut().zip(steps) {
-            pointer.push_str(&step);
+            step.push_to(pointer);
             self.resolve_tree(child, pointer);
             pointer.truncate(length);
         }

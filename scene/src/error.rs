@@ -24,6 +24,16 @@ impl ValidationError {
         Self::at(text, offset, pointer, message)
     }
 
+    /// Errors at the values at some pointers in `text`, found in one scan of it.
+    pub(crate) fn at_values(text: &str, errors: Vec<(String, String)>) -> Vec<Self> {
+        let pointers: Vec<&str> = errors.iter().map(|(pointer, _)| pointer.as_str()).collect();
+        let offsets = json_scan::locate_values(text, &pointers);
+        let lines = LineIndex::new(text);
+        let place =
+            |((pointer, message), offset): (_, Option<usize>)| lines.fault(offset.unwrap_or(0), pointer, message);
+        errors.into_iter().zip(offsets).map(place).collect()
+    }
+
     /// Error at the member name at `pointer` in `text`.
     pub(crate) fn at_member(text: &str, pointer: String, message: impl Into<String>) -> Self {
         let offset = json_scan::locate_member(text, &pointer);

@@ -1,6 +1,7 @@
 //! Integrator: computes the color of a pixel from rays, march, normal, lights and materials. Written once for all
 //! devices.
 
+mod by_cells;
 mod lighting;
 mod media;
 mod path;
@@ -12,7 +13,7 @@ use crate::animation::JobAtFrame;
 use crate::backgrounds::Backdrop;
 use crate::bounds::Bounds;
 use crate::camera::{Ray, View};
-use crate::cells::{CellBuilder, Cells, Program};
+use crate::cells::Cells;
 use crate::limits::MAX_SAMPLES;
 use crate::march::{Approach, MarchRange, MarchResult, RELAXATION, Tolerance, find_root, march_to_root};
 use crate::materials::{Material, Shade, ShadingPoint};
@@ -20,6 +21,7 @@ use crate::real::{MaskValue, Real, Vec3, bundle, vec3};
 use crate::sampling::{PixelJitter, Sampler, frame_key};
 use crate::scene::Scene;
 use media::Media;
+use scene_distance::AlongRay;
 use shading::MaterialTable;
 
 /// A frame of a job, prepared for rendering its pixels.
@@ -57,7 +59,7 @@ pub struct Integrator<'a> {
     seen: Tolerance,
     /// Indices of the surfaces with fine detail, whose normals are averaged over a pixel.
     fine: Vec<usize>,
-    /// The surfaces' cells, if the caller asked for them.
+    /// The surfaces' cells, in a picture of many shapes.
     cells: Option<Cells<'a>>,
 }
 
@@ -121,25 +123,14 @@ impl<R: Real> ShadingPoint<R> {
 }
 
 impl<'a> Integrator<'a> {
-    /// Prepares the integrator for one frame.
+    /// Prepares the integrator for one frame, without cells: every formula is written out.
     pub fn new(still: &'a JobAtFrame<'_>) -> Self {
-        Self::with(still, None)
-    }
-
-    /// The same with cells, if every object has one material. Rays meet the same surfaces, at other steps. No picture
-    /// is rendered so yet: a step through cells costs more than the hierarchies of unions save.
-    pub fn with_cells(still: &'a JobAtFrame<'_>, how: &dyn CellBuilder) -> Self {
-        Self::with(still, Some(how))
-    }
-
-    fn with(still: &'a JobAtFrame<'_>, how: Option<&dyn CellBuilder>) -> Self {
         let (scene, image, moves) = (still.scene(), still.image(), still.is_animated());
         let view = scene.camera.view(image.width, image.height);
         let clothes = MaterialTable::new(scene);
         let is_worn = |of: fn(&Material) -> bool| clothes.slots().any(|slot| of(&scene.used_materials()[slot]));
         let (sends_on, lets_through) = (is_worn(Shade::is_specular), is_worn(Shade::is_transmissive));
-        let surfaces: Vec<usize> =
-            (0..scene.objects.len()).filter(|&index| !scene.material_of(index).is_medium()).collect();
+        let surfaces: Vec<usize> = surfaces_of(scene).collect();
         let boxes: Vec<Option<Bounds>> =
             scene.objects.iter().map(|object| object.shape.culling_bounds(moves)).collect();
         let shapes = surfaces.iter().map(|&index| scene.objects[index].shape.bounds(0.0));
@@ -147,16 +138,9 @@ impl<'a> Integrator<'a> {
         let step_scales: Vec<Option<f32>> =
             scene.objects.iter().map(|object| shrink(object.shape.stretch(), moves)).collect();
         let bounds = bounds.with_margin(view.origin());
-        let cells = how.filter(|_| clothes.is_plain()).and_then(|how| {
-            let objects: Vec<_> =
-                surfaces.iter().map(|&index| (index, &scene.objects[index], step_scales[index])).collect();
-            let program = Program::new(&objects)?;
-            let reach = reach(bounds, view.origin(), scene.march.max_distance.get());
-            Some(Cells::new(program, reach, how))
-        });
         Self {
             scene,
-            cells,
+            cells: None,
             cull_bounds: if boxes.iter().all(Option::is_none) { Vec::new() } else { boxes },
             shares_nearest: scene.nodes() >= SHARED_DISTANCE_NODES,
             bounds,
@@ -288,8 +272,8 @@ impl<'a> Integrator<'a> {
             let (times, relaxation) = if depth { (16, 1.0) } else { (1, RELAXATION) };
             let max_steps = self.scene.march.max_steps * times;
             let reach = MarchRange { t_min: nearest, t_max: farthest, max_steps, relaxation };
-            let sample = |t| self.sample(ray, t);
-            let marched = march_to_root(ray, reach, approach, sample, |p| self.distance(p), |p| self.is_fine(p));
+            let along = AlongRay { integrator: self, ray };
+            let marched = march_to_root(ray, reach, approach, &along, |p| self.distance(p), |p| self.is_fine(p));
             // Out of steps: a hit if the surface is within the pixel's footprint.
             let seen = self.view.footprint().at(marched.t);
             let touches = !marched.hit.0 & marched.distance.lt(seen) & marched.t.lt(farthest);
@@ -384,6 +368,11 @@ impl<'a> Integrator<'a> {
 fn reach(bounds: Bounds, origin: Vec3<f32>, farthest: f32) -> Bounds {
     let around = Bounds { min: origin, max: origin }.expanded(2.0 * farthest);
     bounds.intersection(around)
+}
+
+/// Indices of the objects that are surfaces.
+fn surfaces_of(scene: &Scene) -> impl Iterator<Item = usize> + '_ {
+    (0..scene.objects.len()).filter(|&index| !scene.material_of(index).is_medium())
 }
 
 /// Factor of an object's distance, `None` if it is 1 in all frames.

@@ -221,6 +221,11 @@ impl Job {
         self.scene.nodes()
     }
 
+    /// Nodes whose formulas a kernel has, see [`crate::JobAtFrame::compiled_nodes`]: what limits the scenes of a GPU.
+    pub fn compiled_nodes(&self) -> u32 {
+        self.at(0).map_or_else(|_| self.nodes(), |still| still.compiled_nodes())
+    }
+
     /// Whether some pixel may be less than opaque.
     pub fn is_transparent(&self) -> bool {
         self.scene.is_transparent()

@@ -1,8 +1,11 @@
-//! Scan of a JSON text: its nesting depth, duplicate members, and the position of the value of a JSON pointer.
+//! Scan of a JSON text: its nesting depth, long and duplicate members, and the positions of the values of JSON pointers.
 //!
 //! It does not check syntax: it stops at a syntax error, and the parser reports it.
 
-use std::collections::HashSet;
+use std::borrow::Cow;
+use std::collections::{HashMap, HashSet};
+
+use crate::limits::MAX_KEY_BYTES;
 
 /// Error found by the scan.
 #[derive(Debug, PartialEq, Eq)]
@@ -11,7 +14,7 @@ pub(crate) struct ScanError {
     pub offset: usize,
     /// JSON pointer to the error.
     pub pointer: String,
-    /// Kind of error: nesting too deep, or a duplicate member.
+    /// Kind of error: nesting too deep, or a duplicate or too long member.
     pub kind: ScanErrorKind,
 }
 
@@ -20,20 +23,46 @@ pub(crate) struct ScanError {
 pub(crate) enum ScanErrorKind {
     /// Arrays and objects nest deeper than allowed.
     TooDeep,
+    /// A member name has this many bytes, more than allowed.
+    LongMember(usize),
     /// An object has this member twice.
     DuplicateMember(String),
 }
 
+/// Number of keys of an object that are compared one by one; more are hashed.
+const MAX_COMPARED_KEYS: usize = 8;
+
 /// Open array or object, and the position in it.
-enum OpenContainer {
+enum OpenContainer<'a> {
     Array { index: usize },
-    Object { key: Option<String>, seen: HashSet<String> },
+    Object { key: Option<Cow<'a, str>>, seen: SeenKeys<'a> },
+}
+
+/// Keys of an object so far.
+#[derive(Default)]
+struct SeenKeys<'a> {
+    few: Vec<Cow<'a, str>>,
+    many: HashSet<Cow<'a, str>>,
+}
+
+impl<'a> SeenKeys<'a> {
+    /// Adds a key; false if it is there already.
+    fn insert(&mut self, key: Cow<'a, str>) -> bool {
+        if self.few.contains(&key) {
+            return false;
+        }
+        if self.few.len() < MAX_COMPARED_KEYS {
+            self.few.push(key);
+            return true;
+        }
+        self.many.insert(key)
+    }
 }
 
 /// One step of the scan.
 enum JsonToken<'a> {
     /// A member name at this offset.
-    Key { offset: usize, key: &'a str },
+    Key { offset: usize, key: Cow<'a, str> },
     /// A value begins at this offset.
     Value { offset: usize },
 }
@@ -49,15 +78,21 @@ pub(crate) fn check(text: &str, max_depth: usize) -> Result<(), ScanError> {
                 }
                 (offset, ScanErrorKind::TooDeep)
             }
+            JsonToken::Key { offset, key } if key.len() > MAX_KEY_BYTES => {
+                let inside = &levels[..levels.len().saturating_sub(1)];
+                fault =
+                    Some(ScanError { offset, pointer: pointer(inside), kind: ScanErrorKind::LongMember(key.len()) });
+                return false;
+            }
             JsonToken::Key { offset, key } => {
                 let is_new = match levels.last_mut() {
-                    Some(OpenContainer::Object { seen, .. }) => seen.insert(key.to_owned()),
+                    Some(OpenContainer::Object { seen, .. }) => seen.insert(key.clone()),
                     Some(OpenContainer::Array { .. }) | None => true,
                 };
                 if is_new {
                     return true;
                 }
-                (offset, ScanErrorKind::DuplicateMember(key.to_owned()))
+                (offset, ScanErrorKind::DuplicateMember(key.into_owned()))
             }
         };
         // A pointer thousands of levels deep would not help.
@@ -68,12 +103,70 @@ pub(crate) fn check(text: &str, max_depth: usize) -> Result<(), ScanError> {
     fault.map_or(Ok(()), Err)
 }
 
+/// Whether a text has more values than this, counting those in arrays and objects.
+pub(crate) fn has_more_values_than(text: &str, limit: usize) -> bool {
+    let mut count = 0;
+    walk(text, |_, event| {
+        count += usize::from(matches!(event, JsonToken::Value { .. }));
+        count <= limit
+    });
+    count > limit
+}
+
 /// Start of the value at `pointer`.
 pub(crate) fn locate_value(text: &str, pointer: &str) -> Option<usize> {
     locate(text, pointer, |event| match event {
         JsonToken::Key { .. } => None,
         JsonToken::Value { offset } => Some(*offset),
     })
+}
+
+/// Starts of the values at several pointers, found in one scan.
+pub(crate) fn locate_values(text: &str, pointers: &[&str]) -> Vec<Option<usize>> {
+    let mut wanted = vec![WantedStep::default()];
+    let ends: Vec<usize> = pointers.iter().map(|pointer| WantedStep::add(&mut wanted, pointer)).collect();
+    let mut found = vec![None; wanted.len()];
+    // For each open array and object, its step, if a wanted pointer leads there.
+    let mut path: Vec<Option<usize>> = Vec::new();
+    walk(text, |levels, event| {
+        let JsonToken::Value { offset } = event else { return true };
+        path.truncate(levels.len());
+        let above = path.last().copied().flatten();
+        let step = match (levels.last(), above) {
+            (None, _) => Some(0),
+            (Some(OpenContainer::Object { key: Some(key), .. }), Some(above)) => wanted[above].next(key),
+            (Some(OpenContainer::Array { index }), Some(above)) => wanted[above].next(&index.to_string()),
+            (Some(_), _) => None,
+        };
+        if let Some(step) = step {
+            found[step].get_or_insert(offset);
+        }
+        path.push(step);
+        true
+    });
+    ends.into_iter().map(|end| found[end]).collect()
+}
+
+/// A step of wanted pointers: the steps after it, by their names.
+#[derive(Default)]
+struct WantedStep(HashMap<String, usize>);
+
+impl WantedStep {
+    /// Adds the steps of a pointer; returns the last.
+    fn add(all: &mut Vec<Self>, pointer: &str) -> usize {
+        pointer.split('/').skip(1).map(unescape).fold(0, |at, name| {
+            let next = all.len();
+            let step = *all[at].0.entry(name).or_insert(next);
+            if step == next {
+                all.push(Self::default());
+            }
+            step
+        })
+    }
+
+    fn next(&self, name: &str) -> Option<usize> {
+        self.0.get(name).copied()
+    }
 }
 
 /// Start of the member name of the value at `pointer`.
@@ -96,15 +189,15 @@ fn locate(text: &str, pointer: &str, place: impl Fn(&JsonToken<'_>) -> Option<us
     found
 }
 
-fn points_at(levels: &[OpenContainer], wanted: &[String]) -> bool {
+fn points_at(levels: &[OpenContainer<'_>], wanted: &[String]) -> bool {
     levels.len() == wanted.len()
         && levels.iter().zip(wanted).rev().all(|(level, wanted)| match level {
             OpenContainer::Array { index } => wanted.parse() == Ok(*index),
-            OpenContainer::Object { key, .. } => key.as_ref() == Some(wanted),
+            OpenContainer::Object { key, .. } => key.as_deref() == Some(wanted.as_str()),
         })
 }
 
-fn pointer(levels: &[OpenContainer]) -> String {
+fn pointer(levels: &[OpenContainer<'_>]) -> String {
     levels
         .iter()
         .map(|level| match level {
@@ -125,9 +218,9 @@ pub(crate) fn unescape(part: &str) -> String {
 }
 
 /// Scans a text while it is valid and `visit` returns true.
-fn walk(text: &str, mut visit: impl FnMut(&mut Vec<OpenContainer>, JsonToken<'_>) -> bool) {
+fn walk<'a>(text: &'a str, mut visit: impl FnMut(&mut Vec<OpenContainer<'a>>, JsonToken<'a>) -> bool) {
     let bytes = text.as_bytes();
-    let mut levels: Vec<OpenContainer> = Vec::new();
+    let mut levels: Vec<OpenContainer<'_>> = Vec::new();
     let mut at = 0;
     while at < bytes.len() {
         match bytes[at] {
@@ -148,11 +241,11 @@ fn walk(text: &str, mut visit: impl FnMut(&mut Vec<OpenContainer>, JsonToken<'_>
                 let Some(end) = string_end(bytes, at) else { return };
                 let wants_key = matches!(levels.last(), Some(OpenContainer::Object { key: None, .. }));
                 let go_on = if wants_key {
-                    let Ok(name) = serde_json::from_str::<String>(&text[at..end]) else { return };
+                    let Some(name) = member_name(&text[at..end]) else { return };
                     if let Some(OpenContainer::Object { key, .. }) = levels.last_mut() {
                         *key = Some(name.clone());
                     }
-                    visit(&mut levels, JsonToken::Key { offset: at, key: &name })
+                    visit(&mut levels, JsonToken::Key { offset: at, key: name })
                 } else {
                     visit(&mut levels, JsonToken::Value { offset: at })
                 };
@@ -168,7 +261,7 @@ fn walk(text: &str, mut visit: impl FnMut(&mut Vec<OpenContainer>, JsonToken<'_>
                 levels.push(if opening == b'[' {
                     OpenContainer::Array { index: 0 }
                 } else {
-                    OpenContainer::Object { key: None, seen: HashSet::new() }
+                    OpenContainer::Object { key: None, seen: SeenKeys::default() }
                 });
                 at += 1;
             }
@@ -180,6 +273,15 @@ fn walk(text: &str, mut visit: impl FnMut(&mut Vec<OpenContainer>, JsonToken<'_>
             }
         }
     }
+}
+
+/// The name that a string stands for; none if the string is invalid.
+fn member_name(string: &str) -> Option<Cow<'_, str>> {
+    let inside = string.get(1..string.len() - 1)?;
+    if inside.bytes().any(|byte| byte == b'\\' || byte < b' ') {
+        return serde_json::from_str(string).ok().map(Cow::Owned);
+    }
+    Some(Cow::Borrowed(inside))
 }
 
 /// The byte after the string that begins at `start`.
@@ -208,6 +310,26 @@ mod tests {
         assert_eq!(value("/e"), None);
         assert_eq!(value(""), Some(text));
         assert!(text[locate_member(text, "/a/1/b~1c").unwrap()..].starts_with("\"b/c\""));
+    }
+
+    #[test]
+    fn finds_several_values_in_one_scan() {
+        let text = r#"{"a": [1, {"b/c": 22}], "d": {"1": [], "a": 7}, "a2": 1}"#;
+        let pointers = ["/d/a", "/a/1/b~1c", "", "/a/1", "/d/1", "/x/1", "/a/2", "/d/a"];
+        let found = locate_values(text, &pointers);
+        for (pointer, found) in pointers.iter().zip(found) {
+            assert_eq!(found, locate_value(text, pointer), "{pointer}");
+        }
+        assert_eq!(locate_values("[", &["", "/0"]), [Some(0), None]);
+    }
+
+    #[test]
+    fn long_members_are_errors_of_their_object() {
+        let text = format!(r#"{{"a": [{{"{}": 1}}]}}"#, "k".repeat(MAX_KEY_BYTES + 1));
+        let fault = check(&text, 9).unwrap_err();
+        assert_eq!((fault.pointer.as_str(), fault.offset), ("/a/0", 8));
+        assert_eq!(fault.kind, ScanErrorKind::LongMember(MAX_KEY_BYTES + 1));
+        assert_eq!(check(&text.replace("kk", "k"), 9), Ok(()));
     }
 
     #[test]

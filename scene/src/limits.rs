@@ -1,13 +1,15 @@
 //! Limits of a job. Exceeding one is an error that names it, never a crash.
 
 /// Maximum bytes of a job file.
-pub const MAX_BODY_BYTES: usize = 8 << 20;
+pub const MAX_BODY_BYTES: usize = 32 << 20;
 /// Maximum nesting of JSON arrays and objects, checked before parsing.
 pub const MAX_JSON_DEPTH: usize = 256;
+/// Maximum bytes of a key, checked before parsing: the pointer of each error in its value has it.
+pub const MAX_KEY_BYTES: usize = 4_096;
 /// Maximum nesting of nodes.
 pub const MAX_NODE_DEPTH: usize = 64;
 /// Maximum number of nodes of a scene.
-pub const MAX_NODES: usize = 100_000;
+pub const MAX_NODES: usize = 1_000_000;
 /// Maximum number of scattered copies of a scene, each times the cost of the surface under it in simple nodes.
 pub const MAX_PLACING_COST: f32 = 2e6;
 /// Maximum number of materials in use in a scene.

@@ -49,21 +49,39 @@ pub struct MarchResult<R: Real> {
 
 bundle!(MarchResult { t, near, distance, steps, evaluations, hit });
 
-/// A field at a point of a ray, for a march.
-#[derive(Clone, Copy, Debug)]
-pub struct FieldSample<R: Real> {
-    /// The field's value, or a lower bound of the distance to the surface.
-    pub distance: R,
-    /// Length of the ray after the point that is known to be free of surfaces.
-    pub ahead: R,
-    /// Whether no surface is near enough for a hit; `None` if that follows from the distance.
-    pub is_empty: Option<R::Mask>,
+/// A distance field along a ray.
+pub trait RayField<R: Real> {
+    /// The part of the ray about which is known before its first point; `None` if the field has no parts.
+    fn start(&self) -> Option<Part<R>> {
+        None
+    }
+
+    /// From a point that is not in a known part: the next point that may be near a surface, or one beyond `farthest`,
+    /// and its part.
+    fn enter(&self, t: R, farthest: R) -> (R, Part<R>);
+
+    /// Distance to the surface at a point in a part: at most the true one.
+    fn distance(&self, t: R, part: Option<Part<R>>) -> R;
 }
 
-impl<R: Real> FieldSample<R> {
-    /// The field's value.
-    pub fn new(distance: R) -> Self {
-        Self { distance, ahead: distance, is_empty: None }
+/// A part of a ray in which a field has one formula.
+#[derive(Clone, Copy, Debug)]
+pub struct Part<R> {
+    /// The formula: the bits of a word.
+    pub formula: R,
+    /// End of the part, as a distance along the ray.
+    pub end: R,
+}
+
+bundle!(Part { formula, end });
+
+impl<R: Real, F: Fn(R) -> R> RayField<R> for F {
+    fn enter(&self, t: R, farthest: R) -> (R, Part<R>) {
+        (t, Part { formula: t, end: farthest })
+    }
+
+    fn distance(&self, t: R, _: Option<Part<R>>) -> R {
+        self(t)
     }
 }
 
@@ -114,13 +132,13 @@ const NO_OVERSTEP: f32 = -1e30;
 /// surface: the resulting distance is that of a root of the field.
 ///
 /// A ray that only passes near a surface continues. The tolerance decides where the search for the root begins.
-/// `sample` is the field along the ray, at a distance from its start; it may leave parts without a surface in one step.
+/// `along` is the same field along the ray.
 /// `is_fine` returns whether a point's surface has fine detail at every scale; `None` if no surface does.
 pub fn march_to_root<R: Real>(
     ray: &Ray<R>,
     reach: MarchRange<R>,
     approach: Approach<R>,
-    sample: impl Fn(R) -> FieldSample<R>,
+    along: &impl RayField<R>,
     field: impl Fn(Vec3<R>) -> R,
     is_fine: impl Fn(Vec3<R>) -> Option<R::Mask>,
 ) -> MarchResult<R> {
@@ -135,19 +153,7 @@ pub fn march_to_root<R: Real>(
     };
     R::repeat(reach.max_steps, start, |so_far| {
         let reach = MarchRange { t_min: so_far.t, ..reach };
-        let near = march(
-            reach,
-            |t| approach.tolerance(t),
-            |t| {
-                let value = sample(t);
-                if !approach.both_sides {
-                    return value;
-                }
-                let distance = value.distance.abs();
-                let ahead = value.is_empty.map_or(distance, |empty| R::select(empty, value.ahead, distance));
-                FieldSample { distance, ahead, ..value }
-            },
-        );
+        let near = march(reach, |t| approach.tolerance(t), approach.both_sides, along);
         let near = MarchResult {
             steps: so_far.steps + near.steps,
             evaluations: so_far.evaluations + near.evaluations,
@@ -286,33 +292,39 @@ impl<R: Real> Search<R> {
     }
 }
 
-/// Marches along a ray through `field`, a function of the distance along the ray, which never exceeds the distance to
-/// its surface. `tolerance` is the tolerance there.
+/// Marches along a ray through a field which never exceeds the distance to its surface. `tolerance` is the tolerance at a
+/// distance along the ray. With `both_sides`, the sign of a distance tells only the side.
 ///
-/// Steps are longer than the radius of the sphere around their start. If the sphere around a step's end does not
-/// overlap the one around its start, the step is taken back to the first sphere: Benjamin Keinert et al., "Enhanced
-/// sphere tracing", Smart Tools and Apps for Graphics, 2014.
+/// Steps are longer than the radius of the sphere around their start, within a part of the ray. If the sphere around a
+/// step's end does not overlap the one around its start, the step is taken back to the first sphere: Benjamin Keinert et
+/// al., "Enhanced sphere tracing", Smart Tools and Apps for Graphics, 2014.
 pub fn march<R: Real>(
     reach: MarchRange<R>,
     tolerance: impl Fn(R) -> R,
-    field: impl Fn(R) -> FieldSample<R>,
+    both_sides: bool,
+    field: &impl RayField<R>,
 ) -> MarchResult<R> {
     let zero = reach.t_max.constant(0.0);
     let not_past = zero.constant(NO_OVERSTEP);
-    let start = (reach.t_min, not_past, zero, zero, MaskValue(zero.below(0.0)));
-    let (distance, _, gap, steps, hit) = R::repeat(reach.max_steps, start, |(t, past, _, steps, _)| {
-        let FieldSample { distance: gap, ahead, is_empty } = field(t);
+    let start = (reach.t_min, not_past, zero, zero, MaskValue(zero.below(0.0)), field.start());
+    let (distance, _, gap, steps, hit, _) = R::repeat(reach.max_steps, start, |(t, past, _, steps, _, part)| {
+        let entered = part.map(|part| R::when(!t.lt(part.end), (t, part), || field.enter(t, reach.t_max)));
+        let (t, part) = entered.map_or((t, None), |(t, part)| (t, Some(part)));
+        let gap = match part {
+            None => field.distance(t, None),
+            Some(part) => R::when(t.lt(reach.t_max), reach.t_max, || field.distance(t, Some(part))),
+        };
+        let gap = if both_sides { gap.abs() } else { gap };
         let is_torn = gap.lt(past);
         let hit = gap.lt(tolerance(t)) & !is_torn;
-        let (end, further) = (t + ahead, gap * (reach.relaxation - 1.0));
-        // The last step must cover the rest of the ray.
+        let (end, further) = (t + gap, gap * (reach.relaxation - 1.0));
+        // The last step must cover the rest of the ray, or of the part.
         let goes_past = (end + further).lt(reach.t_max) & !is_torn;
-        // Beyond a part without surfaces, nothing is known.
-        let (hit, goes_past) = is_empty.map_or((hit, goes_past), |empty| (hit & !empty, goes_past & !empty));
+        let goes_past = part.map_or(goes_past, |part| goes_past & (end + further).lt(part.end));
         let ahead = R::select(goes_past, end + further, R::select(is_torn, t - past, end));
         let next = R::select(hit, t, ahead);
         let past = R::select(goes_past, further, not_past);
-        (!hit & next.lt(reach.t_max), (next, past, gap, steps + 1.0, MaskValue(hit)))
+        (!hit & next.lt(reach.t_max), (next, past, gap, steps + 1.0, MaskValue(hit), part))
     });
     MarchResult { t: distance, near: distance, distance: gap, steps, evaluations: steps, hit }
 }

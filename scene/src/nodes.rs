@@ -27,6 +27,8 @@ mod transforms;
 mod value;
 mod warp;
 
+use std::sync::LazyLock;
+
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -235,8 +237,13 @@ macro_rules! nodes {
             }
 
             /// Its name in JSON.
-            pub fn name(&self) -> String {
-                snake_case(self.kind())
+            pub fn name(&self) -> &'static str {
+                match self {
+                    $($(#[$attribute])* Self::$Kind(_) => {
+                        static NAME: LazyLock<String> = LazyLock::new(|| snake_case(stringify!($Kind)));
+                        &NAME
+                    }),*
+                }
             }
 
             /// Box that contains every point whose distance is at most `isolevel`, which is at least 0.
@@ -426,7 +433,7 @@ impl Node {
     /// Validates its numbers together after one has changed, and recomputes its derived values.
     fn follow(&mut self) -> Result<(), std::boxed::Box<SeekError>> {
         if let Some(NodeError { pointer: place, message }) = self.fault() {
-            return Err(SeekError::new(message).inside(&place).inside(&self.name()));
+            return Err(SeekError::new(message).inside(&place).inside(self.name()));
         }
         self.prepare_alone(true);
         Ok(())

@@ -3,10 +3,10 @@
 mod collect;
 mod depends;
 mod form;
-mod list_form;
 mod messages;
 mod nodes;
 mod stand_ins;
+mod strict;
 mod suggest;
 mod syntax;
 #[cfg(test)]
@@ -23,7 +23,9 @@ use crate::document::{JobDocument, NamedShapes, Resolved};
 use crate::error::{ParseError, ValidationError};
 use crate::job::{Format, Job, ToneMap};
 use crate::json_scan::{self, ScanError, ScanErrorKind};
-use crate::limits::{MAX_JSON_DEPTH, MAX_LIGHTS, MAX_MATERIALS, MAX_NAME_CHARS, MAX_NODE_DEPTH, MAX_PIXELS, MAX_RAYS};
+use crate::limits::{
+    MAX_JSON_DEPTH, MAX_KEY_BYTES, MAX_LIGHTS, MAX_MATERIALS, MAX_NAME_CHARS, MAX_NODE_DEPTH, MAX_PIXELS, MAX_RAYS,
+};
 use crate::seek::{FrameTime, Seek};
 
 /// Maximum number of errors in one response.
@@ -40,8 +42,8 @@ pub fn parse(text: &[u8]) -> Result<Job, ParseError> {
     let first = outline.map_err(|fault| of_outline(text, fault));
     if let Err(error) = serde_json::from_str::<IgnoredAny>(text) {
         return Err(match first {
-            // The nesting depth is reported before any syntax error.
-            Err((refusal, ScanErrorKind::TooDeep)) => refusal,
+            // The nesting depth and long keys are reported before any syntax error.
+            Err((refusal, ScanErrorKind::TooDeep | ScanErrorKind::LongMember(_))) => refusal,
             Err((_, ScanErrorKind::DuplicateMember(_))) | Ok(()) => ParseError::NotJson(syntax::fault(text, &error)),
         });
     }
@@ -50,7 +52,8 @@ pub fn parse(text: &[u8]) -> Result<Job, ParseError> {
             Ok(job) => return Ok(job),
             Err(refusal) => refusal,
         },
-        Err((refusal, _)) => refusal,
+        Err((refusal, ScanErrorKind::LongMember(_))) => return Err(refusal),
+        Err((refusal, ScanErrorKind::TooDeep | ScanErrorKind::DuplicateMember(_))) => refusal,
     };
     let all = collect::all(text, |text| match sound(text) {
         Ok(_) | Err(ParseError::NotJson(_)) => Vec::new(),
@@ -65,6 +68,7 @@ fn of_outline(text: &str, fault: ScanError) -> (ParseError, ScanErrorKind) {
     let message = match &kind {
         ScanErrorKind::DuplicateMember(key) => twice(key),
         ScanErrorKind::TooDeep => too_deep(),
+        ScanErrorKind::LongMember(bytes) => format!("has a key of {bytes} bytes: use at most {MAX_KEY_BYTES}"),
     };
     (ParseError::Invalid(vec![ValidationError::at(text, Some(offset), pointer, message)]), kind)
 }
@@ -96,11 +100,10 @@ fn too_deep() -> String {
 
 /// Parses a valid JSON text into a job, with the times of all keyframes.
 fn read(text: &str) -> Result<(Job, Vec<f64>), ParseError> {
-    let document: JobDocument =
-        form::read_strictly(text).map_err(|fault| ParseError::Invalid(vec![fault.placed(text)]))?;
-    validate(document).map_err(|faults| {
-        let place = |(pointer, message)| ValidationError::at_value(text, pointer, message);
-        ParseError::Invalid(faults.into_iter().take(MAX_ERRORS).map(place).collect())
+    let document: JobDocument = form::read(text).map_err(|fault| ParseError::Invalid(vec![fault.placed(text)]))?;
+    validate(document).map_err(|mut faults| {
+        faults.truncate(MAX_ERRORS);
+        ParseError::Invalid(ValidationError::at_values(text, faults))
     })
 }
 
@@ -120,7 +123,8 @@ fn validate(document: JobDocument) -> Result<(Job, Vec<f64>), SemanticErrors> {
     let JobDocument { name, mut scene, mut image, frames, priority } = document;
     let mut shapes = nodes::expand(&mut scene, &mut faults);
     let names: Vec<String> = scene.materials.keys().cloned().collect();
-    let Resolved { mut scene, material_pointers: places, unused_names: unused, unknown } = scene.resolve(&mut shapes);
+    let resolved = scene.resolve(&mut shapes);
+    let Resolved { mut scene, material_count, material_pointers: places, unused_names: unused, unknown } = resolved;
     let NamedShapes { written, unused_names: unused_shapes, unused: _ } = shapes;
     let in_document = |pointer: String| written.as_ref().map_or(pointer.clone(), |written| written.pointer(&pointer));
     for (pointer, name) in unknown.into_iter().take(MAX_ERRORS) {
@@ -130,9 +134,9 @@ fn validate(document: JobDocument) -> Result<(Job, Vec<f64>), SemanticErrors> {
     let in_scene = scene.validation_errors().into_iter();
     let in_scene: BTreeSet<_> = in_scene.map(|(pointer, message)| (in_document(pointer), message)).collect();
     faults.extend(in_scene.into_iter().map(|(pointer, message)| (format!("/scene{pointer}"), message)));
-    if scene.used_materials().len() > MAX_MATERIALS {
-        let used = scene.used_materials().len();
-        let message = format!("uses {used} materials: use at most {MAX_MATERIALS}; materials with a name count once");
+    if material_count > MAX_MATERIALS {
+        let message =
+            format!("uses {material_count} materials: use at most {MAX_MATERIALS}; materials with a name count once");
         faults.push(("/scene/objects".to_owned(), message));
     }
     if !faults.is_empty() {

@@ -9,24 +9,24 @@
 mod bundle;
 mod functions;
 mod interval;
+pub mod list;
 mod reference;
+mod table;
 mod vector;
 
 use std::fmt::Debug;
 use std::ops::{Add, BitAnd, BitOr, BitXor, Div, Mul, Neg, Not, Shl, Shr, Sub};
-use std::sync::Arc;
 
 pub(crate) use bundle::bundle;
 pub use bundle::{Bundle, MaskValue, Merge};
 pub use interval::{Interval, IntervalBits, Tribool};
+use list::ListFunctions;
 pub(crate) use reference::F32Bits;
+pub use table::{INDEX_BITS, MakeWords, STAND_IN, Table, Words};
 pub use vector::{Vec3, vec3};
 
 /// Below this, [`Real::sqrt`] is 0, so that a GPU may compute a root through its reciprocal.
 pub const SQRT_FLOOR: f32 = 1e-28;
-
-/// Words of a scene that formulas read by computed indices; at least one.
-pub type Table = Arc<[u32]>;
 
 /// A condition on a [`Real`].
 pub trait Mask: Copy + Debug + BitAnd<Output = Self> + BitOr<Output = Self> + Not<Output = Self> {}
@@ -111,17 +111,19 @@ pub trait Real:
     /// The word of a table at an index; its last word if it is shorter.
     fn word(table: &Table, index: Self::Bits) -> Self::Bits;
 
-    /// The value of a word, if this arithmetic computes values.
-    fn known(word: Self::Bits) -> Option<u32> {
-        let _ = word;
-        None
+    /// The word in place of one that says that its contents do not exist yet, see [`Words::make`].
+    fn made(table: &Table, missing: Self::Bits) -> Self::Bits {
+        let _ = table;
+        missing
     }
 
-    /// Runs a formula of a row: in a recorded formula, the numbers of the scene that it asks for are the words of the
-    /// table from `row` on. Elsewhere they are those that the formula names.
-    fn with_row<T>(table: &Table, row: Self::Bits, formula: impl FnOnce() -> T) -> T {
-        let _ = (table, row);
-        formula()
+    /// The value of the list that begins at a word, at a point.
+    ///
+    /// # Panics
+    /// If this arithmetic neither computes values nor records: those are for functions of lists.
+    fn fold<F: ListFunctions<Self>>(table: &Table, first: Self::Bits, p: Vec3<Self>, functions: &F) -> F::Value {
+        let _ = (table, first, p, functions);
+        panic!("a function of a list folds no list");
     }
 
     /// `then` where `mask` is true, `otherwise` elsewhere. `then` is skipped if no lane needs it.

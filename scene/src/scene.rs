@@ -1,5 +1,7 @@
 //! A scene: camera, background, lights, materials and objects, ready to be rendered.
 
+use std::fmt::Write as _;
+
 use schemars::JsonSchema;
 use serde::{Deserialize, Deserializer, Serialize};
 
@@ -44,7 +46,7 @@ pub struct Scene {
 #[serde(deny_unknown_fields)]
 pub struct Object {
     /// The material: a name from `materials`, or one in place; gray when absent.
-    #[serde(default = "default_material")]
+    #[serde(default = "MaterialRef::default_of_objects")]
     pub material: MaterialRef,
     /// The shape.
     pub shape: Node,
@@ -129,21 +131,37 @@ impl Scene {
         }
         let length = pointer.len();
         for (child, step) in node.children().iter().zip(child_pointers(node)) {
-            pointer.push_str(&step);
+            step.push_to(pointer);
             self.medium_paint_errors(child, pointer, faults);
             pointer.truncate(length);
         }
     }
 }
 
-/// The JSON pointers from a node to each of its children.
-pub(crate) fn child_pointers(node: &Node) -> Vec<String> {
-    let name = node.name();
-    if node.has_child_list() {
-        (0..node.children().len()).map(|index| format!("/{name}/of/{index}")).collect()
-    } else {
-        node.children().iter().map(|_| format!("/{name}/child")).collect()
+/// The JSON pointer from a node to one of its children.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct ChildPointer {
+    /// Name of the node.
+    name: &'static str,
+    /// Index of the child, if the node has a list of them.
+    index: Option<usize>,
+}
+
+impl ChildPointer {
+    /// Appends it to the JSON pointer of the node.
+    pub(crate) fn push_to(self, pointer: &mut String) {
+        let written = match self.index {
+            Some(index) => write!(pointer, "/{}/of/{index}", self.name),
+            None => write!(pointer, "/{}/child", self.name),
+        };
+        written.expect("a String takes all that is written");
     }
+}
+
+/// The JSON pointers from a node to each of its children.
+pub(crate) fn child_pointers(node: &Node) -> impl Iterator<Item = ChildPointer> + use<> {
+    let (name, is_list) = (node.name(), node.has_child_list());
+    (0..node.children().len()).map(move |index| ChildPointer { name, index: is_list.then_some(index) })
 }
 
 /// The JSON pointer from a node to the node that it measures.
@@ -165,10 +183,6 @@ pub(crate) fn child_at<'n>(node: &'n Node, pointer: &str) -> Option<(&'n Node, u
         ("on", _) => Some((node.base()?, length)),
         _ => None,
     }
-}
-
-fn default_material() -> MaterialRef {
-    serde_json::from_str(r#"{ "diffuse": {} }"#).expect("a material")
 }
 
 fn max_steps<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u32, D::Error> {

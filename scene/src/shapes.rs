@@ -43,10 +43,14 @@ pub(crate) fn each_use<'n>(
         visit(pointer, name, depth);
     }
     let length = pointer.len();
-    let base = node.base().map(|base| (base, base_pointer(node)));
-    for (child, step) in node.children().iter().zip(child_pointers(node)).chain(base) {
-        pointer.push_str(&step);
+    for (child, step) in node.children().iter().zip(child_pointers(node)) {
+        step.push_to(pointer);
         each_use(child, pointer, depth + 1, visit);
+        pointer.truncate(length);
+    }
+    if let Some(base) = node.base() {
+        pointer.push_str(&base_pointer(node));
+        each_use(base, pointer, depth + 1, visit);
         pointer.truncate(length);
     }
 }
@@ -98,6 +102,8 @@ pub(crate) struct WrittenNodes {
     pub objects: Vec<Node>,
     /// The named shapes.
     pub shapes: BTreeMap<String, Node>,
+    /// See [`ends`].
+    pub ends: BTreeMap<String, String>,
 }
 
 impl WrittenNodes {
@@ -133,17 +139,30 @@ impl WrittenNodes {
 
     /// The shape that a `use` stands for, and its name; a shape that is itself a `use` is followed.
     fn target(&self, node: &Node) -> Option<(&str, &Node)> {
-        target(&self.shapes, node)
+        target(&self.shapes, &self.ends, node)
     }
 }
 
-/// The shape that a `use` stands for, and its name; a shape that is itself a `use` is followed.
-pub(crate) fn target<'n>(shapes: &'n BTreeMap<String, Node>, node: &Node) -> Option<(&'n str, &'n Node)> {
-    let mut found = shapes.get_key_value(node.used_shape()?)?;
-    // As many steps as there are shapes: more would be a cycle.
-    for _ in shapes {
-        let Some(next) = found.1.used_shape() else { break };
-        found = shapes.get_key_value(next)?;
+/// For each name of a shape that is itself a `use`, the name at the end of the chain. `order` is that of
+/// [`in_order_of_use`], so that every chain is followed in one step.
+pub(crate) fn ends(shapes: &BTreeMap<String, Node>, order: &[&str]) -> BTreeMap<String, String> {
+    let mut ends: BTreeMap<String, String> = BTreeMap::new();
+    for &name in order {
+        if let Some(next) = shapes.get(name).and_then(Node::used_shape) {
+            let end = ends.get(next).map_or(next, String::as_str).to_owned();
+            ends.insert(name.to_owned(), end);
+        }
     }
-    Some((found.0, found.1))
+    ends
+}
+
+/// The shape that a `use` stands for, and its name; a shape that is itself a `use` is followed to its end.
+pub(crate) fn target<'n>(
+    shapes: &'n BTreeMap<String, Node>,
+    ends: &BTreeMap<String, String>,
+    node: &Node,
+) -> Option<(&'n str, &'n Node)> {
+    let name = node.used_shape()?;
+    let end = ends.get(name).map_or(name, String::as_str);
+    shapes.get_key_value(end).map(|(name, shape)| (name.as_str(), shape))
 }

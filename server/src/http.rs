@@ -4,6 +4,7 @@
 mod audit;
 mod auth;
 mod body;
+mod content_encoding;
 mod error;
 mod events;
 mod files;

@@ -14,8 +14,8 @@ use crate::delivery_check::ExpectedPicture;
 use crate::fair_queue::{FairQueue, Place, TooManyWaiting, WaitingLimits};
 use crate::queue::Queue;
 
-/// A submitted file above this size is large. Parsing takes about a hundred times the size of the file in memory, so
-/// large ones are parsed one after another, on one thread: the allocator keeps memory by thread.
+/// A file above this size is large. Parsing takes up to ten times the size of the file in memory, so large ones are
+/// parsed one after another: those of submitters on one thread, because the allocator keeps memory by thread.
 const LARGE_FILE_BYTES: usize = 256 << 10;
 /// Stack size of a parsing thread.
 const STACK_BYTES: usize = 16 << 20;
@@ -73,6 +73,8 @@ pub(crate) struct JobCache {
     large: Arc<FairQueue>,
     large_thread: Mutex<mpsc::Sender<Task>>,
     claims: Arc<FairQueue>,
+    /// One place for all large files of claims.
+    large_claims: Arc<FairQueue>,
 }
 
 #[derive(Debug)]
@@ -92,6 +94,7 @@ impl JobCache {
             large: FairQueue::new(1, WaitingLimits::of_one(MAX_WAITING)),
             large_thread: Mutex::new(start_large_thread()),
             claims: FairQueue::new(cores, WaitingLimits::of_one(usize::MAX)),
+            large_claims: FairQueue::new(1, WaitingLimits::of_one(usize::MAX)),
         }
     }
 
@@ -185,12 +188,21 @@ impl JobCache {
         if let Some(job) = self.find(number) {
             return Ok(job);
         }
-        let place = self.turn(Reader::Claim(number)).await?;
+        let mut place = self.turn(Reader::Claim(number)).await?;
         // Another claim may have parsed the job in the meantime.
         if let Some(job) = self.find(number) {
             return Ok(job);
         }
-        let text = queue.file_of(number).await?.ok_or(JobLoadError::Gone)?;
+        let mut text = queue.file_of(number).await?.ok_or(JobLoadError::Gone)?;
+        if text.len() > LARGE_FILE_BYTES {
+            // Claims that wait keep neither a thread nor the text.
+            drop((place, text));
+            place = enter(&self.large_claims, &number.to_string()).await?;
+            if let Some(job) = self.find(number) {
+                return Ok(job);
+            }
+            text = queue.file_of(number).await?.ok_or(JobLoadError::Gone)?;
+        }
         let text_bytes = text.len();
         let job = Arc::new(run_on_thread(place, move || scene::parse(text.as_bytes())).await??);
         self.insert(number, text_bytes, Arc::clone(&job));

@@ -5,6 +5,7 @@ mod skip;
 
 mod api {
     mod bad_input;
+    mod bodies;
     mod clocks;
     mod connections;
     mod deliveries;

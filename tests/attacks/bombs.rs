@@ -19,7 +19,7 @@ pub(super) fn attacks() -> Vec<Attack> {
         Attack { name: "every node with its whole numbers at their maximum", run: iterations },
         Attack { name: "every material on mirrors within mirrors", run: materials },
         Attack { name: "every light, as many as are allowed", run: lights },
-        Attack { name: "texts of eight megabytes", run: large_texts },
+        Attack { name: "texts of 32 MiB", run: large_texts },
         Attack { name: "texts nested as deep as they go", run: deep_texts },
         Attack { name: "moving jobs of many frames", run: moving },
     ]
@@ -127,9 +127,9 @@ fn lights(attacker: &Attacker<'_>) {
 
 fn large_texts(attacker: &Attacker<'_>) {
     let mut job = ball();
-    job["name"] = json!("x".repeat(7 << 20));
+    job["name"] = json!("x".repeat(31 << 20));
     let named = job.to_string();
-    let keys: String = (0..200_000).fold(String::new(), |text, key| text + &format!("\"unknown {key}\": [1, 2, 3], "));
+    let keys: String = (0..900_000).fold(String::new(), |text, key| text + &format!("\"unknown {key}\": [1, 2, 3], "));
     let unknown = ball().to_string().replacen('{', &format!("{{ {keys}"), 1);
     attacker.flood(4, |number| {
         let text = if number % 2 == 0 { &named } else { &unknown };
@@ -138,7 +138,7 @@ fn large_texts(attacker: &Attacker<'_>) {
 }
 
 fn deep_texts(attacker: &Attacker<'_>) {
-    let text = format!("{}{}", "[".repeat(4 << 20), "]".repeat(4 << 20));
+    let text = format!("{}{}", "[".repeat(16 << 20), "]".repeat(16 << 20));
     attacker.flood(4, |_| drop(attacker.send("POST", "/v1/jobs", text.clone())));
 }
 

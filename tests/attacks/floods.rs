@@ -9,7 +9,7 @@ use super::{Attack, Attacker, ball};
 use crate::jobs;
 
 /// Bytes of a body that is sent slowly.
-const SLOW_BODY_BYTES: usize = 8 << 20;
+const SLOW_BODY_BYTES: usize = 32 << 20;
 
 pub(super) fn attacks() -> Vec<Attack> {
     vec![
@@ -110,7 +110,7 @@ fn slow_bodies(attacker: &Attacker<'_>) {
 
 fn empty_bodies(attacker: &Attacker<'_>) {
     let head = attacker.head("POST", "/v1/jobs");
-    attacker.hold(2000, format!("{head}content-type: application/json\r\ncontent-length: 8000000\r\n\r\n").as_bytes());
+    attacker.hold(2000, format!("{head}content-type: application/json\r\ncontent-length: 32000000\r\n\r\n").as_bytes());
 }
 
 fn long_heads(attacker: &Attacker<'_>) {
@@ -128,15 +128,18 @@ fn pipelines(attacker: &Attacker<'_>) {
 
 /// Text of a job with this many nodes.
 fn many_nodes(count: usize) -> String {
-    let sphere = |number: usize| json!({ "translate": { "by": [number % 100, number / 100 % 100, number / 10_000], "child": { "sphere": { "radius": 0.3 } } } });
+    let sphere = |number: usize| {
+        let [x, y, z] = [number % 100, number / 100 % 100, number / 10_000];
+        format!(r#"{{"translate":{{"by":[{x},{y},{z}],"child":{{"sphere":{{"radius":0.3}}}}}}}}"#)
+    };
     let mut job = ball();
-    job["scene"]["objects"][0]["shape"] =
-        json!({ "union": { "smooth": 0.1, "of": (0..count / 2).map(sphere).collect::<Vec<_>>() } });
-    job.to_string()
+    job["scene"]["objects"][0]["shape"] = json!({ "union": { "smooth": 0.1, "of": "SPHERES" } });
+    let spheres: Vec<String> = (0..count / 2).map(sphere).collect();
+    job.to_string().replacen("\"SPHERES\"", &format!("[{}]", spheres.join(",")), 1)
 }
 
 fn dry_runs(attacker: &Attacker<'_>) {
-    let text = many_nodes(90_000);
+    let text = many_nodes(900_000);
     attacker.flood(30, |_| drop(attacker.send("POST", "/v1/jobs?dry_run=true", text.clone())));
 }
 

@@ -9,7 +9,8 @@ use serde_json::Value;
 /// Time limit of a response.
 const PATIENCE: Duration = Duration::from_secs(30);
 /// Headers that the API guarantees.
-const KEPT: [&str; 6] = ["allow", "content-type", "content-range", "retry-after", "www-authenticate", "etag"];
+const KEPT: [&str; 7] =
+    ["accept-encoding", "allow", "content-type", "content-range", "retry-after", "www-authenticate", "etag"];
 
 /// Invalid request.
 #[derive(Clone, Debug)]

@@ -164,6 +164,10 @@ Result cuMemcpyDtoHAsync_v2(void* to, const void* from, size_t size, void*) {
     return state();
 }
 
+Result cuMemsetD8Async(void* to, unsigned char value, size_t size, void*) {
+    return std::memset(to, value, size), state();
+}
+
 // The image is the length of a shared object, and the object.
 Result cuModuleLoadData(Module** module, const void* image) {
     size_t length;

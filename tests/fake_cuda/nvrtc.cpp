@@ -22,7 +22,7 @@ struct Program {
 };
 
 // Symbols for the stand-in driver: each kernel as a function that runs all its threads, one after
-// another, and the addresses of the uniforms and of the table's address.
+// another, and the addresses of the uniforms and of the pointers that the host sets.
 static const char* const DOORS = R"(
 #include <stddef.h>
 #include <utility>
@@ -50,10 +50,17 @@ void run_layers(void** arguments, const unsigned* grid, const unsigned* block) {
     run_all(layers, arguments, grid, block);
 }
 #endif
+#ifdef HAS_TABLE
+void run_set_words(void** arguments, const unsigned* grid, const unsigned* block) {
+    run_all(set_words, arguments, grid, block);
+}
+#endif
 void* place_of_uniforms = uniforms;
 size_t size_of_uniforms = sizeof uniforms;
 void* place_of_table = &table;
 size_t size_of_table = sizeof table;
+void* place_of_asked = &asked;
+size_t size_of_asked = sizeof asked;
 }
 )";
 

@@ -109,14 +109,14 @@ fn a_thousand_clients_that_do_not_read_cost_little_memory() {
 }
 
 #[test]
-#[ignore = "long: 250 bodies of 8 MiB; 20 s"]
+#[ignore = "long: 60 bodies of 32 MiB; 20 s"]
 fn unfinished_bodies_cost_a_bounded_amount_of_memory() {
     let farm = Farm::start(&["--workers", "0"]);
-    let body = vec![b' '; (8 << 20) - 1];
+    let body = vec![b' '; (32 << 20) - 1];
     let before_bytes = settled_bytes(&farm);
     let head =
-        b"POST /v1/jobs HTTP/1.1\r\nhost: 127.0.0.1\r\ncontent-type: application/json\r\ncontent-length: 8388608\r\n\r\n";
-    let unfinished: Vec<TcpStream> = (0..250)
+        b"POST /v1/jobs HTTP/1.1\r\nhost: 127.0.0.1\r\ncontent-type: application/json\r\ncontent-length: 33554432\r\n\r\n";
+    let unfinished: Vec<TcpStream> = (0..60)
         .map(|_| {
             let mut connection = connect(&farm).expect("a place");
             connection.write_all(head).expect("written");

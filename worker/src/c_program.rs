@@ -27,7 +27,8 @@ int main() {
 
 /// Words of a tape's own table.
 const WORD_AT: &str =
-    "INLINE_FN unsigned word_at(unsigned index, unsigned last) { return words[index < last ? index : last]; }";
+    "INLINE_FN unsigned word_at(unsigned index, unsigned last) { return words[index < last ? index : last]; }
+INLINE_FN unsigned word_of_row(unsigned row, unsigned place) { return words[row + place]; }";
 
 /// C source of the entry of this name of each tape, which has three arguments, for both compilers. The function
 /// `evaluate` returns the first result of one of the `ENTRIES`, by its number; `main` follows it.
@@ -43,7 +44,7 @@ pub(crate) fn source(tapes: &[&Tape], entry: &str, main: &str) -> String {
         let (count, uniforms) = (uniforms.len().max(1), uniforms.join(", "));
         let _ = writeln!(text, "namespace t{index} {{\nUNIFORM float uniforms[{count}] = {{{uniforms}}};");
         if let Some(table) = tape.table() {
-            let words: Vec<String> = table.iter().map(|word| format!("{word}u")).collect();
+            let words: Vec<String> = table.after(0).iter().map(|word| format!("{word}u")).collect();
             let _ = writeln!(text, "UNIFORM unsigned words[] = {{{}}};\n{WORD_AT}", words.join(", "));
         }
         let _ = writeln!(text, "{code}}}\n");

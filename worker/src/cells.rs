@@ -1,75 +1,111 @@
-//! Builds the cells of a scene by machine code, on the threads of the current pool.
+//! Distances of a scene's leaves by machine code, with which its cells are built.
 
 use std::sync::atomic::AtomicBool;
+use std::sync::{Arc, Mutex, PoisonError};
 
-use rayon::prelude::*;
-use scene::cells::{CellBuilder, FAMILY_NAMES, LeafDistances, Program};
-use scene::real::{Real, Vec3, vec3};
+use scene::cells::{CellBuilder, DistanceLists, Distances, LeafDistances, Program, Pruned, Unpruned};
+use scene::real::{Real, Table, Vec3, Words, vec3};
 
-use crate::cpu::{Evaluator, Inputs};
+use crate::cpu::{Evaluator, Frame, Inputs};
+use crate::portable::Instructions;
 use crate::tape::{Expr, record};
+
+/// Entry of the tape: the value of a list at a point, from the point and the bits of the list's index.
+const LIST: &str = "value_of_list";
 
 /// Builds cells with the fastest evaluator of this CPU.
 #[derive(Clone, Copy, Debug)]
 pub struct FastBuilder;
 
-/// Functions of a program's families.
-struct Families<'a> {
-    program: &'a Program<'a>,
+/// An evaluator of lists of one leaf each.
+struct Leaves {
     evaluator: Evaluator,
     inputs: Inputs,
+    /// Index of the list of the first leaf.
+    first: u32,
+    /// Memory of threads that evaluate no leaves now.
+    frames: Mutex<Vec<Frame>>,
+    instructions: Instructions,
+}
+
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx512f,fma")]
+fn prune_with_avx512(list: &Unpruned<'_>) -> Pruned {
+    list.prune()
+}
+
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2,fma")]
+fn prune_with_avx2(list: &Unpruned<'_>) -> Pruned {
+    list.prune()
 }
 
 impl CellBuilder for FastBuilder {
-    fn evaluator<'a>(&self, program: &'a Program<'_>) -> Box<dyn LeafDistances + 'a> {
+    fn distances<'a>(&self, program: &'a Program<'_>) -> Distances<'a> {
+        let first = program.rows().len() as u32;
+        let lists = (0..program.leaf_count() as u32).flat_map(|leaf| program.list_of(leaf));
+        // The tape's table has a row's room after the last list.
+        let room = program.rows().len().min(1 << 17);
+        let words: Vec<u32> = program.rows().iter().copied().chain(lists).chain(std::iter::repeat_n(0, room)).collect();
+        let table: Table = Arc::new(Words::from(words));
         let tape = record(|recording| {
-            for (family, name) in FAMILY_NAMES.iter().enumerate().take(program.family_count()) {
-                recording.entry(name, |[x, y, z, row]: [Expr; 4]| {
-                    vec![program.family_distance(program.rows(), family, row.to_bits(), vec3(x, y, z))]
-                });
-            }
+            recording.entry(LIST, |[x, y, z, list]: [Expr; 4]| {
+                vec![Real::fold(&table, list.to_bits(), vec3(x, y, z), &DistanceLists(program))]
+            });
         });
         let evaluator = Evaluator::fastest(&tape).expect("a recorded tape is valid");
-        Box::new(Families { program, inputs: evaluator.inputs(&tape), evaluator })
-    }
-
-    fn for_each(&self, count: usize, task: &(dyn Fn(usize) + Sync)) {
-        (0..count).into_par_iter().with_max_len(1).for_each(task);
+        let (inputs, frames, instructions) = (evaluator.inputs(&tape), Mutex::default(), Instructions::available());
+        Distances::Kept(Arc::new(Leaves { evaluator, inputs, first, frames, instructions }))
     }
 }
 
-impl LeafDistances for Families<'_> {
+impl LeafDistances for Leaves {
     fn append(&self, leaves: &[u32], points: &[Vec3<f32>], distances: &mut Vec<f32>) {
         /// Leaves that are evaluated together.
         const LEAVES: usize = 64;
-        let first = distances.len();
-        distances.resize(first + leaves.len() * points.len(), 0.0);
-        let mut of_families = vec![Vec::new(); self.program.family_count()];
-        for (place, &leaf) in leaves.iter().enumerate() {
-            let (family, row) = self.program.family_and_row(leaf);
-            of_families[family].push((place, row));
-        }
-        let (mut frame, cancel) = (self.evaluator.frame(), AtomicBool::new(false));
-        let (mut arguments, mut results) = (Vec::new(), Vec::new());
-        for (family, rows) in of_families.iter().enumerate() {
-            for some in rows.chunks(LEAVES) {
-                let count = some.len() * points.len();
-                let length = count.next_multiple_of(self.evaluator.lanes());
-                arguments.clear();
-                let coordinates: [fn(&Vec3<f32>) -> f32; 3] = [|p| p.x, |p| p.y, |p| p.z];
-                for coordinate in coordinates {
-                    arguments.extend(points.iter().map(coordinate).cycle().take(length));
-                }
-                let rows = some.iter().flat_map(|(_, row)| std::iter::repeat_n(*row, points.len()));
-                let last = some.last().map_or(0, |(_, row)| *row);
-                arguments.extend(rows.chain(std::iter::repeat(last)).take(length).map(f32::from_bits));
-                results.resize(length, 0.0);
-                self.evaluator.run(FAMILY_NAMES[family], &mut frame, &self.inputs, &cancel, &arguments, &mut results);
-                for ((place, _), values) in some.iter().zip(results.chunks_exact(points.len())) {
-                    let to = first + place * points.len();
-                    distances[to..to + points.len()].copy_from_slice(values);
-                }
+        let frame = self.frames.lock().unwrap_or_else(PoisonError::into_inner).pop();
+        let mut frame = frame.unwrap_or_else(|| self.evaluator.frame());
+        let cancel = AtomicBool::new(false);
+        // Each leaf has packets of its own.
+        let of_leaf = points.len().next_multiple_of(self.evaluator.lanes());
+        let together = LEAVES.min(leaves.len());
+        let (length, places) = (together * of_leaf, 3 * together * of_leaf);
+        // The points of each leaf are the same.
+        let mut arguments = Vec::with_capacity(4 * length);
+        let coordinates: [fn(&Vec3<f32>) -> f32; 3] = [|p| p.x, |p| p.y, |p| p.z];
+        for coordinate in coordinates {
+            let start = arguments.len();
+            arguments.extend(points.iter().map(coordinate));
+            arguments.resize(start + of_leaf, points.last().map_or(0.0, coordinate));
+            for _ in 1..together {
+                arguments.extend_from_within(start..start + of_leaf);
             }
         }
+        arguments.resize(4 * length, 0.0);
+        let mut results = vec![0.0; length];
+        for some in leaves.chunks(LEAVES) {
+            // The last ones may be fewer: the others are evaluated again.
+            for (leaf, lists) in some.iter().zip(arguments[places..].chunks_exact_mut(of_leaf)) {
+                lists.fill(f32::from_bits(self.first + 2 * leaf));
+            }
+            self.evaluator.run(LIST, &mut frame, &self.inputs, &cancel, &arguments, &mut results);
+            for values in results.chunks_exact(of_leaf).take(some.len()) {
+                distances.extend_from_slice(&values[..points.len()]);
+            }
+        }
+        self.frames.lock().unwrap_or_else(PoisonError::into_inner).push(frame);
+    }
+
+    fn prune(&self, list: &Unpruned<'_>) -> Pruned {
+        #[cfg(target_arch = "x86_64")]
+        #[expect(unsafe_code, reason = "functions with more instructions than the build assumes")]
+        match self.instructions {
+            // SAFETY: this CPU has the instructions, as `available` found.
+            Instructions::Avx512 => return unsafe { prune_with_avx512(list) },
+            // SAFETY: as above.
+            Instructions::Avx2 => return unsafe { prune_with_avx2(list) },
+            Instructions::OfTheBuild => {}
+        }
+        list.prune()
     }
 }

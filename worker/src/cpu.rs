@@ -8,15 +8,15 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 use rayon::{ThreadPool, ThreadPoolBuilder};
-use scene::{Integrator, JobAtFrame};
+use scene::JobAtFrame;
 
-use crate::picture_tape::{EVALUATIONS, record_evaluations};
+use crate::picture_tape::{EVALUATIONS, integrator, record_evaluations};
 use crate::simd::Simd;
 use crate::{CancelFlag, RenderError, Renderer, TilePixels, TileRequest};
 use kernels::{Kernel, KernelCache};
 use packets::{Band, SAMPLES_PER_RUN, block};
 
-pub(crate) use evaluator::{Evaluator, Inputs};
+pub(crate) use evaluator::{Evaluator, Frame, Inputs, check_cells};
 
 /// Renders on the cores of this machine.
 #[derive(Clone, Debug)]
@@ -72,7 +72,7 @@ impl CpuRenderer {
 
     fn kernel<'a>(&self, still: &'a JobAtFrame<'_>) -> Result<Kernel<'a>, RenderError> {
         Ok(match self.simd {
-            Simd::Scalar => Kernel::Reference(Box::new(Integrator::new(still)), still.image()),
+            Simd::Scalar => Kernel::Reference(Box::new(integrator(still)), still.image()),
             simd => Kernel::Prepared(self.kernels.prepare(still, simd)?),
         })
     }
@@ -104,6 +104,9 @@ impl Renderer for CpuRenderer {
                 Band { image, left, top, width, planes, progress, cancel: cancel.flag() }.render(&kernel);
             });
         });
+        if let Kernel::Prepared(prepared) = &kernel {
+            prepared.inputs.check_cells()?;
+        }
         if cancel.is_cancelled() { Err(RenderError::Cancelled) } else { Ok(pixels) }
     }
 }

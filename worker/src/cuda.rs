@@ -1,9 +1,11 @@
 //! Renders on an NVIDIA GPU: the picture's formulas as CUDA C, compiled at run time, one thread per pixel. The
 //! pixels are bit-identical to every other renderer's.
 //!
-//! Only `cuda/device.rs` and `cuda/compiler.rs` are unsafe; this module has no formula of a picture.
+//! Only `cuda/device.rs`, `cuda/device/table.rs` and `cuda/compiler.rs` are unsafe; this module has no formula of a
+//! picture.
 
 mod cache;
+mod cells;
 mod compiler;
 mod device;
 mod error;
@@ -25,7 +27,8 @@ use crate::recent::{self, Recent};
 use crate::renderer::{CancelFlag, RenderError, Renderer, TilePixels, TileRequest};
 use crate::{CpuRenderer, Simd};
 use cache::{Cache, CachedKernel};
-use device::{Buffer, Device, LoadedModule, PendingLaunch, UploadedTable};
+use cells::Cells;
+use device::{Buffer, Device, LoadedModule, PendingLaunch};
 use launches::{CostModel, Launches};
 
 pub use cache::default_cache_folder;
@@ -35,7 +38,7 @@ pub use error::CudaError;
 pub use launches::KernelTimes;
 pub use source::KernelSource;
 
-/// Maximum size of a scene compiled to straight-line code, in nodes.
+/// Maximum number of nodes whose formulas a kernel has, see [`scene::Job::compiled_nodes`].
 pub const MAX_NODES: u32 = 500;
 /// Maximum size of pixel buffers on the GPU or being copied, in numbers.
 const BUFFER_FLOATS: usize = 64 << 20;
@@ -89,9 +92,8 @@ struct Kernel {
 #[derive(Debug, Default)]
 struct KernelState {
     cost: CostModel,
-    /// Current uniforms of the kernel, and its table.
-    numbers: Option<(Vec<u32>, Option<Table>)>,
-    uploaded: Option<UploadedTable>,
+    /// Current uniforms of the kernel, and its cells.
+    numbers: Option<(Vec<u32>, Option<Cells>)>,
 }
 
 /// Tiles whose pixels are being copied to the host.
@@ -165,7 +167,7 @@ impl CudaRenderer {
 
     /// Prepares the kernel of a tile, and reports the time that took.
     pub fn compile(&self, run: &TileRequest<'_>) -> Result<CompileReport, RenderError> {
-        let source = KernelSource::new(&run.job.at(run.frame)?)?;
+        let source = self.source(run).map_err(|trouble| self.render_error(&trouble))?;
         let start = Instant::now();
         let (program, was_kept) =
             self.program(&source, run, &CancelFlag::new()).map_err(|trouble| self.render_error(&trouble))?;
@@ -241,6 +243,10 @@ impl CudaRenderer {
         if let Some(known) = recent::find(&self.sources, |other| *other == key) {
             return Ok(known);
         }
+        let nodes = still.compiled_nodes();
+        if nodes > MAX_NODES {
+            return Err(CudaError::TooLarge { nodes, most: MAX_NODES });
+        }
         let source = Arc::new(KernelSource::new(&still)?);
         Ok(recent::insert(&self.sources, key, source, MAX_SOURCES))
     }
@@ -254,10 +260,6 @@ impl CudaRenderer {
         finished: &mut Vec<TilePixels>,
     ) -> Result<(), CudaError> {
         let Some(first) = runs.first() else { return Ok(()) };
-        let nodes = first.job.nodes();
-        if nodes > MAX_NODES {
-            return Err(CudaError::TooLarge { nodes, most: MAX_NODES });
-        }
         let source = self.source(first)?;
         let planes = first.job.image.channels().len();
         let numbers = |run: &TileRequest<'_>| run.rect.pixels() as usize * planes;
@@ -304,22 +306,26 @@ impl CudaRenderer {
         let (program, _) = self.program(source, &runs[runs.len() / 2], cancel)?;
         let mut buffer = self.take_buffer(numbers)?;
         let mut known = lock(&program.known);
-        let is_given = |(numbers, table): &(_, _)| *numbers == source.parameters && *table == source.table;
-        if !known.numbers.as_ref().is_some_and(is_given) {
-            known.numbers = None;
+        let KernelState { cost, numbers: given } = &mut *known;
+        let is_given = |(numbers, cells): &(_, Option<Cells>)| {
+            *numbers == source.parameters
+                && cells.as_ref().map(Cells::table).map(Table::as_ptr) == source.table.as_ref().map(Table::as_ptr)
+        };
+        let current = if let Some(kept) = given.take().filter(is_given) {
+            kept
+        } else {
             self.device.set_uniforms(&program.loaded, &source.parameters)?;
             // The launches before read the table that is replaced: its memory is freed after them.
-            known.uploaded =
-                source.table.as_ref().map(|table| self.device.set_table(&program.loaded, table)).transpose()?;
-            known.numbers = Some((source.parameters.clone(), source.table.clone()));
-        }
-        let layout = launches::lay_out(&rects, planes, program.shape).ordered(&known.cost, image.samples);
+            (source.parameters.clone(), Cells::upload(&self.device, &program.loaded, source)?)
+        };
+        let (_, cells) = given.insert(current);
+        let layout = launches::lay_out(&rects, planes, program.shape).ordered(cost, image.samples);
         let laid_out = self.device.lay_out(&layout)?;
         let wave = self.device.multiprocessors * (2048 / program.shape.threads());
         let mut launches = Launches::new(layout.blocks, image.samples, wave);
         let mut flying: VecDeque<(device::LaunchRange, PendingLaunch)> = VecDeque::new();
         loop {
-            let part = if cancel.is_cancelled() { None } else { launches.next(&known.cost) };
+            let part = if cancel.is_cancelled() { None } else { launches.next(cost) };
             if let Some(part) = part {
                 let launched = self.device.launch(&program.loaded, program.shape, &laid_out, part, &mut buffer)?;
                 flying.push_back((part, launched));
@@ -328,8 +334,18 @@ impl CudaRenderer {
             if flying.len() == 2 || part.is_none() {
                 let Some((part, launched)) = flying.pop_front() else { break };
                 let ms = launched.wait()?;
-                known.cost.observe(part, ms);
                 lock(&self.kernels).add(ms);
+                if let Some(cells) = cells
+                    && cells.has_asked(&self.device)?
+                {
+                    for (_, launched) in flying.drain(..) {
+                        lock(&self.kernels).add(launched.wait()?);
+                    }
+                    cells.make_asked(&self.device, &program.loaded, cancel)?;
+                    launches.restart(part.first_block);
+                } else {
+                    cost.observe(part, ms);
+                }
             }
         }
         if cancel.is_cancelled() {

@@ -2,6 +2,7 @@
 //! vector instructions.
 
 mod arithmetic;
+mod fold;
 
 use std::collections::{HashMap, HashSet};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -11,14 +12,15 @@ use crate::tape::{Allocation, Linear, LinearTape, Operation, Place, Registers, S
 use crate::x86::{AVX2, AVX512};
 pub(crate) use arithmetic::LANES;
 use arithmetic::{Batch, Splat, apply, gather};
-use scene::real::Table;
+use fold::{Fold, Layout};
+use scene::real::{Table, Words};
 
 /// Slot for a first operand that is an input.
 const SCRATCH: usize = 0;
 
-/// Instructions that the interpreter's loops are compiled for.
+/// Instructions that loops are compiled for: the interpreter's, and those that prune lists.
 #[derive(Clone, Copy, Debug)]
-enum Instructions {
+pub(crate) enum Instructions {
     #[cfg(target_arch = "x86_64")]
     Avx512,
     #[cfg(target_arch = "x86_64")]
@@ -28,7 +30,7 @@ enum Instructions {
 
 impl Instructions {
     /// The widest of this CPU.
-    fn available() -> Self {
+    pub(crate) fn available() -> Self {
         #[cfg(target_arch = "x86_64")]
         if AVX512.is_available() {
             return Self::Avx512;
@@ -58,6 +60,8 @@ struct Function {
     arguments: Vec<usize>,
     /// Its results, and the slots where the caller finds them.
     results: Vec<(Source, usize)>,
+    /// Words of its row, and the inputs that they are.
+    row: Vec<(u32, usize)>,
 }
 
 /// A number that is the same in all lanes.
@@ -66,6 +70,8 @@ enum Input {
     Constant(u32),
     /// By its index.
     Uniform(u32),
+    /// Word of the current row.
+    Row(u32),
 }
 
 /// An operand: a slot of the frame, or an input by its index.
@@ -85,6 +91,8 @@ enum Instruction {
     Count { counter: usize, limit: u32 },
     RepeatWhileAny { mask: Source, counter: usize, top: usize },
     Call { callee: usize, moves: Vec<(usize, Source)>, results: Vec<(usize, usize)> },
+    Make { live: Source, to: usize, missing: Source },
+    Fold(Box<Fold>),
 }
 
 /// Memory of a thread that runs a program.
@@ -97,17 +105,6 @@ pub(crate) struct Frame {
     /// Values of the inputs.
     inputs: Vec<u32>,
     counters: Vec<u32>,
-}
-
-/// Parts of a function in the frame, as indices of slots.
-#[derive(Clone, Copy, Debug, Default)]
-struct Layout {
-    live: usize,
-    arguments: usize,
-    results: usize,
-    slots: usize,
-    end: usize,
-    counters: usize,
 }
 
 impl Program {
@@ -123,17 +120,24 @@ impl Program {
         for (index, linear) in tape.functions.iter().enumerate().rev() {
             let (Some(linear), Some(allocation)) = (linear, &allocations[index]) else { continue };
             let layout = &mut layouts[index];
-            layout.arguments = layout.live + 1;
-            layout.results = layout.arguments + linear.arguments.len();
-            layout.slots = layout.results + linear.results.len();
-            layout.end = layout.slots + allocation.slots as usize;
+            // Those of functions of lists are given by their fold.
+            if layout.slots == 0 {
+                layout.arguments = layout.live + 1;
+                layout.results = layout.arguments + linear.arguments.len();
+                layout.slots = layout.results + linear.results.len();
+            }
+            layout.folds = layout.slots + allocation.slots as usize;
+            let of_folds = linear.steps.iter().map(|step| if let Step::Fold(fold) = step { fold.packets() } else { 0 });
+            layout.end = layout.folds + of_folds.max().unwrap_or(0) as usize;
             layout.counters = counters;
             counters += linear.counters;
             let end = layout.end;
             slots = slots.max(end);
             for step in &linear.steps {
-                if let Step::Call { callee, .. } = step {
-                    layouts[*callee].live = layouts[*callee].live.max(end);
+                match step {
+                    Step::Call { callee, .. } => layouts[*callee].live = layouts[*callee].live.max(end),
+                    Step::Fold(fold) => fold::lay_out(fold, end, &mut layouts),
+                    _ => {}
                 }
             }
         }
@@ -195,6 +199,8 @@ impl Program {
         frame.inputs.extend(self.inputs.iter().map(|input| match *input {
             Input::Constant(bits) => bits,
             Input::Uniform(index) => uniforms[index as usize],
+            // Until a fold begins with a row.
+            Input::Row(_) => 0,
         }));
         for first in (0..length).step_by(LANES) {
             frame.slots[function.live].0.fill(u32::MAX);
@@ -226,6 +232,7 @@ impl Input {
         match place {
             Place::Constant(bits) => Some(Self::Constant(bits)),
             Place::Uniform(index) => Some(Self::Uniform(index)),
+            Place::Row(word) => Some(Self::Row(word)),
             Place::Slot(_) | Place::Argument(_) | Place::Live | Place::Vector(_) | Place::Mask(_) | Place::Nowhere => {
                 None
             }
@@ -254,7 +261,12 @@ impl Places<'_> {
             Place::Slot(slot) => Some(self.layout.slots + slot as usize),
             Place::Argument(argument) => Some(self.layout.arguments + argument as usize),
             Place::Live => Some(self.layout.live),
-            Place::Vector(_) | Place::Mask(_) | Place::Constant(_) | Place::Uniform(_) | Place::Nowhere => None,
+            Place::Vector(_)
+            | Place::Mask(_)
+            | Place::Constant(_)
+            | Place::Uniform(_)
+            | Place::Row(_)
+            | Place::Nowhere => None,
         }
     }
 
@@ -281,7 +293,12 @@ impl Places<'_> {
             }
         }
         let results = linear.results.iter().enumerate();
+        let rows = self.allocation.places.iter().filter_map(|place| match Input::at(*place) {
+            Some(input @ Input::Row(word)) => Some((word, self.inputs[&input])),
+            _ => None,
+        });
         Function {
+            row: rows.collect(),
             operations,
             live: self.layout.live,
             arguments: (0..linear.arguments.len()).map(|place| self.layout.arguments + place).collect(),
@@ -333,6 +350,10 @@ impl Places<'_> {
                         .collect(),
                 }
             }
+            Step::Make { live, to, missing } => {
+                Instruction::Make { live: self.source(*live), to: self.target(*to)?, missing: self.source(*missing) }
+            }
+            Step::Fold(fold) => Instruction::Fold(Box::new(self.fold(fold, layouts))),
             Step::Label(_) | Step::Top(_) => return None,
         })
     }
@@ -342,7 +363,7 @@ impl Places<'_> {
 struct Run<'a> {
     program: &'a Program,
     cancel: &'a AtomicBool,
-    table: &'a [u32],
+    table: &'a Words,
     frame: &'a mut Frame,
 }
 
@@ -407,6 +428,8 @@ impl Run<'_> {
                         self.copy(to, Source::Slot(from));
                     }
                 }
+                Instruction::Make { live, to, missing } => self.make(*live, *to, *missing),
+                Instruction::Fold(fold) => self.fold(fold),
             }
         }
         for &(from, to) in &function.results {

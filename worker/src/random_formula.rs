@@ -1,12 +1,98 @@
 //! Random formulas for the tests of tapes and of their back ends.
 
-use std::sync::LazyLock;
+use std::sync::{Arc, LazyLock};
 
-use scene::real::{Real, Table};
+use scene::real::list::{IS_LAST, IS_UNARY, ListFunctions, NO_LEAF, ROW_BITS};
+use scene::real::{Real, Table, Vec3, Words};
 
-/// A table for formulas that read words: numbers from 0.5 to 1.5.
-pub(crate) static TABLE: LazyLock<Table> =
-    LazyLock::new(|| (0..100).map(|index| (0.5 + (index * 37 % 100) as f32 / 100.0).to_bits()).collect());
+/// Number of words of [`TABLE`] that are numbers.
+const NUMBERS: u32 = 100;
+/// A function and its row.
+type Part = Option<[u32; 2]>;
+/// Lists: of each operation, the function and row of its leaf, if it has one, then those of its join.
+const LISTS: [&[(Part, Part)]; 4] = [
+    &[(Some([0, 5]), None)],
+    &[(Some([1, 7]), None), (Some([0, 9]), Some([0, 20])), (Some([1, 30]), Some([0, 21]))],
+    &[
+        (Some([0, 11]), None),
+        (Some([1, 12]), None),
+        (Some([0, 13]), None),
+        (Some([1, 14]), Some([0, 40])),
+        (None, Some([1, 41])),
+        (None, Some([0, 42])),
+        (None, Some([0, 43])),
+    ],
+    &[(Some([1, 60]), None), (None, Some([1, 61])), (Some([0, 62]), Some([0, 63]))],
+];
+
+/// A table for formulas that read words: numbers from 0.5 to 1.5, then the indices of the lists, then these.
+pub(crate) static TABLE: LazyLock<Table> = LazyLock::new(|| {
+    let mut words: Vec<u32> =
+        (0..NUMBERS).map(|index| (0.5 + (index * 37 % NUMBERS) as f32 / 100.0).to_bits()).collect();
+    let mut lists = Vec::new();
+    for list in LISTS {
+        words.push(NUMBERS + LISTS.len() as u32 + lists.len() as u32);
+        for (index, (leaf, join)) in list.iter().enumerate() {
+            let last = if index + 1 == list.len() { IS_LAST } else { 0 };
+            let leaf = leaf.map_or(NO_LEAF << ROW_BITS, |[function, row]| function << ROW_BITS | row);
+            let join = join.map_or(0, |[function, row]| {
+                (function + 1) << ROW_BITS | row | if function == 1 { IS_UNARY } else { 0 }
+            });
+            lists.extend([last | leaf, join]);
+        }
+    }
+    words.extend(lists);
+    // Room for a row after the last list.
+    words.extend([0; 4]);
+    Arc::new(Words::from(words))
+});
+
+/// Functions of the lists in [`TABLE`].
+pub(crate) struct Functions;
+
+impl<R: Real> ListFunctions<R> for Functions {
+    type Value = (R, R);
+
+    fn leaf_names(&self) -> &[&'static str] {
+        &["leaf_0", "leaf_1"]
+    }
+
+    fn join_names(&self) -> &[&'static str] {
+        &["join_0", "join_1"]
+    }
+
+    fn depth(&self) -> usize {
+        3
+    }
+
+    fn leaf(&self, function: usize, row: Option<u32>, p: Vec3<R>) -> (R, R) {
+        let (first, second) = (number(p.x, row, 0), number(p.x, row, 1));
+        if function == 0 {
+            return ((p.x * first).mul_add(p.y, second), p.z);
+        }
+        let inner = R::when(p.x.lt(p.y * first), p.z, || R::repeat(3, p.z, |z| (z.lt(p.x), z * second + 0.125)));
+        (inner.abs().sqrt(), first)
+    }
+
+    fn join(&self, function: usize, row: Option<u32>, below: (R, R), value: (R, R)) -> (R, R) {
+        let factor = number(value.0, row, 0);
+        if function == 1 {
+            return (value.0 * factor, value.1);
+        }
+        (below.0.min(value.0 * factor), R::select(value.0.lt(below.0), value.1, below.1))
+    }
+}
+
+/// A word of a row, as a number.
+fn number<R: Real>(like: R, row: Option<u32>, place: u32) -> R {
+    like.uniform(row.map_or(0.0, |row| f32::from_bits(TABLE.get(row + place))))
+}
+
+/// Values of one of the lists.
+pub(crate) fn fold<R: Real>(p: Vec3<R>) -> (R, R) {
+    let list = R::word(&TABLE, (index_of(p.x) & (LISTS.len() as u32 - 1)) + NUMBERS);
+    R::fold(&TABLE, list, p, &Functions)
+}
 
 /// An index from a number, sometimes beyond the table.
 pub(crate) fn index_of<R: Real>(number: R) -> R::Bits {

@@ -156,6 +156,15 @@ pub enum RenderError {
     /// The formulas were recorded wrongly.
     #[error("the recorded formulas are invalid, which is a fault of sdfarm")]
     InvalidTape(#[from] InvalidTape),
+    /// The cells of the scene need more memory than they may have.
+    #[error(
+        "the cells of the scene need more than {} MiB: use fewer shapes, or shapes that overlap less",
+        bytes >> 20
+    )]
+    ManyCells {
+        /// Memory that they may have, in bytes.
+        bytes: usize,
+    },
     /// The device failed.
     #[error("{device} could not render: {reason}")]
     Device {

@@ -7,6 +7,7 @@
 mod allocate;
 mod c_source;
 mod expr;
+mod fold_step;
 mod linear;
 mod liveness;
 #[cfg(test)]
@@ -21,6 +22,7 @@ use scene::real::Table;
 pub(crate) use allocate::{Allocation, Place, Registers, allocate};
 pub use c_source::CSource;
 pub use expr::{BoolExpr, Expr, U32Expr};
+pub(crate) use fold_step::{FoldStep, ListFunctionLayout};
 pub(crate) use linear::{Class, Linear, LinearTape, Step, Var};
 pub use recorder::{Recording, record};
 pub use verify::InvalidTape;
@@ -47,6 +49,8 @@ pub enum Operation {
     Constant(u32),
     /// Uniform of the scene, by its index in [`Tape::uniforms`]: data.
     Uniform(u32),
+    /// Word of the row of the enclosing function, by its index in the row.
+    Row(u32),
     /// Argument of the enclosing function.
     Argument,
     /// Result of a function call.
@@ -105,19 +109,26 @@ pub enum Operation {
     ShiftRight,
     /// Word of the tape's table at an index, or at the table's last if that is less.
     Word,
+    /// Word in place of one that says that its contents do not exist; the index of the table's last word.
+    Made,
 }
 
 impl Operation {
     /// Whether it needs no statement: it is written where it is used.
     fn is_constant(self) -> bool {
-        matches!(self, Self::Constant(_) | Self::Uniform(_))
+        matches!(self, Self::Constant(_) | Self::Uniform(_) | Self::Row(_))
     }
 
     /// Types of its operands and of its result; `None` for values that have any type.
     fn signature(self) -> (&'static [ValueType], Option<ValueType>) {
         use ValueType::{Bool, F32, U32};
         match self {
-            Self::Constant(_) | Self::Uniform(_) | Self::Argument | Self::CallResult | Self::Variable => (&[], None),
+            Self::Constant(_)
+            | Self::Uniform(_)
+            | Self::Row(_)
+            | Self::Argument
+            | Self::CallResult
+            | Self::Variable => (&[], None),
             Self::Neg | Self::Abs | Self::Floor | Self::Sqrt => (&[F32], Some(F32)),
             Self::Add | Self::Sub | Self::Mul | Self::Div | Self::Min | Self::Max => (&[F32, F32], Some(F32)),
             Self::Fma => (&[F32, F32, F32], Some(F32)),
@@ -134,7 +145,8 @@ impl Operation {
             | Self::OrU32
             | Self::ShiftLeft
             | Self::ShiftRight
-            | Self::Word => (&[U32, U32], Some(U32)),
+            | Self::Word
+            | Self::Made => (&[U32, U32], Some(U32)),
         }
     }
 
@@ -152,6 +164,7 @@ impl Operation {
             Self::Div => 10,
             Self::Constant(_)
             | Self::Uniform(_)
+            | Self::Row(_)
             | Self::Argument
             | Self::CallResult
             | Self::Variable
@@ -171,7 +184,8 @@ impl Operation {
             | Self::OrU32
             | Self::ShiftLeft
             | Self::ShiftRight
-            | Self::Word => 0,
+            | Self::Word
+            | Self::Made => 0,
         }
     }
 
@@ -226,6 +240,32 @@ enum Statement {
         next: Vec<ValueId>,
         again: ValueId,
     },
+    /// Folds the list that begins at a word of the table, see [`scene::real::list`].
+    Fold(Fold),
+}
+
+/// A statement that folds a list.
+#[derive(Clone, Debug, PartialEq, Eq)]
+struct Fold {
+    /// Index of the list's first word.
+    list: ValueId,
+    /// Index of the table's last word.
+    last: ValueId,
+    /// Coordinates of the point.
+    arguments: Vec<ValueId>,
+    /// Functions of rows: of the point, and of two values one after another.
+    leaves: Vec<usize>,
+    joins: Vec<usize>,
+    /// Maximum number of values that wait.
+    depth: u32,
+    returned: Vec<ValueId>,
+}
+
+impl Fold {
+    /// Functions of its leaves and joins.
+    fn functions(&self) -> impl Iterator<Item = usize> + '_ {
+        self.leaves.iter().chain(&self.joins).copied()
+    }
 }
 
 /// A step of the formula, called by name.
@@ -237,6 +277,15 @@ struct Function {
     results: Vec<ValueId>,
     /// Whether code outside the tape calls it: then all its arguments and results stay.
     is_entry: bool,
+    /// Number of words of its row, if it is a function of lists: then all its arguments and results stay.
+    row_words: Option<u32>,
+}
+
+impl Function {
+    /// Whether it has all its arguments and results, used or not.
+    fn keeps_all(&self) -> bool {
+        self.is_entry || self.row_words.is_some()
+    }
 }
 
 /// A recorded formula.
@@ -269,7 +318,7 @@ impl Tape {
             Statement::Emit(id) => Some(self.definition(*id).operation.cost()),
             Statement::Comment(_) => Some(0),
             Statement::Call { function, .. } => self.flops_per_call(self.functions[*function].name),
-            Statement::When { .. } | Statement::Repeat { .. } => None,
+            Statement::When { .. } | Statement::Repeat { .. } | Statement::Fold(_) => None,
         };
         function.body.iter().map(of_statement).sum()
     }

@@ -3,7 +3,9 @@
 mod arithmetic;
 mod bounds;
 mod emit;
+mod fold;
 mod isa;
+mod make;
 mod operands;
 mod program;
 
@@ -42,8 +44,12 @@ fn assemble(tape: &LinearTape, isa: &'static Isa) -> MachineCode {
         .map(|linear| linear.as_ref().map(|linear| (linear, allocate(linear, isa.registers_of(tape.has_table)))))
         .collect();
     let layouts = layouts(&functions, isa);
-    let mut assembly =
-        Assembly { functions: vec![None; functions.len()], uniforms: tape.uniforms, ..Assembly::default() };
+    let mut assembly = Assembly {
+        functions: vec![None; functions.len()],
+        uniforms: tape.uniforms,
+        has_table: tape.has_table,
+        ..Assembly::default()
+    };
     for (index, function) in functions.iter().enumerate() {
         if let Some((linear, allocation)) = function {
             let is_entry = tape.entries.iter().any(|&(_, entry)| entry == index);
@@ -60,6 +66,7 @@ fn assemble(tape: &LinearTape, isa: &'static Isa) -> MachineCode {
         uniforms: program::uniform_bytes(isa, tape.uniforms, tape.has_table) as u64,
         constants: isa.input_bytes(assembly.constants.words.len()) as u64,
         packet: isa.packet_bytes().into(),
+        row: 4 * functions.iter().flatten().flat_map(|(linear, _)| &linear.steps).map(row_words).max().unwrap_or(0),
     };
     debug_assert_eq!(bounds::violation(&assembly.instructions, sizes), None, "code stays in its memory");
     let block = InstructionBlock::new(&assembly.instructions, 0);
@@ -82,6 +89,10 @@ fn assemble(tape: &LinearTape, isa: &'static Isa) -> MachineCode {
     }
 }
 
+fn row_words(step: &Step) -> u64 {
+    if let Step::Fold(fold) = step { fold.row_words.into() } else { 0 }
+}
+
 /// Parts of the functions in the frame: a callee's begins after those of all its callers, which come later in the
 /// tape.
 fn layouts(functions: &[Allocated<'_>], isa: &Isa) -> Vec<FrameLayout> {
@@ -89,10 +100,21 @@ fn layouts(functions: &[Allocated<'_>], isa: &Isa) -> Vec<FrameLayout> {
     let mut layouts = vec![FrameLayout::default(); functions.len()];
     for (index, function) in functions.iter().enumerate().rev() {
         let Some((linear, allocation)) = function else { continue };
-        let layout = FrameLayout::new(starts[index], linear, allocation.slots, isa.packet_bytes());
+        // Functions of lists have been given the places of their arguments and results by their fold.
+        let places = layouts[index].list_function;
+        let layout = FrameLayout::new(starts[index], places, linear, allocation.slots, isa.packet_bytes());
         for step in &linear.steps {
-            if let Step::Call { callee, .. } = step {
-                starts[*callee] = starts[*callee].max(layout.end);
+            match step {
+                Step::Call { callee, .. } => starts[*callee] = starts[*callee].max(layout.end),
+                Step::Fold(fold) => {
+                    let start = fold.functions().map(|function| starts[function]).fold(layout.end, u32::max);
+                    let leaves = fold.leaves.iter().map(|leaf| (leaf, fold.leaf_layout()));
+                    for (&function, places) in leaves.chain(fold.joins.iter().map(|join| (join, fold.join_layout()))) {
+                        starts[function] = start;
+                        layouts[function].list_function = Some(places);
+                    }
+                }
+                _ => {}
             }
         }
         layouts[index] = layout;

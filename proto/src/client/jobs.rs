@@ -6,7 +6,7 @@ use std::io::Write;
 use reqwest::header::{ACCEPT, CACHE_CONTROL, CONTENT_TYPE, HeaderValue};
 use reqwest::{Method, Response, StatusCode};
 
-use super::{Client, ClientError};
+use super::{Client, ClientError, job_body};
 use crate::event::{JobEvent, SseMessage, SseParser};
 use crate::frame::FramePage;
 use crate::job::{DeleteDryRun, JobPatch};
@@ -65,7 +65,7 @@ impl EventStream {
 impl Client {
     /// Submits a job file.
     pub async fn submit_with(&self, job: Vec<u8>, options: &SubmitOptions) -> Result<JobView, ClientError> {
-        let mut request = self.request(Method::POST, "/v1/jobs").header(CONTENT_TYPE, "application/json").body(job);
+        let mut request = job_body::attach(self.request(Method::POST, "/v1/jobs"), job);
         if options.no_cache {
             request = request.header(CACHE_CONTROL, "no-cache");
         }

@@ -4,17 +4,16 @@ use std::collections::HashMap;
 
 use super::trace::{Symbol, Trace, trace};
 use crate::bounds::Bounds;
-use crate::nodes::{Cut, Distance, Exactness, FoldStep, Node, Part, for_each_step, smooth_min};
-use crate::real::{Interval, Real, Table, Vec3, vec3};
+use crate::nodes::{Cut, Distance, Exactness, FoldStep, Node, Part, Placements, for_each_step, smooth_min};
+use crate::real::list::{IS_LAST, IS_UNARY, NO_LEAF, ROW_BITS, ROW_MASK};
+use crate::real::{Real, Vec3, vec3};
 use crate::scene::Object;
 use crate::values::LengthOrZero;
 
 /// Maximum number of families: each is a function of the compiled text.
 pub(super) const MAX_FAMILIES: usize = 48;
-/// Words of a scene's table before its rows.
-pub(super) const FIRST_WORDS: usize = 2;
 /// Maximum number of values that wait for a join.
-pub(super) const MAX_STACK: usize = 8;
+pub(super) const MAX_STACK: usize = 10;
 
 /// A scene's leaves, their families and rows, and the operations above them.
 #[derive(Clone, Debug)]
@@ -22,23 +21,24 @@ pub struct Program<'a> {
     leaves: Vec<Leaf<'a>>,
     /// A leaf of each family.
     families: Vec<usize>,
-    joins: Vec<Join<'a>>,
+    joins: Vec<Join>,
     /// A join of each kind that occurs.
     join_families: Vec<usize>,
-    operations: Vec<Operation>,
     depth: usize,
     /// First word of each leaf's row.
     leaf_rows: Vec<u32>,
-    join_rows: Vec<u32>,
-    /// The rows, after the first words of a scene's table.
-    rows: Table,
+    /// First words of a scene's table: rows, each after the index of its leaf or join. A leaf's begins with the index of
+    /// its object.
+    rows: Vec<u32>,
+    /// The list of all operations.
+    list: Vec<u32>,
 }
 
 /// A shape below the outermost joins.
 #[derive(Clone, Debug)]
 pub(super) struct Leaf<'a> {
-    /// Transforms above the shape, the outermost first.
-    above: Vec<&'a Node>,
+    /// Transforms and placements of the shape, the outermost first.
+    above: Vec<Above<'a>>,
     shape: Part<'a>,
     bounds: Bounds,
     /// Its Lipschitz factor, if one holds everywhere.
@@ -51,19 +51,52 @@ pub(super) struct Leaf<'a> {
     pub(super) numbers: Vec<u32>,
 }
 
+/// Transform between a leaf and the scene.
+#[derive(Clone, Copy, Debug)]
+enum Above<'a> {
+    /// A transform.
+    Node(&'a Node),
+    /// A placement of a copy, by its index, which scales no distance.
+    Copy(&'a Placements, usize),
+}
+
+impl Above<'_> {
+    fn to_child<R: Real>(self, p: Vec3<R>) -> Vec3<R> {
+        match self {
+            Self::Node(node) => node.to_child(p),
+            Self::Copy(placements, index) => placements.to_shape(index, p),
+        }
+    }
+
+    fn bounds_from_child(self, bounds: Bounds) -> Bounds {
+        match self {
+            Self::Node(node) => node.bounds_from_child(bounds),
+            Self::Copy(placements, index) => placements.to_copy(index, bounds),
+        }
+    }
+
+    /// Factor by which it makes ways longer in the shape's space.
+    fn stretch(self) -> f32 {
+        match self {
+            Self::Node(_) => 1.0,
+            Self::Copy(placements, index) => 1.0 / placements.scale(index).unwrap_or(1.0),
+        }
+    }
+}
+
 /// An operation on the values of leaves.
 #[derive(Clone, Debug)]
-pub(super) struct Join<'a> {
-    pub(super) kind: JoinKind<'a>,
-    pub(super) family: usize,
-    pub(super) numbers: Vec<u32>,
+struct Join {
+    kind: JoinKind,
+    family: usize,
+    numbers: Vec<u32>,
 }
 
 /// Kind of a join.
-#[derive(Clone, Copy, Debug)]
-pub(super) enum JoinKind<'a> {
+#[derive(Clone, Debug)]
+pub(super) enum JoinKind {
     /// The smooth or sharp minimum of two values.
-    Union(&'a LengthOrZero),
+    Union(LengthOrZero),
     /// The lesser of two objects' values.
     Objects,
     /// A value by a factor.
@@ -72,10 +105,10 @@ pub(super) enum JoinKind<'a> {
 
 /// A step of a program: takes the value of a leaf, or the last value that waits, and joins it with the value that waits
 /// before it.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub(super) struct Operation {
-    pub(super) leaf: Option<u32>,
-    pub(super) join: Option<u32>,
+#[derive(Clone, Copy, Debug)]
+struct Operation {
+    leaf: Option<u32>,
+    join: Option<u32>,
 }
 
 impl<'a> Program<'a> {
@@ -85,11 +118,11 @@ impl<'a> Program<'a> {
         let mut cutter = Cutter::default();
         for (index, &(number, object, scale)) in objects.iter().enumerate() {
             cutter.object = number;
-            let join = (index > 0).then_some(JoinKind::Objects);
+            let join = (index > 0).then_some(&JoinKind::Objects);
             match scale {
                 Some(scale) => {
                     cutter.cut(&object.shape, None);
-                    cutter.join(JoinKind::Scale(scale));
+                    cutter.join(&JoinKind::Scale(scale));
                     if let Some(join) = join {
                         cutter.join(join);
                     }
@@ -101,24 +134,43 @@ impl<'a> Program<'a> {
         let is_small = cutter.family_leaves.len() <= MAX_FAMILIES && depth <= MAX_STACK;
         // So that scenes of many and of more shapes have one text.
         let depth = if depth > 2 { MAX_STACK } else { depth };
-        let mut words = vec![0; FIRST_WORDS];
-        let mut row = |object: usize, numbers: &[u32]| {
-            words.push((object as f32).to_bits());
-            let start = words.len() as u32;
-            words.extend(numbers);
+        let mut rows = Vec::new();
+        let mut row = |index: usize, object: Option<usize>, numbers: &[u32]| {
+            rows.push(index as u32);
+            let start = rows.len() as u32;
+            rows.extend(object.map(|object| (object as f32).to_bits()));
+            rows.extend(numbers);
             start
         };
-        let leaf_rows = cutter.leaves.iter().map(|leaf| row(leaf.object, &leaf.numbers)).collect();
-        let join_rows = cutter.joins.iter().map(|join| row(0, &join.numbers)).collect();
-        (is_small && !cutter.operations.is_empty()).then_some(Self {
+        let leaves = cutter.leaves.iter().enumerate();
+        let leaf_rows: Vec<u32> = leaves.map(|(index, leaf)| row(index, Some(leaf.object), &leaf.numbers)).collect();
+        let joins = cutter.joins.iter().enumerate();
+        let join_rows: Vec<u32> = joins.map(|(index, join)| row(index, None, &join.numbers)).collect();
+        if !is_small || cutter.operations.is_empty() || rows.len() > ROW_MASK as usize {
+            return None;
+        }
+        let mut list: Vec<u32> = Vec::with_capacity(2 * cutter.operations.len());
+        for operation in &cutter.operations {
+            let leaf = operation.leaf.map_or(NO_LEAF << ROW_BITS, |leaf| {
+                (cutter.leaves[leaf as usize].family as u32) << ROW_BITS | leaf_rows[leaf as usize]
+            });
+            let join = operation.join.map_or(0, |join| {
+                let Join { family, kind, .. } = &cutter.joins[join as usize];
+                let unary = if kind.is_unary() { IS_UNARY } else { 0 };
+                unary | (*family as u32 + 1) << ROW_BITS | join_rows[join as usize]
+            });
+            list.extend([leaf, join]);
+        }
+        let last = list.len() - 2;
+        list[last] |= IS_LAST;
+        Some(Self {
             leaf_rows,
-            join_rows,
-            rows: words.into(),
+            rows,
+            list,
             leaves: cutter.leaves,
             families: cutter.family_leaves,
             joins: cutter.joins,
             join_families: cutter.family_joins,
-            operations: cutter.operations,
             depth,
         })
     }
@@ -133,71 +185,53 @@ impl<'a> Program<'a> {
         self.families.len()
     }
 
-    /// The rows of all leaves and joins, where they are in the scene's table.
-    pub fn rows(&self) -> &Table {
+    /// Number of nodes of one leaf of each family.
+    pub fn family_nodes(&self) -> u32 {
+        let nodes = |&leaf: &usize| self.leaves[leaf].above.len() as u32 + self.leaves[leaf].shape.node().node_count();
+        self.families.iter().map(nodes).sum()
+    }
+
+    /// Number of kinds of joins.
+    pub(super) fn join_family_count(&self) -> usize {
+        self.join_families.len()
+    }
+
+    /// The first words of the scene's table: all rows.
+    pub fn rows(&self) -> &[u32] {
         &self.rows
     }
 
-    /// Family of a leaf, and the first word of its row.
-    pub fn family_and_row(&self, leaf: u32) -> (usize, u32) {
-        (self.leaves[leaf as usize].family, self.leaf_rows[leaf as usize])
+    /// The list of all operations.
+    pub(super) fn list(&self) -> &[u32] {
+        &self.list
     }
 
-    /// Family of a join, and the first word of its row.
-    pub(super) fn join_family_and_row(&self, join: u32) -> (usize, u32) {
-        (self.joins[join as usize].family, self.join_rows[join as usize])
+    /// The list of a leaf alone.
+    pub fn list_of(&self, leaf: u32) -> [u32; 2] {
+        [IS_LAST | (self.leaves[leaf as usize].family as u32) << ROW_BITS | self.leaf_rows[leaf as usize], 0]
     }
 
-    /// Distance of the leaf of a family whose numbers are in a row of `table`.
-    pub fn family_distance<R: Real>(&self, table: &Table, family: usize, row: R::Bits, p: Vec3<R>) -> R {
-        let of_row = |row: u32| self.leaf_rows.binary_search(&row).expect("a row begins there");
-        let leaf = R::known(row).map_or(self.families[family], of_row);
-        R::with_row(table, row, || self.leaves[leaf].distance(p))
+    /// The leaf with a row; the first of a family where rows are not known.
+    pub(super) fn leaf_at(&self, family: usize, row: Option<u32>) -> &Leaf<'a> {
+        &self.leaves[row.map_or(self.families[family], |row| self.rows[row as usize - 1] as usize)]
     }
 
-    /// The join of a family whose numbers are in a row.
-    pub(super) fn family_join<R: Real>(&self, family: usize, row: R::Bits) -> JoinKind<'a> {
-        let of_row = |row: u32| self.join_rows.binary_search(&row).expect("a row begins there");
-        self.joins[R::known(row).map_or(self.join_families[family], of_row)].kind
+    /// The join with a row; the first of a family where rows are not known.
+    pub(super) fn join_at(&self, family: usize, row: Option<u32>) -> &JoinKind {
+        &self.joins[row.map_or(self.join_families[family], |row| self.rows[row as usize - 1] as usize)].kind
     }
 
     pub(super) fn leaves(&self) -> &[Leaf<'a>] {
         &self.leaves
     }
 
-    pub(super) fn joins(&self) -> &[Join<'a>] {
-        &self.joins
-    }
-
-    pub(super) fn join_families(&self) -> &[usize] {
-        &self.join_families
-    }
-
-    pub(super) fn operations(&self) -> &[Operation] {
-        &self.operations
+    pub(super) fn joins(&self) -> impl Iterator<Item = &JoinKind> {
+        self.joins.iter().map(|join| &join.kind)
     }
 
     /// Maximum number of values that wait for a join.
     pub(super) fn depth(&self) -> usize {
         self.depth
-    }
-
-    /// The value of all leaves at a point, without cells.
-    pub fn distance<R: Real>(&self, p: Vec3<R>) -> R {
-        let mut stack: Vec<R> = Vec::new();
-        for operation in &self.operations {
-            let value = match operation.leaf {
-                Some(leaf) => self.leaves[leaf as usize].distance(p),
-                None => stack.pop().expect("a value waits"),
-            };
-            let joined = match operation.join.map(|join| self.joins[join as usize].kind) {
-                None => value,
-                Some(JoinKind::Scale(by)) => JoinKind::Scale(by).apply(value, value),
-                Some(kind) => kind.apply(stack.pop().expect("a value waits"), value),
-            };
-            stack.push(joined);
-        }
-        stack.pop().expect("a program has a value")
     }
 }
 
@@ -208,77 +242,45 @@ impl Leaf<'_> {
         self.shape.distance(p)
     }
 
-    /// An interval that contains every distance in a box, given that at its center.
-    pub(super) fn interval(&self, region: Bounds, at_center: f32) -> Interval {
-        /// Rounding errors of distances and coordinates, as a part of their size.
-        const ROUNDING: f32 = 1.0 / 65_536.0;
-        let size =
-            [region.min, region.max].map(|corner| corner.map(f32::abs).max_element()).into_iter().fold(0.0, f32::max);
-        let Some(lipschitz) = self.lipschitz else {
-            // Nothing bounds its change, but outside of the bounds of a level, values are above that level.
-            let gap = self.bounds.gap(region);
-            let levels = [0.9, 0.5, 0.1].map(|part| gap * part);
-            let is_above =
-                |level: &f32| *level > 0.0 && self.bounds_of(*level).with_margin(region.min).gap(region) > 0.0;
-            let low = levels.into_iter().find(is_above).unwrap_or(f32::NEG_INFINITY);
-            return Interval::new(low, f32::INFINITY);
-        };
-        let change = lipschitz * 0.5 * region.diagonal() + ROUNDING * (size + at_center.abs());
-        Interval::new(at_center - change, at_center + change)
-    }
-
     /// Box that contains every point of its shape.
     pub(super) fn bounds(&self) -> Bounds {
         self.bounds
     }
 
+    /// Its Lipschitz factor, if one holds everywhere.
+    pub(super) fn lipschitz(&self) -> Option<f32> {
+        self.lipschitz
+    }
+
     /// Box that contains every point whose distance is at most `isolevel`.
-    fn bounds_of(&self, isolevel: f32) -> Bounds {
+    pub(super) fn bounds_of(&self, isolevel: f32) -> Bounds {
         self.above.iter().rev().fold(self.shape.bounds(isolevel), |bounds, node| node.bounds_from_child(bounds))
     }
 }
 
-impl JoinKind<'_> {
+impl JoinKind {
     /// Joins the value that waits, and the new one. A factor applies to the new one.
-    pub(super) fn apply<R: Real>(self, below: R, value: R) -> R {
+    pub(super) fn apply<R: Real>(&self, below: R, value: R) -> R {
         match self {
             Self::Union(smooth) => smooth_min(Distance(below), Distance(value), smooth).0,
             Self::Objects => below.min(value),
-            Self::Scale(by) => value * value.uniform(by),
+            Self::Scale(by) => value * value.uniform(*by),
         }
+    }
+
+    /// Whether it joins objects.
+    pub(super) fn is_of_objects(&self) -> bool {
+        matches!(self, Self::Objects)
     }
 
     /// Whether it takes one value, and not one that waits.
-    pub(super) fn is_unary(self) -> bool {
+    pub(super) fn is_unary(&self) -> bool {
         matches!(self, Self::Scale(_))
-    }
-
-    /// Width within which two values change each other.
-    pub(super) fn width(self) -> f32 {
-        match self {
-            Self::Union(smooth) => smooth.get(),
-            Self::Objects | Self::Scale(_) => 0.0,
-        }
-    }
-
-    /// All values of the join of two intervals.
-    pub(super) fn apply_to_intervals(self, below: Interval, value: Interval) -> Interval {
-        match self {
-            // A smooth minimum grows with either value, but for rounding.
-            Self::Union(smooth) if !smooth.is_zero() => {
-                let [low, high] = [(below.low, value.low), (below.high, value.high)].map(|(a, b)| {
-                    let slack = 4.0 * f32::EPSILON * (a.abs() + b.abs() + smooth.get());
-                    (self.apply(a, b), slack)
-                });
-                Interval::new(low.0 - low.1, high.0 + high.1)
-            }
-            Self::Union(_) | Self::Objects | Self::Scale(_) => self.apply(below, value),
-        }
     }
 }
 
 /// Number of values that wait for a join, at most.
-fn depth(operations: &[Operation], joins: &[Join<'_>]) -> usize {
+fn depth(operations: &[Operation], joins: &[Join]) -> usize {
     let (mut waiting, mut most) = (0_usize, 0);
     for operation in operations {
         let is_binary = operation.join.is_some_and(|join| !joins[join as usize].kind.is_unary());
@@ -288,13 +290,22 @@ fn depth(operations: &[Operation], joins: &[Join<'_>]) -> usize {
     most
 }
 
+/// Whether a shape is a union of several, moved or not.
+fn is_union(shape: &Node) -> bool {
+    match shape.cut() {
+        Cut::Leaf => false,
+        Cut::Child(child) => is_union(child),
+        Cut::Union(_, parts) => parts.len() > 1,
+    }
+}
+
 #[derive(Default)]
 struct Cutter<'a> {
     /// Index of the object that is cut.
     object: usize,
-    above: Vec<&'a Node>,
+    above: Vec<Above<'a>>,
     leaves: Vec<Leaf<'a>>,
-    joins: Vec<Join<'a>>,
+    joins: Vec<Join>,
     operations: Vec<Operation>,
     texts: HashMap<Vec<u32>, usize>,
     family_leaves: Vec<usize>,
@@ -305,16 +316,16 @@ struct Cutter<'a> {
 
 impl<'a> Cutter<'a> {
     /// Adds the operations of a node, whose value is then joined with the one before.
-    fn cut(&mut self, node: &'a Node, join: Option<JoinKind<'a>>) {
+    fn cut(&mut self, node: &'a Node, join: Option<&JoinKind>) {
         match node.cut() {
             Cut::Leaf => self.leaf(Part::Shape(node), join),
             Cut::Child(child) => {
-                self.above.push(node);
+                self.above.push(Above::Node(node));
                 self.cut(child, join);
                 self.above.pop();
             }
             Cut::Union(smooth, parts) => {
-                let seam = JoinKind::Union(smooth);
+                let seam = &JoinKind::Union(smooth.clone());
                 if let [only] = parts[..] {
                     return self.part(only, join);
                 }
@@ -330,16 +341,29 @@ impl<'a> Cutter<'a> {
         }
     }
 
-    fn part(&mut self, part: Part<'a>, join: Option<JoinKind<'a>>) {
+    fn part(&mut self, part: Part<'a>, join: Option<&JoinKind>) {
         match part {
             Part::Shape(shape) => self.cut(shape, join),
+            Part::Copy(placements, index, shape) if is_union(shape) => {
+                self.above.push(Above::Copy(placements, index));
+                let scale = placements.scale(index).map(JoinKind::Scale);
+                self.cut(shape, join.filter(|_| scale.is_none()));
+                self.above.pop();
+                if let Some(scale) = scale {
+                    self.join(&scale);
+                    if let Some(join) = join {
+                        self.join(join);
+                    }
+                }
+            }
             Part::Copy(..) => self.leaf(part, join),
         }
     }
 
-    fn leaf(&mut self, shape: Part<'a>, join: Option<JoinKind<'a>>) {
+    fn leaf(&mut self, shape: Part<'a>, join: Option<&JoinKind>) {
         let (above, bounds) = (self.above.clone(), Bounds::INFINITE);
-        let lipschitz = (shape.node().exactness() != Exactness::Estimate).then(|| shape.node().stretch());
+        let stretch: f32 = above.iter().map(|above| above.stretch()).product();
+        let lipschitz = (shape.node().exactness() != Exactness::Estimate).then(|| shape.node().stretch() * stretch);
         let mut leaf = Leaf { above, shape, bounds, lipschitz, object: self.object, family: 0, numbers: Vec::new() };
         leaf.bounds = leaf.bounds_of(0.0);
         let Trace { text, numbers, .. } = trace(|[x, y, z]: [Symbol; 3]| {
@@ -356,16 +380,18 @@ impl<'a> Cutter<'a> {
         self.operations.push(Operation { leaf: Some(self.leaves.len() as u32 - 1), join });
     }
 
-    fn join(&mut self, kind: JoinKind<'a>) {
+    fn join(&mut self, kind: &JoinKind) {
         let join = self.joined(kind);
         self.operations.push(Operation { leaf: None, join: Some(join) });
     }
 
     /// Index of a join; equal joins are one.
-    fn joined(&mut self, kind: JoinKind<'a>) -> u32 {
-        let Trace { text, numbers, .. } = trace(|[below, value]: [Symbol; 2]| {
+    fn joined(&mut self, kind: &JoinKind) -> u32 {
+        let Trace { mut text, numbers, .. } = trace(|[below, value]: [Symbol; 2]| {
             kind.apply(below, value);
         });
+        // A sharp union has the same text, but not the same nearest object.
+        text.push(u32::from(kind.is_of_objects()));
         let next = self.family_joins.len();
         let family = *self.join_texts.entry(text).or_insert(next);
         if family == next {
@@ -373,7 +399,7 @@ impl<'a> Cutter<'a> {
         }
         let joins = &mut self.joins;
         *self.join_rows.entry((family, numbers)).or_insert_with_key(|(_, numbers)| {
-            joins.push(Join { kind, family, numbers: numbers.clone() });
+            joins.push(Join { kind: kind.clone(), family, numbers: numbers.clone() });
             joins.len() as u32 - 1
         })
     }

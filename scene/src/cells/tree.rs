@@ -1,48 +1,61 @@
 //! The tree of cells, and the list of operations that can matter in each.
 //!
-//! A cell is a cube. It is divided into 4 × 4 × 4 as long as its list is long and it may contain a surface.
+//! A cell is a cube. It is divided into 4 × 4 × 4 as long as its list is long and it may contain a surface: when a ray
+//! first enters it, or all at once. Which cells there are follows from the scene alone.
 
 use std::collections::HashMap;
-use std::sync::OnceLock;
+use std::ops::Deref;
+use std::sync::{Arc, Mutex, PoisonError};
 
-use super::program::{Join, Operation, Program};
+use super::program::Program;
+use super::prune::{EMPTY_ABOVE, Pruned, Pruner, Regions, Unpruned};
 use crate::bounds::Bounds;
-use crate::real::{Interval, Table, Vec3, vec3};
+use crate::real::list::{IS_LAST, NO_LEAF, OPERATION_WORDS, function_of};
+use crate::real::{INDEX_BITS, Interval, MakeWords, Table, Vec3, Words, vec3};
 
 /// Edge of a block, in cells.
 pub(super) const BLOCK_EDGE: u32 = 4;
 /// Cells of a block.
-const BLOCK_CELLS: u32 = BLOCK_EDGE * BLOCK_EDGE * BLOCK_EDGE;
+pub(super) const BLOCK_CELLS: u32 = BLOCK_EDGE * BLOCK_EDGE * BLOCK_EDGE;
 /// Maximum depth of the tree: coordinates of cells are exact in `f32`.
 pub(super) const MAX_LEVELS: u32 = 10;
 /// Number of leaves in a list up to which a cell is not divided.
-const SHORT_LIST: usize = 8;
-/// Part of its parent's leaves up to which a cell is divided: where shapes overlap so much that smaller cells hardly
-/// have fewer, their number would only grow.
+const SHORT_LIST: usize = 24;
+/// A cell that has more than this part of its parent's leaves is hardly smaller in what matters.
 const SHORTER: f32 = 0.75;
+/// Number of cells, each inside the one before, that may be hardly smaller: where shapes overlap so much, more cells would
+/// not make shorter lists.
+const MAX_STALLS: u32 = 2;
 
-/// Bit of a cell's word that tells that it is divided; the others are the index of its block or record.
-pub(super) const IS_BLOCK: u32 = 1 << 31;
-/// Bit of an operation's first word that tells that it is the list's last.
-pub(super) const IS_LAST: u32 = 1 << 31;
-/// Bits of an operation's words that are the index of a row.
-pub(super) const ROW_BITS: u32 = 25;
-/// Family of an operation that takes the last value that waits.
-pub(super) const NO_LEAF: u32 = 63;
-/// Index of the word of the outermost cell.
-const ROOT: usize = 0;
-/// Index of the word of all points outside.
-pub(super) const OUTSIDE: u32 = 1;
+/// Bits of a cell's word that are not its kind. A cell of kind 0 has no surface.
+pub(super) const KIND_SHIFT: u32 = INDEX_BITS;
+/// Kind of a cell that may have a surface: the index of its list.
+pub(super) const LIST: u32 = 1;
+/// Kind of a divided cell: the index of its block.
+const BLOCK: u32 = 2;
+/// Kind of a cell that is to be divided: the index of its [`Undivided`].
+const UNDIVIDED: u32 = 3;
+
+/// Index of the word of the outermost cell, after the rows.
+const ROOT: u32 = 0;
+/// Words a leaf that cells may take.
+const WORDS_PER_LEAF: usize = 1 << 13;
+/// Words that cells of few leaves may take.
+const MIN_WORDS: usize = 1 << 27;
 
 /// The cells of a scene, with their lists and rows, as one table of words.
 ///
-/// The first two words are those of the outermost cell and of all points outside. A cell's word is the index of its
-/// block, with a flag, or of its record. A block is the words of 64 cells, x fastest. A record is a lower bound of the
-/// distance in the cell, 0 if there may be a surface, and the index of its list. A list is two words for each operation:
-/// family and row of its leaf, then of its join. Before a leaf's row is the index of its object.
+/// After the rows come the word of the outermost cell, the list of all operations, and a short one. A block is the words of 64 cells,
+/// x fastest, then the index of the list of all of them.
 #[derive(Clone, Debug)]
 pub struct CellTree {
     frame: CellFrame,
+    /// Index of the word of the outermost cell.
+    pub(super) root: u32,
+    /// Index of the list of all operations.
+    pub(super) whole: u32,
+    /// Index of a word that has the index of a short list.
+    pub(super) brief: u32,
     pub(super) words: Table,
 }
 
@@ -51,7 +64,7 @@ pub struct CellTree {
 pub(super) struct CellFrame {
     /// Center of the outermost cell.
     pub(super) center: Vec3<f32>,
-    /// Edge of the smallest cells, a power of two.
+    /// Edge of the smallest cells.
     pub(super) unit: f32,
     /// Depth of the tree.
     pub(super) levels: u32,
@@ -59,32 +72,38 @@ pub(super) struct CellFrame {
     outer_levels: u32,
 }
 
-/// A way to build cells: the scalar reference here, or machine code on several threads.
+/// A way to build cells: all at once by the scalar reference here, or by machine code when they are needed.
 pub trait CellBuilder {
-    /// A function that appends the distances of leaves at points: of the first leaf at all points, then of the second.
-    fn evaluator<'a>(&self, program: &'a Program<'_>) -> Box<dyn LeafDistances + 'a>;
+    /// Distances of a program's leaves.
+    fn distances<'a>(&self, program: &'a Program<'_>) -> Distances<'a>;
+}
 
-    /// Does independent tasks, by their index.
-    fn for_each(&self, count: usize, task: &(dyn Fn(usize) + Sync));
+/// Distances of leaves, for a cell that is divided when it is needed, or for all at once.
+pub enum Distances<'a> {
+    /// For as long as the cells are.
+    Kept(Arc<dyn LeafDistances>),
+    /// For as long as the scene.
+    OfScene(Box<dyn LeafDistances + 'a>),
 }
 
 /// Distances of leaves.
-pub trait LeafDistances: Sync {
+pub trait LeafDistances: Send + Sync {
     /// Appends the distances of leaves at points: of the first leaf at all points, then of the second.
     fn append(&self, leaves: &[u32], points: &[Vec3<f32>], distances: &mut Vec<f32>);
+
+    /// Prunes a list, with the best vector instructions.
+    fn prune(&self, list: &Unpruned<'_>) -> Pruned {
+        list.prune()
+    }
 }
 
-/// Builds cells by the scalar reference.
+/// Builds cells by the scalar reference, all at once.
 #[derive(Clone, Copy, Debug)]
 pub struct ScalarBuilder;
 
 impl CellBuilder for ScalarBuilder {
-    fn evaluator<'a>(&self, program: &'a Program<'_>) -> Box<dyn LeafDistances + 'a> {
-        Box::new(program)
-    }
-
-    fn for_each(&self, count: usize, task: &(dyn Fn(usize) + Sync)) {
-        (0..count).for_each(task);
+    fn distances<'a>(&self, program: &'a Program<'_>) -> Distances<'a> {
+        Distances::OfScene(Box::new(program))
     }
 }
 
@@ -96,61 +115,109 @@ impl LeafDistances for &Program<'_> {
     }
 }
 
-/// A cell while the tree is built.
-#[derive(Clone, Copy)]
+/// A cell.
+#[derive(Clone, Copy, Debug)]
 struct Cell {
     /// Coordinates in units.
     at: [u32; 3],
     level: u32,
 }
 
-/// A part of the tree. Indices of blocks, records and lists count from its own.
-#[derive(Default)]
-struct Part {
-    blocks: Vec<u32>,
-    records: Vec<(f32, u32)>,
-    lists: Vec<u32>,
-    /// Lists that exist already.
-    known: HashMap<Vec<Operation>, u32>,
+/// A cell that is to be divided, as words of the table.
+#[derive(Clone, Copy, Debug)]
+struct Undivided {
+    /// Index of its word.
+    place: u32,
+    cell: Cell,
+    /// Index of its list, and number of its words.
+    list: u32,
+    length: u32,
+    /// Number of cells around it that are hardly smaller, see [`MAX_STALLS`].
+    stalls: u32,
 }
 
-struct Builder<'a, 'b> {
-    program: &'b Program<'a>,
+impl Undivided {
+    const WORDS: usize = 8;
+
+    fn to_words(self) -> [u32; Self::WORDS] {
+        let [x, y, z] = self.cell.at;
+        [self.place, x, y, z, self.cell.level, self.list, self.length, self.stalls]
+    }
+
+    fn at(words: &Words, index: u32) -> Self {
+        let [place, x, y, z, level, list, length, stalls] = std::array::from_fn(|word| words.get(index + word as u32));
+        Self { place, cell: Cell { at: [x, y, z], level }, list, length, stalls }
+    }
+}
+
+/// Divides cells.
+struct Builder<D> {
     frame: CellFrame,
-    distances: Box<dyn LeafDistances + 'b>,
+    pruner: Pruner,
+    /// Index of the word of the outermost cell.
+    root: u32,
+    distances: D,
+    /// One is held while a cell is divided.
+    locks: Vec<Mutex<()>>,
+    /// Lists that exist, by their hashes: equal lists are one, which saves memory, and lets more lanes be evaluated
+    /// together.
+    lists: Vec<Mutex<HashMap<u64, u32>>>,
 }
 
 impl CellTree {
     /// Builds the cells of a program. `reach` contains every point at which it will be evaluated.
     pub(super) fn new(program: &Program<'_>, reach: Bounds, how: &dyn CellBuilder) -> Self {
         let frame = CellFrame::new(program, reach);
-        let builder = Builder { program, frame, distances: how.evaluator(program) };
-        let all = program.operations();
-        // The cells of the outermost block, and their list there.
-        let root = Cell { at: [0; 3], level: 0 };
-        let children = builder.children(&root, all);
-        let parts: Vec<OnceLock<(Part, u32)>> = children.iter().map(|_| OnceLock::new()).collect();
-        how.for_each(parts.len(), &|index| {
-            let (cell, list, value) = &children[index];
-            let mut part = Part::default();
-            let word = builder.cell(&mut part, cell, list, *value, program.leaf_count());
-            let is_new = parts[index].set((part, word)).is_ok();
-            debug_assert!(is_new, "each part is built once");
-        });
-        let mut words = program.rows().to_vec();
-        let mut outside = Part::default();
-        let whole = outside.record(program, 0.0, all);
-        words[OUTSIDE as usize] = outside.append_to(&mut words, whole);
-        let block: Vec<u32> = parts
-            .into_iter()
-            .map(|part| {
-                let (part, word) = part.into_inner().expect("every part was built");
-                part.append_to(&mut words, word)
-            })
-            .collect();
-        words[ROOT] = words.len() as u32 | IS_BLOCK;
-        words.extend(block);
-        Self { frame, words: words.into() }
+        let rows = program.rows();
+        let capacity = rows.len() + program.list().len() + MIN_WORDS.max(WORDS_PER_LEAF * program.leaf_count());
+        let words = Words::with_capacity(capacity.min(1 << KIND_SHIFT));
+        let append = |part: &[u32]| words.append(part).expect("there is room for the rows and the first list");
+        append(rows);
+        let (root, whole) = (append(&[ROOT]), append(program.list()));
+        let brief = append(&[append(&program.list_of(0))]);
+        let outermost = Cell { at: [0; 3], level: 0 };
+        let undivided =
+            Undivided { place: root, cell: outermost, list: whole, length: program.list().len() as u32, stalls: 0 };
+        let record = append(&undivided.to_words());
+        words.set(root, UNDIVIDED << KIND_SHIFT | record);
+        let tree = Self { frame, root, whole, brief, words: Arc::new(words) };
+        let pruner = Pruner::new(program);
+        match how.distances(program) {
+            Distances::Kept(distances) => tree.words.set_maker(Box::new(Builder::new(frame, pruner, root, distances))),
+            Distances::OfScene(distances) => {
+                Builder::new(frame, pruner, root, distances).divide_all(&tree.words);
+            }
+        }
+        tree
+    }
+
+    /// A number of all cells and their lists, however they are placed in the table. Of a complete tree.
+    pub fn checksum(&self) -> u64 {
+        let list = |first: u32| {
+            let mut sum = 0_u64;
+            for operation in (first..).step_by(OPERATION_WORDS as usize) {
+                for index in operation..operation + OPERATION_WORDS {
+                    sum = mix(sum, self.words.get(index));
+                }
+                if self.words.get(operation) & IS_LAST != 0 {
+                    return sum;
+                }
+            }
+            sum
+        };
+        let (mut sum, mut open) = (0_u64, vec![self.words.get(self.root)]);
+        while let Some(word) = open.pop() {
+            let index = index_of(word);
+            sum = match word >> KIND_SHIFT {
+                LIST => sum.wrapping_mul(3).wrapping_add(list(index)),
+                BLOCK => {
+                    open.extend((index..index + BLOCK_CELLS).map(|place| self.words.get(place)));
+                    mix(sum, BLOCK).wrapping_add(list(self.words.get(index + BLOCK_CELLS)))
+                }
+                _ => mix(sum, word),
+            };
+        }
+        sum
     }
 
     /// The table.
@@ -158,51 +225,43 @@ impl CellTree {
         &self.words
     }
 
+    /// Word of the points outside of all cells.
+    pub(super) fn whole_word(&self) -> u32 {
+        LIST << KIND_SHIFT | self.whole
+    }
+
     pub(super) fn frame(&self) -> &CellFrame {
         &self.frame
     }
 }
 
-impl Part {
-    fn record(&mut self, program: &Program<'_>, bound: f32, list: &[Operation]) -> u32 {
-        let list = self.list(program, list);
-        self.records.push((bound, list));
-        self.records.len() as u32 - 1
-    }
+/// Mixes a word into a sum (the constant of Knuth's linear congruential generator MMIX).
+fn mix(sum: u64, word: u32) -> u64 {
+    (sum ^ u64::from(word)).wrapping_mul(6_364_136_223_846_793_005).rotate_left(23)
+}
 
-    fn list(&mut self, program: &Program<'_>, list: &[Operation]) -> u32 {
-        if let Some(known) = self.known.get(list) {
-            return *known;
-        }
-        let start = self.lists.len() as u32;
-        for operation in list {
-            let word = |(family, row): (usize, u32)| (family as u32) << ROW_BITS | row;
-            let leaf = operation.leaf.map_or(NO_LEAF << ROW_BITS, |leaf| word(program.family_and_row(leaf)));
-            let join = operation.join.map_or(0, |join| {
-                let (family, row) = program.join_family_and_row(join);
-                word((family + 1, row))
-            });
-            self.lists.extend([leaf, join]);
-        }
-        let last = self.lists.len() - 2;
-        self.lists[last] |= IS_LAST;
-        self.known.insert(list.to_vec(), start);
-        start
-    }
-
-    /// Appends the part to a table; returns a word of the part, as it is there.
-    fn append_to(self, words: &mut Vec<u32>, word: u32) -> u32 {
-        let lists = words.len() as u32;
-        words.extend(&self.lists);
-        let records = words.len() as u32;
-        words.extend(self.records.iter().flat_map(|(bound, list)| [bound.to_bits(), list + lists]));
-        let blocks = words.len() as u32;
-        let there = |word: u32| {
-            if word & IS_BLOCK == 0 { records + 2 * word } else { ((word & !IS_BLOCK) + blocks) | IS_BLOCK }
+/// Words of the undivided cells at these places, or in their blocks.
+fn undivided(words: &Words, places: &[u32]) -> Vec<u32> {
+    let of_place = |&place: &u32| {
+        let word = words.get(place);
+        let (first, count) = match word >> KIND_SHIFT {
+            BLOCK => (index_of(word), BLOCK_CELLS),
+            _ => (place, 1),
         };
-        words.extend(self.blocks.iter().map(|word| there(*word)));
-        there(word)
-    }
+        (first..first + count).map(|place| words.get(place)).filter(|word| word >> KIND_SHIFT == UNDIVIDED)
+    };
+    places.iter().flat_map(of_place).collect()
+}
+
+/// The index in a cell's word.
+fn index_of(word: u32) -> u32 {
+    word & ((1 << KIND_SHIFT) - 1)
+}
+
+/// Word of a cell without a surface, of kind 0: the bits of a lower bound of the distance, above 0, but for the sign and
+/// the last.
+fn empty(bound: f32) -> u32 {
+    bound.to_bits() >> 1
 }
 
 impl CellFrame {
@@ -227,17 +286,17 @@ impl CellFrame {
         let finite = program.leaves().iter().map(super::program::Leaf::bounds).filter(|bounds| bounds.is_finite());
         let inner =
             finite.reduce(Bounds::union).unwrap_or(Bounds { min: vec3(-1.0, -1.0, -1.0), max: vec3(1.0, 1.0, 1.0) });
+        // Without outer cells, if the points are not much farther away than the shapes.
+        let largest = |bounds: Bounds| (bounds.max - bounds.min).max_element();
+        let inner = if largest(reach) <= 2.0 * largest(inner) { reach } else { inner };
         let center = (inner.min + inner.max) * 0.5;
         let size = (inner.max - inner.min).max_element().clamp(1e-4, 1e6);
-        // Powers of two from 2⁻²⁰, so that coordinates in units are exact.
-        let mut edge = f32::from_bits(0x3580_0000);
-        while edge < size {
-            edge *= 2.0;
-        }
+        // A little larger, so that rounding leaves every point inside.
+        let edge = size * (1.0 + 64.0 * f32::EPSILON);
         let inner_levels: u32 = match program.leaf_count() {
-            0..=64 => 3,
-            65..=20_000 => 4,
-            _ => 5,
+            0..=64 => 4,
+            65..=20_000 => 5,
+            _ => 6,
         };
         let unit = edge / BLOCK_EDGE.pow(inner_levels) as f32;
         let far = |low: f32, high: f32, center: f32| (center - low).max(high - center);
@@ -256,105 +315,128 @@ impl CellFrame {
     }
 }
 
-impl Builder<'_, '_> {
-    /// Word of a cell in its part, from its list, the interval of its value, and the number of its parent's leaves.
-    fn cell(&self, part: &mut Part, cell: &Cell, list: &[Operation], value: Interval, of_parent: usize) -> u32 {
-        let leaves = list.iter().filter(|operation| operation.leaf.is_some()).count();
-        let bound = value.low.max(0.0);
+impl MakeWords for Builder<Arc<dyn LeafDistances>> {
+    fn make(&self, words: &Words, missing: u32) -> u32 {
+        self.divide(words, missing)
+    }
+
+    fn place(&self, words: &Words, missing: u32) -> u32 {
+        Undivided::at(words, index_of(missing)).place
+    }
+
+    fn make_all(&self, words: &Words) {
+        self.divide_all(words);
+    }
+}
+
+impl<'a, D: Deref<Target = dyn LeafDistances + 'a> + Sync> Builder<D> {
+    fn new(frame: CellFrame, pruner: Pruner, root: u32, distances: D) -> Self {
+        let locks = std::iter::repeat_with(Mutex::default).take(64).collect();
+        let lists = std::iter::repeat_with(Mutex::default).take(64).collect();
+        Self { frame, pruner, root, distances, locks, lists }
+    }
+
+    /// Index of a list, which is appended if there is none like it.
+    fn list(&self, words: &Words, list: &[u32]) -> Option<u32> {
+        let hash = list.iter().fold(0, |hash, &word| mix(hash, word));
+        let known = &self.lists[hash as usize % self.lists.len()];
+        let mut known = known.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(&index) = known.get(&hash)
+            && list.iter().zip(index..).all(|(&word, index)| words.get(index) == word)
+        {
+            return Some(index);
+        }
+        let index = words.append(list)?;
+        known.insert(hash, index);
+        Some(index)
+    }
+
+    /// Divides all cells that are to be divided, level by level.
+    fn divide_all(&self, words: &Words) {
+        let mut level = undivided(words, &[self.root]);
+        while !level.is_empty() && !words.is_full() {
+            for &missing in &level {
+                self.divide(words, missing);
+            }
+            let places: Vec<u32> = level.iter().map(|word| Undivided::at(words, index_of(*word)).place).collect();
+            level = undivided(words, &places);
+        }
+    }
+
+    /// Divides a cell, unless that has been done; returns its word.
+    fn divide(&self, words: &Words, missing: u32) -> u32 {
+        let undivided = Undivided::at(words, index_of(missing));
+        let lock = &self.locks[undivided.place as usize % self.locks.len()];
+        let _held = lock.lock().unwrap_or_else(PoisonError::into_inner);
+        let word = words.get(undivided.place);
+        if word >> KIND_SHIFT != UNDIVIDED {
+            return word;
+        }
+        // Without room, the list serves the whole cell; then `Words::is_full` tells.
+        let word = self.block(words, &undivided).unwrap_or(LIST << KIND_SHIFT | undivided.list);
+        words.set(undivided.place, word);
+        word
+    }
+
+    /// Appends the block of a cell; returns its word.
+    fn block(&self, words: &Words, parent: &Undivided) -> Option<u32> {
+        let list: Vec<u32> = (parent.list..parent.list + parent.length).map(|index| words.get(index)).collect();
+        let cells = self.cells(&parent.cell);
+        let regions = Regions::new(&cells.map(|cell| self.frame.bounds(&cell)));
+        let leaves: Vec<u32> = self.pruner.leaves(&list).collect();
+        let mut distances = Vec::with_capacity(leaves.len() * cells.len());
+        self.distances.append(&leaves, &regions.centers(), &mut distances);
+        let unpruned =
+            Unpruned { pruner: &self.pruner, list: &list, leaves: &leaves, regions: &regions, distances: &distances };
+        let pruned = self.distances.prune(&unpruned);
+        let lists = pruned.lists();
+        let block = words.append(&[0; BLOCK_CELLS as usize + 1])?;
+        words.set(block + BLOCK_CELLS, parent.list);
+        for (index, cell) in cells.into_iter().enumerate() {
+            let place = block + index as u32;
+            let word = match pruned.value(index) {
+                value if value.low > EMPTY_ABOVE => empty(value.low),
+                value => self.near(words, parent, leaves.len(), (cell, place), value, &lists[index])?,
+            };
+            words.set(place, word);
+        }
+        Some(BLOCK << KIND_SHIFT | block)
+    }
+
+    /// Word of a cell of a block that may have a surface.
+    fn near(
+        &self,
+        words: &Words,
+        parent: &Undivided,
+        leaves_of_parent: usize,
+        (cell, place): (Cell, u32),
+        value: Interval,
+        list: &[u32],
+    ) -> Option<u32> {
+        let length = list.len() as u32;
+        let leaves =
+            list.iter().step_by(OPERATION_WORDS as usize).filter(|word| function_of(**word) != NO_LEAF).count();
+        let index = if length == parent.length { parent.list } else { self.list(words, list)? };
         // A ray enters the inside of shapes only through a surface, or from a camera there.
-        let has_surface = value.low <= 0.0 && value.high >= 0.0;
+        let has_surface = value.high >= 0.0;
         // In the outer part of the tree, one cell may have all shapes.
-        let is_shorter = leaves as f32 <= SHORTER * of_parent as f32 || cell.level <= self.frame.outer_levels + 1;
-        if !has_surface || leaves <= SHORT_LIST || !is_shorter || cell.level == self.frame.levels {
-            return part.record(self.program, bound, list);
+        let is_outer = cell.level <= self.frame.outer_levels + 1;
+        let is_shorter = is_outer || leaves as f32 <= SHORTER * leaves_of_parent as f32;
+        let stalls = if is_shorter { 0 } else { parent.stalls + 1 };
+        if has_surface && leaves > SHORT_LIST && stalls < MAX_STALLS && cell.level < self.frame.levels {
+            let undivided = Undivided { place, cell, list: index, length, stalls };
+            return Some(UNDIVIDED << KIND_SHIFT | words.append(&undivided.to_words())?);
         }
-        let words: Vec<u32> = self
-            .children(cell, list)
-            .iter()
-            .map(|(cell, list, value)| self.cell(part, cell, list, *value, leaves))
-            .collect();
-        part.blocks.extend(words);
-        (part.blocks.len() as u32 - BLOCK_CELLS) | IS_BLOCK
+        Some(LIST << KIND_SHIFT | index)
     }
 
-    /// The 64 cells of a cell, with the operations of its list that can matter in each, and the interval of their value.
-    fn children(&self, cell: &Cell, list: &[Operation]) -> Vec<(Cell, Vec<Operation>, Interval)> {
-        let size = BLOCK_EDGE.pow(self.frame.levels - cell.level - 1);
-        let child = |index: u32| {
+    /// The 64 cells of a cell.
+    fn cells(&self, parent: &Cell) -> [Cell; BLOCK_CELLS as usize] {
+        let size = BLOCK_EDGE.pow(self.frame.levels - parent.level - 1);
+        std::array::from_fn(|index| {
+            let index = index as u32;
             let steps = [index % BLOCK_EDGE, index / BLOCK_EDGE % BLOCK_EDGE, index / (BLOCK_EDGE * BLOCK_EDGE)];
-            Cell { at: std::array::from_fn(|axis| cell.at[axis] + steps[axis] * size), level: cell.level + 1 }
-        };
-        let cells: Vec<Cell> = (0..BLOCK_CELLS).map(child).collect();
-        let regions: Vec<Bounds> = cells.iter().map(|cell| self.frame.bounds(cell)).collect();
-        let centers: Vec<Vec3<f32>> = regions.iter().map(|region| (region.min + region.max) * 0.5).collect();
-        let leaves: Vec<u32> = list.iter().filter_map(|operation| operation.leaf).collect();
-        let mut distances = Vec::with_capacity(leaves.len() * centers.len());
-        self.distances.append(&leaves, &centers, &mut distances);
-        let of_cell = |(index, cell): (usize, Cell)| {
-            let at_center = distances.iter().skip(index).step_by(centers.len()).copied();
-            let (list, value) = prune(self.program, list, regions[index], at_center);
-            (cell, list, value)
-        };
-        cells.into_iter().enumerate().map(of_cell).collect()
-    }
-}
-
-/// A value that waits for a join: where its operations begin, and its interval.
-struct Waiting {
-    start: usize,
-    value: Interval,
-}
-
-/// The operations of a list that can matter in a box, and the interval of their value. `at_center` are the distances of
-/// the list's leaves at the box' center.
-fn prune(
-    program: &Program<'_>,
-    list: &[Operation],
-    region: Bounds,
-    mut at_center: impl Iterator<Item = f32>,
-) -> (Vec<Operation>, Interval) {
-    let mut kept: Vec<Operation> = Vec::new();
-    let mut stack: Vec<Waiting> = Vec::new();
-    for operation in list {
-        if let Some(leaf) = operation.leaf {
-            let at_center = at_center.next().expect("a distance of each leaf");
-            let value = program.leaves()[leaf as usize].interval(region, at_center);
-            stack.push(Waiting { start: kept.len(), value });
-            kept.push(Operation { leaf: Some(leaf), join: None });
-        }
-        if let Some(join) = operation.join {
-            apply(&program.joins()[join as usize], join, &mut stack, &mut kept);
-        }
-    }
-    let value = stack.pop().map_or(Interval::new(f32::NEG_INFINITY, f32::INFINITY), |all| all.value);
-    (kept, value)
-}
-
-fn apply(join: &Join<'_>, index: u32, stack: &mut Vec<Waiting>, kept: &mut Vec<Operation>) {
-    let second = stack.pop().expect("a value waits");
-    if join.kind.is_unary() {
-        let value = join.kind.apply_to_intervals(second.value, second.value);
-        kept.push(Operation { leaf: None, join: Some(index) });
-        stack.push(Waiting { value, ..second });
-        return;
-    }
-    let first = stack.pop().expect("a value waits");
-    let width = join.kind.width();
-    // Of equal values, the first is taken.
-    if second.value.low - first.value.high >= width {
-        kept.truncate(second.start);
-        stack.push(first);
-    } else if first.value.low - second.value.high >= width && first.value.low > second.value.high {
-        kept.drain(first.start..second.start);
-        stack.push(Waiting { start: first.start, ..second });
-    } else {
-        let value = join.kind.apply_to_intervals(first.value, second.value);
-        let is_leaf = kept.len() == second.start + 1 && kept[second.start].join.is_none();
-        if is_leaf {
-            kept[second.start].join = Some(index);
-        } else {
-            kept.push(Operation { leaf: None, join: Some(index) });
-        }
-        stack.push(Waiting { start: first.start, value });
+            Cell { at: std::array::from_fn(|axis| parent.at[axis] + steps[axis] * size), level: parent.level + 1 }
+        })
     }
 }

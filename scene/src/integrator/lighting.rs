@@ -1,5 +1,6 @@
 //! Incident light at a point, and its occlusion.
 
+use super::scene_distance::AlongRay;
 use super::{Hit, Integrator};
 use crate::ambient_occlusion::AmbientOcclusion;
 use crate::backgrounds::Backdrop;
@@ -123,7 +124,8 @@ impl Integrator<'_> {
                 max_steps: self.scene.march.max_steps,
                 relaxation: RELAXATION,
             };
-            let marched = march(reach, |t| t.mul_add(t.constant(4e-7), near), |t| self.sample(ray, t));
+            let marched =
+                march(reach, |t| t.mul_add(t.constant(4e-7), near), false, &AlongRay { integrator: self, ray });
             (R::select(marched.hit.0, zero, one), marched.evaluations)
         })
     }

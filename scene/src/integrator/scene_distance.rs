@@ -2,7 +2,7 @@
 
 use super::Integrator;
 use crate::camera::Ray;
-use crate::march::FieldSample;
+use crate::march::{Part, RayField};
 use crate::real::{Bundle, Real, Vec3};
 
 /// Distance returned if there is no surface.
@@ -20,17 +20,6 @@ impl Integrator<'_> {
         } else {
             self.distance_culled(p)
         }
-    }
-
-    /// The scene's distance at a point of a ray; in a cell without a surface, a lower bound, and the way out of it.
-    pub(super) fn sample<R: Real>(&self, ray: &Ray<R>, t: R) -> FieldSample<R> {
-        let p = ray.at(t);
-        let Some(cells) = &self.cells else { return FieldSample::new(self.distance(p)) };
-        let cell = cells.locate(p);
-        let is_empty = cell.bound.above(0.0);
-        let distance = R::when(!is_empty, cell.bound, || cells.fold(&cell, p));
-        let ahead = R::when(is_empty, distance, || distance.max(cells.way_out(&cell, ray, t)));
-        FieldSample { distance, ahead, is_empty: Some(is_empty) }
     }
 
     fn distance_unculled<R: Real>(&self, p: Vec3<R>) -> R {
@@ -100,6 +89,34 @@ impl Integrator<'_> {
         match self.step_scales[index] {
             Some(factor) => distance * distance.uniform(factor),
             None => distance,
+        }
+    }
+}
+
+/// The scene's distance along a ray.
+pub(super) struct AlongRay<'a, 'b, R> {
+    pub(super) integrator: &'a Integrator<'b>,
+    pub(super) ray: &'a Ray<R>,
+}
+
+impl<R: Real> RayField<R> for AlongRay<'_, '_, R> {
+    fn start(&self) -> Option<Part<R>> {
+        let nowhere = self.ray.direction.x.constant(-1e30);
+        self.integrator.cells.as_ref().map(|_| Part { formula: nowhere, end: nowhere })
+    }
+
+    fn enter(&self, t: R, farthest: R) -> (R, Part<R>) {
+        match &self.integrator.cells {
+            Some(cells) => cells.enter(self.ray, t, farthest),
+            None => (t, Part { formula: t, end: farthest }),
+        }
+    }
+
+    fn distance(&self, t: R, part: Option<Part<R>>) -> R {
+        let p = self.ray.at(t);
+        match (&self.integrator.cells, part) {
+            (Some(cells), Some(part)) => cells.fold(part.formula, p),
+            _ => self.integrator.distance(p),
         }
     }
 }

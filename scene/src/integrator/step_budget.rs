@@ -1,6 +1,7 @@
 //! Estimates before rendering, from a sample of rays, how often rays run out of steps.
 
 use super::Integrator;
+use super::scene_distance::AlongRay;
 use crate::march::{MarchRange, RELAXATION, Tolerance, march_to_root};
 
 /// Maximum number of sample rays.
@@ -32,14 +33,8 @@ impl Integrator<'_> {
                 MarchRange { t_min: nearest, t_max: farthest, max_steps: max_steps.min(left), relaxation: RELAXATION };
             let Tolerance { slope, floor: near } = self.tolerance;
             let approach = self.approach(slope, near, false);
-            let marched = march_to_root(
-                &ray,
-                reach,
-                approach,
-                |t| self.sample(&ray, t),
-                |p| self.distance(p),
-                |p| self.is_fine(p),
-            );
+            let along = AlongRay { integrator: self, ray: &ray };
+            let marched = march_to_root(&ray, reach, approach, &along, |p| self.distance(p), |p| self.is_fine(p));
             left -= (marched.steps as u32).min(left);
             let seen: f32 = self.view.footprint().at(marched.t);
             if marched.hit.0 || marched.t >= farthest || marched.distance < seen {

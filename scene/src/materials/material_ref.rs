@@ -2,13 +2,14 @@
 
 use std::borrow::Cow;
 use std::collections::{BTreeMap, HashMap};
-use std::sync::Arc;
+use std::sync::{Arc, LazyLock};
 
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::de::{MapAccess, Visitor, value::MapAccessDeserializer};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use super::Material;
+use crate::limits::MAX_MATERIALS;
 use crate::seek::{FrameTime, Seek, SeekError};
 
 /// Reference to a material: a name from the scene's `materials`, or a material in place.
@@ -22,7 +23,16 @@ pub enum MaterialRef {
     Slot(u32),
 }
 
+/// The material of objects that have none, which they share in memory.
+static DEFAULT: LazyLock<Arc<Material>> =
+    LazyLock::new(|| Arc::new(serde_json::from_str(r#"{ "diffuse": {} }"#).expect("a material")));
+
 impl MaterialRef {
+    /// The material of an object that has none.
+    pub(crate) fn default_of_objects() -> Self {
+        Self::InPlace(Arc::clone(&DEFAULT))
+    }
+
     /// Its index among the scene's materials in use; 0 until it is resolved.
     pub fn slot(&self) -> u32 {
         match self {
@@ -37,14 +47,23 @@ impl MaterialRef {
         named: &BTreeMap<String, Material>,
         slots: &mut MaterialSlots,
     ) -> Result<(), String> {
-        let MaterialSlots { used, by_name, in_place } = slots;
+        let MaterialSlots { used, count, by_name, in_place } = slots;
+        let mut add_slot = |material: &Material| {
+            if *count < MAX_MATERIALS {
+                used.push(material.clone());
+            }
+            *count += 1;
+            *count as u32 - 1
+        };
         let slot = match std::mem::replace(self, Self::Slot(0)) {
             Self::Name(name) => {
                 let Some(material) = named.get(&name) else { return Err(name) };
-                *by_name.entry(name).or_insert_with(|| add_slot(used, material.clone()))
+                *by_name.entry(name).or_insert_with(|| add_slot(material))
             }
+            // Slots are part of a scene's hash: each object without a material has its own, as if it were written there.
+            Self::InPlace(material) if Arc::ptr_eq(&material, &DEFAULT) => add_slot(&material),
             Self::InPlace(material) => {
-                let add = || (add_slot(used, (*material).clone()), Arc::clone(&material));
+                let add = || (add_slot(&material), Arc::clone(&material));
                 in_place.entry(Arc::as_ptr(&material)).or_insert_with(add).0
             }
             Self::Slot(slot) => slot,
@@ -57,17 +76,14 @@ impl MaterialRef {
 /// Slots of the materials in use so far.
 #[derive(Debug, Default)]
 pub(crate) struct MaterialSlots {
-    /// The materials, by slot.
+    /// The materials, by slot; the ones above [`MAX_MATERIALS`] are only counted, because the scene is rejected.
     pub used: Vec<Material>,
+    /// Number of materials.
+    pub count: usize,
     /// Slots of the named materials.
     pub by_name: BTreeMap<String, u32>,
     /// Slots of the materials in place, by address; each is held, so that no other one gets its address.
     in_place: HashMap<*const Material, (u32, Arc<Material>)>,
-}
-
-fn add_slot(used: &mut Vec<Material>, material: Material) -> u32 {
-    used.push(material);
-    used.len() as u32 - 1
 }
 
 impl Seek for MaterialRef {

@@ -7,6 +7,7 @@
 use std::ops::Range;
 
 use super::Node;
+use super::operators::group_part;
 use crate::bounds::Bounds;
 use crate::seek::Invalidate;
 
@@ -22,9 +23,30 @@ pub(super) struct BvhNode {
     pub(super) children: Option<Box<[BvhNode; 2]>>,
 }
 
-/// Hierarchy of a list; empty until it is built. Ignored by comparisons, because it follows from the list.
+/// Shapes that are combined before others.
+#[derive(Clone, Debug)]
+pub(super) struct GroupNode {
+    pub(super) shapes: Range<usize>,
+    /// Box around them, if skipping is worthwhile.
+    pub(super) bounds: Option<Bounds>,
+    /// Its parts; none if it is one shape.
+    pub(super) parts: Vec<GroupNode>,
+}
+
+/// Hierarchy of a list; none until it is built. Ignored by comparisons, because it follows from the list. Boxed, so that
+/// nodes stay small.
 #[derive(Clone, Debug, Default)]
-pub struct UnionBvh(pub(super) Option<Box<BvhNode>>);
+pub enum UnionBvh {
+    /// Skipping is not worthwhile.
+    #[default]
+    None,
+    /// Of all shapes but the first, of a union that combines them one after another.
+    #[expect(private_interfaces, reason = "only unions look inside")]
+    Halves(Box<BvhNode>),
+    /// Of a union that combines shapes in groups.
+    #[expect(private_interfaces, reason = "only unions look inside")]
+    Groups(Box<GroupNode>),
+}
 
 impl Invalidate for UnionBvh {
     fn invalidate(&mut self) {
@@ -39,18 +61,18 @@ impl PartialEq for UnionBvh {
 }
 
 impl UnionBvh {
-    /// Hierarchy of all shapes but the first; empty if skipping is not worthwhile.
-    pub(super) fn new(shapes: &[Node], is_animated: bool) -> Self {
-        Self::of(shapes.iter().map(|shape| (shape.bounds(0.0), shape.node_count())), is_animated)
-    }
-
-    /// The same, given the bounds and the number of nodes of each shape.
-    pub(super) fn of(shapes: impl Iterator<Item = (Bounds, u32)>, is_animated: bool) -> Self {
+    /// Hierarchy of a union, given the bounds and the number of nodes of each shape.
+    pub(super) fn new(shapes: impl Iterator<Item = (Bounds, u32)>, in_groups: bool, is_animated: bool) -> Self {
         let measured = |(bounds, nodes)| Measured { bounds: finite(bounds, is_animated), nodes };
         let measured: Vec<Measured> = shapes.map(measured).collect();
-        let all = (measured.len() > 1).then(|| build(&measured, 1..measured.len()));
-        // Boxed, so that nodes stay small.
-        Self(all.filter(BvhNode::has_bounds).map(Box::new))
+        if measured.len() < 2 {
+            Self::None
+        } else if in_groups {
+            Self::Groups(Box::new(group(&measured, 0..measured.len())))
+        } else {
+            let all = build(&measured, 1..measured.len());
+            if all.has_bounds() { Self::Halves(Box::new(all)) } else { Self::None }
+        }
     }
 }
 
@@ -60,10 +82,22 @@ impl BvhNode {
     }
 }
 
+/// Number of nodes of some shapes, and the box around them, if it is finite.
+fn measure(shapes: &[Measured]) -> (u32, Option<Bounds>) {
+    let nodes = shapes.iter().fold(0_u32, |nodes, shape| nodes.saturating_add(shape.nodes));
+    (nodes, shapes.iter().map(|shape| shape.bounds).reduce(|a, b| Some(a?.union(b?))).flatten())
+}
+
+fn group(shapes: &[Measured], range: Range<usize>) -> GroupNode {
+    let (nodes, bounds) = measure(&shapes[range.clone()]);
+    let part = group_part(range.len());
+    let starts = if range.len() > 1 { range.clone().step_by(part) } else { (0..0).step_by(1) };
+    let parts = starts.map(|start| group(shapes, start..range.end.min(start + part))).collect();
+    GroupNode { shapes: range, bounds: bounds.filter(|_| nodes >= MIN_BVH_NODES), parts }
+}
+
 fn build(shapes: &[Measured], range: Range<usize>) -> BvhNode {
-    let own = &shapes[range.clone()];
-    let nodes = own.iter().fold(0_u32, |nodes, shape| nodes.saturating_add(shape.nodes));
-    let bounds = own.iter().map(|shape| shape.bounds).reduce(|a, b| Some(a?.union(b?))).flatten();
+    let (nodes, bounds) = measure(&shapes[range.clone()]);
     let middle = range.start + range.len() / 2;
     let is_long = range.len() > 1 && nodes >= 2 * MIN_BVH_NODES;
     let halves = is_long.then(|| Box::new([range.start..middle, middle..range.end].map(|half| build(shapes, half))));

@@ -93,12 +93,9 @@ impl Sdf for Copies {
     }
 
     fn precompute(&mut self, is_animated: bool) {
-        self.bvh = if is_grouped(self.placements().all().len(), &self.smooth) {
-            UnionBvh::default()
-        } else {
-            let nodes = self.child.node_count();
-            UnionBvh::of(self.placed_bounds(0.0).map(|bounds| (bounds, nodes)), is_animated)
-        };
+        let nodes = self.child.node_count();
+        let in_groups = is_grouped(self.placements().all().len(), &self.smooth);
+        self.bvh = UnionBvh::new(self.placed_bounds(0.0).map(|bounds| (bounds, nodes)), in_groups, is_animated);
     }
 
     around_child!();

@@ -73,7 +73,8 @@ impl<'a> Part<'a> {
 pub(crate) fn for_each_step<'a>(parts: &[Part<'a>], smooth: &LengthOrZero, see: impl FnMut(FoldStep<'a>)) {
     let see = RefCell::new(see);
     // The value of a part whose step comes with its join; none of a group whose steps have been seen.
-    let in_groups = is_grouped(parts.len(), smooth);
+    // The order of sharp joins changes no value, and groups are left out of lists together.
+    let in_groups = smooth.is_zero() || is_grouped(parts.len(), smooth);
     let all = fold_indexed(parts.len(), in_groups, &mut |index| Some(parts[index]), &|first, second| {
         let see = &mut *see.borrow_mut();
         if let Some(first) = first {

@@ -19,7 +19,7 @@ pub use carving::{Engrave, Groove, Morph, Tongue};
 pub use seams::{Chamfer, Columns, SeamKind, Stairs};
 pub use xor::Xor;
 
-use super::bvh::{BvhNode, UnionBvh};
+use super::bvh::{BvhNode, GroupNode, UnionBvh};
 use super::cut::{Cut, Part};
 use super::value::indicator;
 use super::{Exactness, Node, Sdf, SdfValue};
@@ -120,9 +120,8 @@ fn fold_children<R: Real, V: SdfValue<R>>(of: &[Node], p: Vec3<R>, join: impl Fn
     fold_left(0..of.len(), 1, &mut |range| of[range.start].sample(p), &join)
 }
 
-/// Maximum number of shapes that a smooth union combines one after another: all that a scene may have. Groups make
-/// short lists in cells, but as long as pictures are not rendered by cells, a left fold with its hierarchy is faster.
-const MAX_LEFT_FOLD: usize = crate::limits::MAX_NODES;
+/// Maximum number of shapes that a smooth union combines one after another.
+const MAX_LEFT_FOLD: usize = 64;
 /// Number of parts of each group of a larger smooth union.
 const GROUP_PARTS: usize = 8;
 
@@ -156,7 +155,7 @@ fn fold_group<V>(range: Range<usize>, leaf: &mut impl FnMut(usize) -> V, join: &
 }
 
 /// Length of the parts of a group: the greatest power of eight below its own.
-fn group_part(length: usize) -> usize {
+pub(super) fn group_part(length: usize) -> usize {
     let mut part = 1;
     while part * GROUP_PARTS < length {
         part *= GROUP_PARTS;
@@ -195,13 +194,13 @@ pub(super) fn seam_sink(count: usize, in_groups: bool) -> f32 {
 }
 
 macro_rules! around_list {
-    ($join_bounds:expr) => {
+    ($sink:expr, $join_bounds:expr) => {
         const HAS_CHILD_LIST: bool = true;
 
         fn bounds(&self, isolevel: f32) -> Bounds {
-            // Each seam bulges by a quarter of its width at most.
-            let bulge = self.smooth.get() * 0.25 * (self.of.len() - 1) as f32;
-            let mut of = self.of.iter().map(|shape| shape.bounds(isolevel + bulge));
+            let sink: fn(&Self) -> f32 = $sink;
+            let isolevel = isolevel + self.smooth.get() * sink(self);
+            let mut of = self.of.iter().map(|shape| shape.bounds(isolevel));
             let first = of.next().expect("a list has one shape or more");
             of.fold(first, $join_bounds)
         }
@@ -231,14 +230,15 @@ impl Sdf for Union {
     }
 
     fn precompute(&mut self, is_animated: bool) {
-        self.bvh = if self.is_grouped() { UnionBvh::default() } else { UnionBvh::new(&self.of, is_animated) };
+        let shapes = self.of.iter().map(|shape| (shape.bounds(0.0), shape.node_count()));
+        self.bvh = UnionBvh::new(shapes, self.is_grouped(), is_animated);
     }
 
     fn cut(&self) -> Cut<'_> {
         Cut::Union(&self.smooth, self.of.iter().map(Part::Shape).collect())
     }
 
-    around_list!(Bounds::union);
+    around_list!(|union| seam_sink(union.of.len(), union.is_grouped()), Bounds::union);
 }
 
 impl Union {
@@ -256,9 +256,11 @@ pub(super) fn union_indexed<R: Real, V: SdfValue<R>>(
     p: Vec3<R>,
 ) -> V {
     let join = |a, b| smooth_min(a, b, smooth);
-    match &bvh.0 {
-        Some(all) => BvhUnion { smooth, shape, join: &join, p }.merge(all, shape(0)),
-        None => fold_indexed(count, is_grouped(count, smooth), &mut |index| shape(index), &join),
+    let with_bvh = BvhUnion { smooth, shape, join: &join, p };
+    match bvh {
+        UnionBvh::None => fold_indexed(count, is_grouped(count, smooth), &mut |index| shape(index), &join),
+        UnionBvh::Halves(all) => with_bvh.merge(all, shape(0)),
+        UnionBvh::Groups(all) => with_bvh.group(all),
     }
 }
 
@@ -271,32 +273,47 @@ struct BvhUnion<'a, R, S, J> {
 }
 
 impl<R: Real, S, J> BvhUnion<'_, R, S, J> {
-    /// Merges the shapes of a BVH node into the result so far, if the node is near enough: shapes farther away than
-    /// the seam is wide do not change the minimum.
+    /// Combines a sum with what is inside bounds, if that is near enough: shapes farther away than the seam is wide do
+    /// not change the minimum. `sink` is the depth of the seams inside, in widths.
+    fn unless_farther<V: SdfValue<R>>(
+        &self,
+        bounds: Option<&Bounds>,
+        sink: f32,
+        sum: V,
+        combine: impl FnOnce(V) -> V,
+    ) -> V {
+        let Some(bounds) = bounds else { return combine(sum) };
+        let beyond = bounds.distance_lower_bound(self.p);
+        let width = self.smooth.get() * (1.0 + sink);
+        let beyond = if self.smooth.is_zero() { beyond } else { beyond - self.p.x.uniform(width) };
+        sum.combine_unless_farther(beyond, combine)
+    }
+
+    /// Merges the shapes of a BVH node into the result so far.
     fn merge<V: SdfValue<R>>(&self, run: &BvhNode, sum: V) -> V
     where
         S: Fn(usize) -> V,
         J: Fn(V, V) -> V,
     {
-        match &run.bounds {
-            Some(bounds) => {
-                let beyond = bounds.distance_lower_bound(self.p);
-                let beyond = if self.smooth.is_zero() { beyond } else { beyond - self.p.x.uniform(self.smooth.get()) };
-                sum.combine_unless_farther(beyond, |sum| self.merge_children(run, sum))
+        self.unless_farther(run.bounds.as_ref(), 0.0, sum, |sum| {
+            if let Some([first, second]) = run.children.as_deref() {
+                return self.merge(second, self.merge(first, sum));
             }
-            None => self.merge_children(run, sum),
-        }
+            run.shapes.clone().fold(sum, |sum, index| (self.join)(sum, (self.shape)(index)))
+        })
     }
 
-    fn merge_children<V: SdfValue<R>>(&self, run: &BvhNode, sum: V) -> V
+    /// The value of a group.
+    fn group<V: SdfValue<R>>(&self, group: &GroupNode) -> V
     where
         S: Fn(usize) -> V,
         J: Fn(V, V) -> V,
     {
-        if let Some([first, second]) = run.children.as_deref() {
-            return self.merge(second, self.merge(first, sum));
-        }
-        run.shapes.clone().fold(sum, |sum, index| (self.join)(sum, (self.shape)(index)))
+        let Some((first, others)) = group.parts.split_first() else { return (self.shape)(group.shapes.start) };
+        others.iter().fold(self.group(first), |sum, part| {
+            let sink = seam_sink(part.shapes.len(), true);
+            self.unless_farther(part.bounds.as_ref(), sink, sum, |sum| (self.join)(sum, self.group(part)))
+        })
     }
 }
 
@@ -310,7 +327,8 @@ impl Sdf for Intersection {
         fold_children(&self.of, p, |a, b| smooth_max(a, b, &self.smooth))
     }
 
-    around_list!(Bounds::intersection);
+    // A seam only takes away.
+    around_list!(|_| 0.0, Bounds::intersection);
 }
 
 impl Sdf for Difference {
@@ -323,7 +341,8 @@ impl Sdf for Difference {
         fold_children(&self.of, p, |a, b| smooth_subtract(a, b, &self.smooth))
     }
 
-    around_list!(|first, _| first);
+    // A seam only takes away.
+    around_list!(|_| 0.0, |first, _| first);
 
     fn subtracts(&self) -> bool {
         true

@@ -10,31 +10,34 @@ use crate::seek::{FrameTime, Seek, SeekError};
 /// Parameters of a primitive, as in JSON.
 pub trait Precompute {
     /// Values that its formula uses.
-    type Derived: Clone;
+    type Derived: Clone + std::fmt::Debug;
 
     /// Derives the values.
     fn derive(&self) -> Self::Derived;
 }
 
 /// A primitive's parameters, with the values derived from them once, when the job is parsed.
+// Boxed, so that nodes stay small.
 #[derive(Debug)]
-pub struct Precomputed<G: Precompute> {
+pub struct Precomputed<G: Precompute>(Box<GivenAndDerived<G>>);
+
+#[derive(Debug)]
+struct GivenAndDerived<G: Precompute> {
     given: G,
-    // Boxed, so that nodes stay small.
-    derive: Box<G::Derived>,
+    derived: G::Derived,
 }
 
 impl<G: Precompute> Precomputed<G> {
     /// Derived values.
     pub(super) fn derive(&self) -> &G::Derived {
-        &self.derive
+        &self.0.derived
     }
 }
 
 impl<G: Precompute> From<G> for Precomputed<G> {
     fn from(given: G) -> Self {
-        let ready = Box::new(given.derive());
-        Self { given, derive: ready }
+        let derived = given.derive();
+        Self(Box::new(GivenAndDerived { given, derived }))
     }
 }
 
@@ -43,16 +46,16 @@ impl<G: Precompute> Deref for Precomputed<G> {
     type Target = G;
 
     fn deref(&self) -> &G {
-        &self.given
+        &self.0.given
     }
 }
 
 impl<G: Precompute + Seek> Seek for Precomputed<G> {
     fn seek(&mut self, clock: &mut FrameTime<'_>) -> Result<bool, Box<SeekError>> {
-        let Self { given, derive: ready } = self;
+        let GivenAndDerived { given, derived } = &mut *self.0;
         let is_animated = given.seek(clock)?;
         if is_animated {
-            **ready = given.derive();
+            *derived = given.derive();
         }
         Ok(is_animated)
     }
@@ -60,13 +63,14 @@ impl<G: Precompute + Seek> Seek for Precomputed<G> {
 
 impl<G: Precompute + Clone> Clone for Precomputed<G> {
     fn clone(&self) -> Self {
-        Self { given: self.given.clone(), derive: self.derive.clone() }
+        let GivenAndDerived { given, derived } = &*self.0;
+        Self(Box::new(GivenAndDerived { given: given.clone(), derived: derived.clone() }))
     }
 }
 
 impl<G: Precompute + PartialEq> PartialEq for Precomputed<G> {
     fn eq(&self, other: &Self) -> bool {
-        self.given == other.given
+        self.0.given == other.0.given
     }
 }
 
@@ -78,7 +82,7 @@ impl<'de, G: Precompute + Deserialize<'de>> Deserialize<'de> for Precomputed<G> 
 
 impl<G: Precompute + Serialize> Serialize for Precomputed<G> {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        self.given.serialize(serializer)
+        self.0.given.serialize(serializer)
     }
 }
 

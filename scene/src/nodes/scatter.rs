@@ -149,11 +149,11 @@ impl Sdf for Scatter {
     fn precompute(&mut self, is_animated: bool) {
         let nodes: Vec<u32> = self.of.iter().map(Node::node_count).collect();
         self.bvh = match self.placed() {
-            Ok(ScatteredCopies { shapes, .. }) if !self.is_grouped() => {
+            Ok(ScatteredCopies { shapes, .. }) => {
                 let nodes = shapes.iter().map(|&shape| nodes[shape]);
-                UnionBvh::of(self.placed_bounds(0.0).zip(nodes), is_animated)
+                UnionBvh::new(self.placed_bounds(0.0).zip(nodes), self.is_grouped(), is_animated)
             }
-            Ok(_) | Err(_) => UnionBvh::default(),
+            Err(_) => UnionBvh::default(),
         };
     }
 

@@ -10,7 +10,6 @@ mod repair;
 
 use std::collections::HashSet;
 
-use serde::Serialize;
 use serde::de::DeserializeOwned;
 
 use super::depends::is_sure;
@@ -20,7 +19,7 @@ use super::tree::{self, TreeError, Value};
 use super::{MAX_ERRORS, too_deep, twice};
 use crate::document::JobDocument;
 use crate::error::{LineIndex, ValidationError};
-use crate::json_scan::unescape;
+use crate::json_scan::{self, unescape};
 use crate::lights::Light;
 use crate::materials::Material;
 use crate::nodes::Node;
@@ -28,6 +27,8 @@ use crate::scene::Object;
 
 /// Maximum number of bytes parsed again to find more errors, of all parts together.
 const MAX_READ_BYTES: usize = 32 << 20;
+/// Maximum number of values of a text that is repaired: a value takes up to 170 bytes of memory.
+const MAX_VALUES: usize = 1_500_000;
 /// Minimum cost of parsing a part, in bytes.
 const MIN_READ_BYTES: usize = 256;
 
@@ -47,8 +48,8 @@ enum DocumentPart {
 impl DocumentPart {
     /// The first error of a text that should be such a part.
     fn read(self, text: &str) -> Result<(), FormError> {
-        fn read<T: DeserializeOwned + Serialize>(text: &str) -> Result<(), FormError> {
-            form::read_strictly::<T>(text).map(drop)
+        fn read<T: DeserializeOwned>(text: &str) -> Result<(), FormError> {
+            form::read::<T>(text).map(drop)
         }
         match self {
             Self::Job => read::<JobDocument>(text),
@@ -147,10 +148,14 @@ struct Collector<'a> {
     bytes_read: usize,
 }
 
-/// All errors of a text that is valid JSON, in the order of their positions; none if it is a valid job.
+/// All errors of a text that is valid JSON, in the order of their positions; none if it is a valid job, or if it has
+/// more values than can be repaired in little memory.
 ///
 /// `meaning` returns pointer and message of the semantic errors of a text that is valid in form.
 pub(super) fn all(text: &str, meaning: impl Fn(&str) -> Vec<(String, String)>) -> Vec<ValidationError> {
+    if json_scan::has_more_values_than(text, MAX_VALUES) {
+        return Vec::new();
+    }
     let mut collector = Collector::new(text);
     collector.part(DocumentPart::Job, &[]);
     if collector.can_continue() {

@@ -2,11 +2,11 @@
 
 use std::fmt::Write as _;
 
-use serde::Serialize;
 use serde::de::DeserializeOwned;
 use serde_path_to_error::{Path, Segment};
 
-use super::{list_form, messages, suggest};
+use super::strict::Strict;
+use super::{messages, suggest};
 use crate::error::ValidationError;
 use crate::json_scan;
 
@@ -44,24 +44,12 @@ pub(super) enum FormErrorKind {
     Value,
 }
 
-/// Deserializes valid JSON; fails with the first error of its form.
+/// Deserializes valid JSON; fails with the first error of its form. A list in place of an object is one.
 pub(super) fn read<T: DeserializeOwned>(text: &str) -> Result<T, FormError> {
     let mut deserializer = serde_json::Deserializer::from_str(text);
     deserializer.disable_recursion_limit();
-    serde_path_to_error::deserialize(&mut deserializer)
+    serde_path_to_error::deserialize(Strict(&mut deserializer))
         .map_err(|error| fault(text, pointer(error.path()), strip_position(&error.inner().to_string())))
-}
-
-/// The same, but rejects a list in place of an object.
-pub(super) fn read_strictly<T: DeserializeOwned + Serialize>(text: &str) -> Result<T, FormError> {
-    let value = read(text)?;
-    match list_form::list_instead_of_object(text, &value) {
-        Some(pointer) => {
-            let message = "must be an object, not a list: write each value after its key".to_owned();
-            Err(FormError { pointer, is_key: false, kind: FormErrorKind::Value, message })
-        }
-        None => Ok(value),
-    }
 }
 
 /// The error of serde at a pointer.

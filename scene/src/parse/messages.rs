@@ -53,10 +53,7 @@ fn type_error(message: &str) -> Option<String> {
     let (got, wanted) = message.split_once(", expected ")?;
     if let Some(length) = got.strip_prefix("invalid length ") {
         let entries = if length == "1" { "entry" } else { "entries" };
-        return Some(match wanted {
-            wanted if wanted.starts_with("struct ") => "must be an object, not a list".to_owned(),
-            wanted => format!("has {length} {entries}: write {}", expected_form(wanted)),
-        });
+        return Some(format!("has {length} {entries}: write {}", expected_form(wanted)));
     }
     let got = got.strip_prefix("invalid type: ").or_else(|| got.strip_prefix("invalid value: "))?;
     Some(format!("must be {}, not {}", expected_form(wanted), actual_form(got)))
@@ -108,7 +105,6 @@ mod tests {
                 "invalid length 2, expected tuple struct Point with 3 elements",
                 "has 2 entries: write a list of 3 numbers",
             ),
-            ("invalid length 1, expected struct Job with 5 elements", "must be an object, not a list"),
             ("missing field `by`", "missing field `by`"),
         ] {
             assert_eq!(of("{}", "", serde).1, ours);

@@ -10,7 +10,7 @@ use crate::json_scan::escape;
 use crate::limits::{MAX_NODE_DEPTH, MAX_NODES, MAX_PLACING_COST};
 use crate::nodes::{Node, NodeError};
 use crate::scene::{base_pointer, child_pointers};
-use crate::shapes::{TreeSize, WrittenNodes, each_use, in_order_of_use, target};
+use crate::shapes::{TreeSize, WrittenNodes, each_use, ends, in_order_of_use, target};
 
 /// Maximum number of names listed in a message about a cycle.
 const MAX_LISTED: usize = 8;
@@ -20,8 +20,10 @@ pub(super) fn expand(scene: &mut SceneDocument, faults: &mut SemanticErrors) -> 
     let shapes = std::mem::take(&mut scene.shapes);
     unknown_uses(scene, &shapes, faults);
     let limits = limits(scene, &shapes, faults);
+    let ends = ends(&shapes, &limits.order);
     let mut expansion = Expansion {
         shapes: &shapes,
+        ends: &ends,
         limits,
         is_valid: BTreeMap::new(),
         used: BTreeSet::new(),
@@ -34,7 +36,7 @@ pub(super) fn expand(scene: &mut SceneDocument, faults: &mut SemanticErrors) -> 
     }
     let unused_names = shapes.keys().filter(|name| !expansion.used.contains(name.as_str())).cloned().collect();
     let unused = expansion.unused();
-    let written = written.map(|objects| WrittenNodes { objects, shapes });
+    let written = written.map(|objects| WrittenNodes { objects, shapes, ends });
     NamedShapes { written, unused_names, unused }
 }
 
@@ -43,14 +45,19 @@ fn unknown_uses(scene: &SceneDocument, shapes: &BTreeMap<String, Node>, faults: 
     let objects = scene.objects.iter().enumerate();
     let objects = objects.map(|(index, object)| (format!("/scene/objects/{index}/shape"), &object.shape));
     let named = shapes.iter().map(|(name, shape)| (format!("/scene/shapes/{}", escape(name)), shape));
-    for (mut pointer, node) in objects.chain(named) {
+    let known: Vec<&str> = shapes.keys().map(String::as_str).collect();
+    for (mut pointer, node) in objects.chain(named).filter(|(_, node)| has_use(node)) {
         each_use(node, &mut pointer, 1, &mut |pointer, name, _| {
             if !shapes.contains_key(name) && faults.len() < MAX_ERRORS {
-                let known: Vec<&str> = shapes.keys().map(String::as_str).collect();
                 faults.push((format!("{pointer}/use"), suggest::unknown_shape(name, &known)));
             }
         });
     }
+}
+
+/// Whether a node, or one in it, is a `use`: faster than visiting each with its pointer.
+fn has_use(node: &Node) -> bool {
+    node.used_shape().is_some() || node.children().iter().chain(node.base()).any(has_use)
 }
 
 /// Sizes of the shapes, and whether they are within the limits.
@@ -80,7 +87,7 @@ fn limits<'s>(scene: &SceneDocument, shapes: &'s BTreeMap<String, Node>, faults:
         let size = TreeSize::of(&shapes[name], &limits.sizes);
         let pointer = format!("/scene/shapes/{}", escape(name));
         limits.can_replace &= !nests_too_deep(&shapes[name], &pointer, size, &limits.sizes, faults);
-        if let Some(fault) = too_many_copies(&shapes[name], pointer.clone(), &limits.sizes) {
+        if let Some(fault) = too_many_copies(&shapes[name], size, pointer.clone(), &limits.sizes) {
             faults.push(fault);
             limits.can_replace = false;
         } else if size.nodes > MAX_NODES as u64 {
@@ -100,7 +107,7 @@ fn limits<'s>(scene: &SceneDocument, shapes: &'s BTreeMap<String, Node>, faults:
         let size = TreeSize::of(&object.shape, &limits.sizes);
         let pointer = format!("/scene/objects/{index}/shape");
         limits.can_replace &= !nests_too_deep(&object.shape, &pointer, size, &limits.sizes, faults);
-        copies_fault = copies_fault.or_else(|| too_many_copies(&object.shape, pointer, &limits.sizes));
+        copies_fault = copies_fault.or_else(|| too_many_copies(&object.shape, size, pointer, &limits.sizes));
         nodes = nodes.saturating_add(size.nodes);
         written = written.saturating_add(written_nodes(&object.shape));
     }
@@ -114,16 +121,20 @@ fn limits<'s>(scene: &SceneDocument, shapes: &'s BTreeMap<String, Node>, faults:
     limits
 }
 
-/// Error for the innermost node whose copies alone are more nodes than a scene may have.
-fn too_many_copies(node: &Node, mut pointer: String, sizes: &BTreeMap<&str, TreeSize>) -> Option<(String, String)> {
-    let size = TreeSize::of(node, sizes);
+/// Error for the innermost node in a node of this size whose copies alone are more nodes than a scene may have.
+fn too_many_copies(
+    node: &Node,
+    size: TreeSize,
+    mut pointer: String,
+    sizes: &BTreeMap<&str, TreeSize>,
+) -> Option<(String, String)> {
     if size.nodes <= MAX_NODES as u64 || node.used_shape().is_some() {
         return None;
     }
     let children: Vec<TreeSize> = node.children().iter().map(|child| TreeSize::of(child, sizes)).collect();
     if let Some(large) = children.iter().position(|child| child.nodes > MAX_NODES as u64) {
-        pointer.push_str(&child_pointers(node)[large]);
-        return too_many_copies(&node.children()[large], pointer, sizes);
+        child_pointers(node).skip(large).take(1).for_each(|step| step.push_to(&mut pointer));
+        return too_many_copies(&node.children()[large], children[large], pointer, sizes);
     }
     let once = children.iter().fold(0, |nodes: u64, child| nodes.saturating_add(child.nodes));
     let copied = node.nodes_in_children(&mut children.iter().map(|child| child.nodes));
@@ -183,6 +194,8 @@ fn cycle_fault(shapes: &BTreeMap<String, Node>, cycle: &[&str]) -> (String, Stri
 /// Validation of nodes, in which each `use` is replaced.
 struct Expansion<'s, 'f> {
     shapes: &'s BTreeMap<String, Node>,
+    /// See [`ends`].
+    ends: &'s BTreeMap<String, String>,
     limits: Limits<'s>,
     /// Whether a shape is valid, once it has been validated.
     is_valid: BTreeMap<&'s str, bool>,
@@ -208,7 +221,7 @@ impl Expansion<'_, '_> {
             if let Some(base) = node.base_mut() {
                 self.node(base, &mut None, depth + 1);
             }
-            return self.can_place(node, "/scene/shapes");
+            return self.can_place(node, || "/scene/shapes".to_owned());
         };
         if depth == MAX_NODE_DEPTH + 1 {
             self.faults.push((at.clone(), format!("nests {depth} nodes deep: nest at most {MAX_NODE_DEPTH}")));
@@ -218,15 +231,15 @@ impl Expansion<'_, '_> {
         let steps = child_pointers(node);
         for (child, step) in node.children_mut().iter_mut().zip(steps) {
             if let Some(at) = pointer {
-                at.push_str(&step);
+                step.push_to(at);
             }
             is_sound &= self.node(child, pointer, depth + 1);
             if let Some(at) = pointer {
                 at.truncate(length);
             }
         }
-        let step = base_pointer(node);
-        if let (Some(base), Some(at)) = (node.base_mut(), pointer.as_mut()) {
+        let step = node.base().map(|_| base_pointer(node));
+        if let (Some(base), Some(step), Some(at)) = (node.base_mut(), step, pointer.as_mut()) {
             at.push_str(&step);
             is_sound &= self.node(base, pointer, depth + 1);
         }
@@ -244,8 +257,8 @@ impl Expansion<'_, '_> {
             self.faults.push((format!("{pointer}/{name}/of"), format!("is empty: {name} needs a shape or more")));
             return false;
         }
-        let place = format!("{pointer}{}", base_pointer(node));
-        if !are_children_sound || !self.limits.can_evaluate || !self.can_place(node, &place) {
+        let in_base = || format!("{pointer}{}", base_pointer(node));
+        if !are_children_sound || !self.limits.can_evaluate || !self.can_place(node, in_base) {
             return false;
         }
         match node.fault() {
@@ -258,14 +271,14 @@ impl Expansion<'_, '_> {
     }
 
     /// Whether the copies that a node scatters can be placed within the scene's limit. Reports the first that cannot.
-    fn can_place(&mut self, node: &Node, pointer: &str) -> bool {
+    fn can_place(&mut self, node: &Node, pointer: impl FnOnce() -> String) -> bool {
         let (before, cost) = (self.placing_cost, node.placing_cost());
         self.placing_cost += cost;
         if before <= MAX_PLACING_COST && self.placing_cost > MAX_PLACING_COST {
             let message = format!(
                 "takes too long to place copies on: use fewer copies, or a simpler shape; the copies, each times the nodes under it, may be {MAX_PLACING_COST:e} in a scene"
             );
-            self.faults.push((pointer.to_owned(), message));
+            self.faults.push((pointer(), message));
         }
         cost == 0.0 || self.placing_cost <= MAX_PLACING_COST
     }
@@ -273,7 +286,8 @@ impl Expansion<'_, '_> {
     /// Replaces a `use` by its shape. Returns whether the shape is valid.
     fn replace(&mut self, node: &mut Node) -> bool {
         self.note_use(node);
-        let Some((name, shape)) = target(self.shapes, node).filter(|_| self.limits.can_replace) else { return false };
+        let target = self.limits.can_replace.then(|| target(self.shapes, self.ends, node)).flatten();
+        let Some((name, shape)) = target else { return false };
         let mut shape = shape.clone();
         let known = self.is_valid.get(name).copied();
         let is_valid = if let Some(is_valid) = known {

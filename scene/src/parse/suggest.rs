@@ -8,6 +8,8 @@ use crate::nodes::snake_case;
 const MAX_LISTED: usize = 16;
 /// Maximum length of a name that is compared: longer names are not typing errors.
 const MAX_COMPARED_CHARS: usize = 64;
+/// Maximum number of names that are compared for likeness: a job may have hundreds of thousands.
+const MAX_COMPARED_NAMES: usize = 2_000;
 /// Minimum similarity (Jaro and Winkler's) of names with the same beginning.
 const MIN_SIMILARITY: f64 = 0.88;
 
@@ -122,6 +124,9 @@ pub(super) fn nearest<'a>(name: &str, known: &[&'a str]) -> Option<&'a str> {
     let mut meant = SYNONYMS.iter().filter(|(theirs, _)| *theirs == plain || theirs.replace('_', "") == plain);
     if let Some(ours) = meant.find_map(|(_, ours)| known.iter().find(|known| *known == ours)) {
         return Some(ours);
+    }
+    if known.len() > MAX_COMPARED_NAMES {
+        return None;
     }
     let most = (plain.chars().count() / 3).max(1);
     let by_edits = known.iter().map(|known| (damerau_levenshtein(&plain, known), *known));

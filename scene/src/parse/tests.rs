@@ -152,6 +152,44 @@ fn errors_below_a_misspelled_node_are_reported_too() {
 
 #[test]
 fn as_many_nodes_as_allowed_are_accepted() {
-    let spheres = vec![r#"{ "sphere": { "radius": 1 } }"#; MAX_NODES - 1].join(",");
-    assert_eq!(faults(&around(&format!(r#"{{ "shape": {{ "union": {{ "of": [{spheres}] }} }} }}"#))), []);
+    let copies = |grid: [usize; 3]| {
+        let copies = format!(
+            r#"{{ "child": {{ "sphere": {{ "radius": 1 }} }}, "at": {{ "grid": {grid:?}, "step": [3, 3, 3] }} }}"#
+        );
+        faults(&around(&format!(r#"{{ "shape": {{ "copies": {copies} }} }}"#)))
+    };
+    assert_eq!(999 * 1001 + 1, MAX_NODES, "copies, and the node that makes them");
+    assert_eq!(copies([999, 1001, 1]), []);
+    let faults = copies([1000, 1000, 1]);
+    assert!(faults.len() == 1 && faults[0].message.contains("makes 1000001 nodes"), "{faults:#?}");
+}
+
+#[test]
+fn a_text_of_too_many_values_has_its_first_error_only() {
+    let wrong = |count: usize| {
+        let numbers = "0,".repeat(count);
+        faults(&format!(r#"{{ "numbers": [{numbers}0], "scene": 1, "image": {{}} }}"#)).len()
+    };
+    assert!(wrong(1000) > 1);
+    assert_eq!(wrong(1_500_000), 1);
+}
+
+#[test]
+fn lists_in_place_of_objects_are_errors_wherever_they_are() {
+    for (text, pointer) in [
+        ("[]".to_owned(), ""),
+        (around(r#"[{ "diffuse": {} }, { "sphere": { "radius": 1 } }]"#), "/scene/objects/0"),
+        (around(r#"{ "shape": { "sphere": [1] } }"#), "/scene/objects/0/shape/sphere"),
+        (
+            around(r#"{ "shape": { "union": { "of": [{ "sphere": [1] }] } } }"#),
+            "/scene/objects/0/shape/union/of/0/sphere",
+        ),
+        (
+            around(r#"{ "shape": { "sphere": { "radius": [[[0, 1]], "smooth"] } } }"#),
+            "/scene/objects/0/shape/sphere/radius",
+        ),
+    ] {
+        let found = faults(&text);
+        assert!(found.first().is_some_and(|fault| fault.pointer == pointer), "{text}: {found:#?}");
+    }
 }

@@ -2,7 +2,8 @@
 
 use std::ops::{Add, BitAnd, BitOr, BitXor, Mul, Shl, Shr};
 
-use super::{Bits, Bundle, Merge, Real, SQRT_FLOOR, Table};
+use super::list::{self, ListFunctions};
+use super::{Bits, Bundle, Merge, Real, SQRT_FLOOR, Table, Vec3};
 
 /// The bits of an `f32`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -136,12 +137,15 @@ impl Real for f32 {
 
     #[inline]
     fn word(table: &Table, index: F32Bits) -> F32Bits {
-        F32Bits(table[(index.0 as usize).min(table.len() - 1)])
+        F32Bits(table.get(index.0.min(table.capacity() as u32 - 1)))
     }
 
-    #[inline]
-    fn known(word: F32Bits) -> Option<u32> {
-        Some(word.0)
+    fn made(table: &Table, missing: F32Bits) -> F32Bits {
+        F32Bits(table.make(missing.0))
+    }
+
+    fn fold<F: ListFunctions<Self>>(table: &Table, first: F32Bits, p: Vec3<Self>, functions: &F) -> F::Value {
+        list::fold(table, first.0, p, functions)
     }
 
     #[inline]

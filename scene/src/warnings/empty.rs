@@ -32,7 +32,7 @@ fn empty_difference(node: &Node, pointer: &mut String, boxes_left: &mut usize) -
     }
     let length = pointer.len();
     node.children().iter().zip(child_pointers(node)).find_map(|(child, step)| {
-        pointer.push_str(&step);
+        step.push_to(pointer);
         let found = empty_difference(child, pointer, boxes_left);
         pointer.truncate(length);
         found

@@ -100,7 +100,7 @@ fn rotation_in_radians(node: &Node, pointer: &mut String) -> Option<(String, Str
     }
     let length = pointer.len();
     node.children().iter().zip(child_pointers(node)).find_map(|(child, step)| {
-        pointer.push_str(&step);
+        step.push_to(pointer);
         let found = rotation_in_radians(child, pointer);
         pointer.truncate(length);
         found

@@ -35,7 +35,7 @@ fn moves_under(
     }
     let length = pointer.len();
     node.children().iter().zip(child_pointers(node)).find_map(|(child, step)| {
-        pointer.push_str(&step);
+        step.push_to(pointer);
         let found = moves_under(child, is_under_texture, is_textured, pointer);
         pointer.truncate(length);
         found

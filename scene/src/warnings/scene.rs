@@ -51,12 +51,12 @@ fn main_cause<'a>(node: &'a Node, pointer: &mut String) -> &'a Node {
     let children = node.children().iter().zip(child_pointers(node));
     match children.reduce(|a, b| if b.0.stretch() > a.0.stretch() { b } else { a }) {
         Some((child, step)) if child.stretch() > 0.5 * own => {
-            pointer.push_str(&step);
+            step.push_to(pointer);
             main_cause(child, pointer)
         }
         _ => {
             pointer.push('/');
-            pointer.push_str(&node.name());
+            pointer.push_str(node.name());
             node
         }
     }

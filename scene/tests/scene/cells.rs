@@ -25,6 +25,9 @@ impl Random {
     }
 }
 
+/// Coordinates of the points that the cells of these tests contain.
+const REACH: f32 = 40.0;
+
 /// Box with corners at ±`reach`.
 fn around(reach: f32) -> Bounds {
     Bounds::symmetric(reach, reach, reach)
@@ -36,25 +39,31 @@ fn check(name: &str, job: &Job, points: u32) {
     let objects: Vec<_> =
         still.scene().objects.iter().enumerate().map(|(index, object)| (index, object, None)).collect();
     let Some(program) = Program::new(&objects) else { return };
-    let cells = Cells::new(program, around(40.0), &ScalarBuilder);
+    let cells = Cells::new(program, around(REACH), &ScalarBuilder);
     let mut random = Random(3);
+    for index in 0..points {
+        let mut p = random.point(REACH);
+        let coordinate = [&mut p.x, &mut p.y, &mut p.z].into_iter().nth(index as usize % 3);
+        *coordinate.expect("one of three") = if index.is_multiple_of(2) { REACH } else { -REACH };
+        assert!(!cells.is_outside(p), "{name}: no cell has {p:?}, which is on the face of what is to be reached");
+    }
     let (mut empty, mut near) = (0, 0);
     for index in 0..points {
         let reach = [3.0, 10.0, 39.0, 50.0][index as usize % 4];
         let p = random.point(reach);
         for p in [p, cells.on_face(p, 0), cells.on_face(p, 1), cells.on_face(p, -1)] {
             let cell = cells.locate(p);
-            let (whole, listed) = (cells.program().distance(p), cells.fold(&cell, p));
+            let (whole, listed, bound) = (cells.whole_distance(p), cells.distance(p), cell.bound());
             assert_eq!(whole.to_bits(), listed.to_bits(), "{name} at {p:?}: {whole}, and {listed} by cells");
-            assert!(cell.bound <= whole.max(0.0), "{name} at {p:?}: {whole}, bound {}", cell.bound);
-            if cell.bound > 0.0 { empty += 1 } else { near += 1 }
+            assert!(bound <= whole.max(0.0), "{name} at {p:?}: {whole}, bound {bound}");
+            if bound > 0.0 { empty += 1 } else { near += 1 }
         }
     }
     println!(
         "{name}: {} leaves, {} families, {} words, {empty} empty, {near} near",
         cells.program().leaf_count(),
         cells.program().family_count(),
-        cells.tree().words().len()
+        cells.tree().words().used()
     );
 }
 

@@ -230,20 +230,27 @@ fn copies(at: &Value) -> Value {
 
 #[test]
 fn too_many_copies_are_rejected_before_they_are_made() {
-    has_fault(&copies(&json!({ "ring": 1_000_000_000, "radius": 1 })), "/copies/at/ring", "must be 1 to 100000 copies");
+    has_fault(
+        &copies(&json!({ "ring": 1_000_000_000, "radius": 1 })),
+        "/copies/at/ring",
+        "must be 1 to 1000000 copies",
+    );
     has_fault(
         &copies(&json!({ "grid": [1000, 1000, 1000], "step": [1, 1, 1] })),
         "/copies/at",
         "makes 1000000000 copies",
     );
-    let nested = copies(&json!({ "ring": 100_000, "radius": 1 }));
-    let nested = json!({ "copies": { "child": nested, "at": { "ring": 100_000, "radius": 1 } } });
+    let nested = copies(&json!({ "ring": 1_000_000, "radius": 1 }));
+    let nested = json!({ "copies": { "child": nested, "at": { "ring": 1_000_000, "radius": 1 } } });
     let Err(ParseError::Invalid(faults)) = job_of(&json!({ "repeat": { "cell": [1, 1, 1], "child": nested } })) else {
         panic!("it is valid")
     };
     assert_eq!(faults.len(), 1, "{faults:?}");
     let place = "/scene/objects/0/shape/repeat/child/copies/child/copies";
-    assert!(faults[0].pointer == place && faults[0].message.contains("makes 100001 nodes of its copies"), "{faults:?}");
+    assert!(
+        faults[0].pointer == place && faults[0].message.contains("makes 1000001 nodes of its copies"),
+        "{faults:?}"
+    );
 }
 
 #[test]
@@ -260,7 +267,7 @@ fn errors_in_placements_have_their_place_and_fix() {
         (json!([{ "material": "fog" }]), "/at/0/material", "fills a whole object"),
         (json!([[[0, 0, 0]]]), "/at/0", "must be an object, not a list"),
         (json!({ "grid": [2, 2, 2] }), "/at", "is not one of the forms"),
-        (json!({ "grid": [2, 2, 0], "step": [1, 1, 1] }), "/at/grid/2", "must be 1 to 100000"),
+        (json!({ "grid": [2, 2, 0], "step": [1, 1, 1] }), "/at/grid/2", "must be 1 to 1000000"),
         (json!({ "grid": [2, 2, 2], "step": [1, 1, 1], "ring": 5 }), "/at", "is not one of the forms"),
         (json!({ "grid": [90_000, 1, 1], "step": [100, 1, 1] }), "/at/step/0", "use a smaller step"),
         (json!({ "along": [[0, 0, 0]], "count": 5 }), "/at/along", "two points or more"),

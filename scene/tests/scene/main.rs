@@ -8,6 +8,7 @@ mod copies;
 mod extremes;
 mod fractals;
 mod kinds;
+mod large;
 mod materials;
 mod noise;
 mod penumbra;

@@ -233,22 +233,22 @@ fn doubling_shapes_are_rejected_before_they_are_copied() {
     has_faults(
         &doubling(60),
         r#"{ "shape": { "use": "s60" } }"#,
-        &[("/scene/shapes/s16", "has 131071 nodes, counting those of the shapes in it: use at most 100000")],
+        &[("/scene/shapes/s19", "has 1048575 nodes, counting those of the shapes in it: use at most 1000000")],
     );
-    let four = [r#"{ "shape": { "use": "s15" } }"#; 4].join(", ");
+    let two = [r#"{ "shape": { "use": "s18" } }"#; 2].join(", ");
     has_faults(
-        &doubling(15),
-        &four,
-        &[("/scene/objects", "has 262140 nodes, counting each use of a shape and each copy: use at most 100000")],
+        &doubling(18),
+        &two,
+        &[("/scene/objects", "has 1048574 nodes, counting each use of a shape and each copy: use at most 1000000")],
     );
-    let mut unused = doubling(14);
-    for index in 0..9 {
-        write!(unused, r#", "u{index}": {{ "union": {{ "of": [{{ "use": "s14" }}] }} }}"#).unwrap();
+    let mut unused = doubling(18);
+    for index in 0..2 {
+        write!(unused, r#", "u{index}": {{ "union": {{ "of": [{{ "use": "s18" }}] }} }}"#).unwrap();
     }
     has_faults(
         &unused,
         &format!(r#"{{ "shape": {BALL} }}"#),
-        &[("/scene/shapes", "more than 100000 nodes that no object uses")],
+        &[("/scene/shapes", "more than 1000000 nodes that no object uses")],
     );
     assert_eq!(job(&doubling(15), r#"{ "use": "s15" }"#).nodes(), 65_535);
 }
@@ -274,4 +274,16 @@ fn nesting_is_limited_with_each_use_replaced() {
         r#"{ "shape": { "use": "deep" } }"#,
         &[(&place, "nests 65 nodes deep"), ("/scene/objects/0/shape/use", "65")],
     );
+}
+
+#[test]
+fn many_uses_of_a_long_chain_of_names_are_replaced_at_once() {
+    let links = 20_000;
+    let mut chain = format!(r#""s0": {BALL}"#);
+    for index in 1..links {
+        write!(chain, r#", "s{index}": {{ "use": "s{}" }}"#, index - 1).unwrap();
+    }
+    // Following the chain for each use would take 4·10⁸ steps.
+    let uses = vec![format!(r#"{{ "use": "s{}" }}"#, links - 1); links].join(", ");
+    assert_eq!(job(&chain, &format!(r#"{{ "union": {{ "of": [{uses}] }} }}"#)).nodes(), links as u32 + 1);
 }

@@ -12,10 +12,12 @@ use futures_util::StreamExt;
 use proto::problem::ValidationErrorView;
 use serde::de::DeserializeOwned;
 
+use super::content_encoding::ContentEncoding;
 use super::error::ApiError;
-use crate::admission::{CallerClass, Holder, UNCOUNTED_BYTES};
+use crate::admission::{CallerClass, Holder, Shares, UNCOUNTED_BYTES};
 use crate::budget::Share;
 use crate::farm::Farm;
+use crate::job_cache::Reader;
 
 /// Of a body that is too large, this many bytes are read and discarded, so that the client reads the response.
 const MAX_DISCARDED_BYTES: usize = 64 << 20;
@@ -34,6 +36,7 @@ pub(super) fn expect_json(headers: &HeaderMap) -> Result<(), ApiError> {
 #[derive(Debug)]
 pub(super) struct RequestBody {
     body: Body,
+    farm: Arc<Farm>,
     holder: Holder,
     share: Share,
 }
@@ -54,6 +57,12 @@ pub(super) struct Room {
 }
 
 impl Room {
+    /// Room for a body that is empty so far.
+    fn new(holder: Holder, shares: &Shares) -> Self {
+        let share = shares.body(&holder);
+        Self { holder, share, size_bytes: 0 }
+    }
+
     /// Takes room for this many more bytes; the first few of each body are not counted.
     pub(super) fn grow(&mut self, more_bytes: usize) -> Result<(), ApiError> {
         let counted = |size_bytes: usize| size_bytes.saturating_sub(UNCOUNTED_BYTES);
@@ -111,7 +120,7 @@ impl FromRequest<Arc<Farm>> for RequestBody {
             .cloned()
             .unwrap_or_else(|| Holder::of_address(CallerClass::User, None));
         let share = farm.admission.shares.body(&holder);
-        Ok(Self { body: request.into_body(), holder, share })
+        Ok(Self { body: request.into_body(), farm: Arc::clone(farm), holder, share })
     }
 }
 
@@ -149,13 +158,34 @@ pub(super) async fn read(request: RequestBody, limit_bytes: usize) -> Result<Bod
     }
 }
 
-/// Reads a JSON body of at most `limit_bytes`.
+/// Reads a body that is at most `limit_bytes` as sent, and when it is unpacked. It is unpacked when it is its sender's
+/// turn, and counted as it grows.
+pub(super) async fn read_encoded(
+    request: RequestBody,
+    encoding: Option<ContentEncoding>,
+    limit_bytes: usize,
+) -> Result<BodyBytes, ApiError> {
+    let (farm, holder) = (Arc::clone(&request.farm), request.holder.clone());
+    let packed = read(request, limit_bytes).await?;
+    let Some(encoding) = encoding else { return Ok(packed) };
+    let (name, room) = (holder.name.clone(), Room::new(holder, &farm.admission.shares));
+    farm.jobs.run(Reader::Submitter(&name), move || unpack(encoding, &packed, limit_bytes, room)).await?
+}
+
+/// Unpacks a body into a room of its own.
+fn unpack(encoding: ContentEncoding, packed: &[u8], limit_bytes: usize, mut room: Room) -> Result<BodyBytes, ApiError> {
+    let bytes = encoding.unpack(packed, limit_bytes, |size_bytes| room.grow(size_bytes))?;
+    Ok(BodyBytes { bytes: bytes.into(), room })
+}
+
+/// Reads a JSON body of at most `limit_bytes`, which has no content encoding.
 pub(super) async fn read_json<T: DeserializeOwned>(
     headers: &HeaderMap,
     body: RequestBody,
     limit_bytes: usize,
 ) -> Result<T, ApiError> {
     expect_json(headers)?;
+    ContentEncoding::expect_none(headers)?;
     let bytes = read(body, limit_bytes).await?;
     let mut reader = serde_json::Deserializer::from_slice(&bytes);
     let value = serde_path_to_error::deserialize(&mut reader).map_err(|error| reject(&error))?;
@@ -198,5 +228,32 @@ pub(super) fn read_query<T: DeserializeOwned>(uri: &Uri) -> Result<T, ApiError> 
     match Query::try_from_uri(uri) {
         Ok(Query(query)) => Ok(query),
         Err(error) => Err(ApiError::WrongQuery(error.body_text())),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::io::Write;
+
+    use flate2::Compression;
+    use flate2::write::GzEncoder;
+
+    use super::*;
+
+    #[test]
+    fn unpacked_bytes_count_as_those_of_their_sender() {
+        const LIMIT_BYTES: usize = 32 << 20;
+        let mut writer = GzEncoder::new(Vec::new(), Compression::fast());
+        let packed = writer.write_all(&vec![b' '; LIMIT_BYTES]).and_then(|()| writer.finish()).expect("in memory");
+        let shares = Shares::new(100, 100);
+        let anna = Holder { class: CallerClass::User, name: "anna".to_owned() };
+        let unpack = |room| unpack(ContentEncoding::Gzip, &packed, LIMIT_BYTES, room);
+        let first = unpack(Room::new(anna.clone(), &shares)).expect("half of a user's part");
+        assert_eq!(shares.body_bytes(), LIMIT_BYTES - UNCOUNTED_BYTES);
+        let second = unpack(Room::new(anna.clone(), &shares)).expect("the other half");
+        let third = unpack(Room::new(anna, &shares));
+        assert!(matches!(third, Err(ApiError::TooManyAtOnce { .. })), "{third:?}");
+        drop((first, second));
+        assert_eq!(shares.body_bytes(), 0);
     }
 }

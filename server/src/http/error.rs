@@ -7,6 +7,7 @@ use proto::job::JobState;
 use proto::problem::ValidationErrorView;
 use proto::{JobId, Problem};
 
+use super::content_encoding::encoding_cure;
 use crate::admission::{CallerClass, Holder};
 use crate::api_keys::ApiKeyError;
 use crate::budget::Exhausted;
@@ -46,6 +47,17 @@ pub(crate) enum ApiError {
          -H 'content-type: application/json' --data-binary @FILE)"
     )]
     WrongType { found: String },
+    #[error("the content encoding is {found:?}: {}", encoding_cure(.accepted))]
+    WrongEncoding { found: String, accepted: &'static str },
+    #[error(
+        "the {encoding} body {cause} (after {unpacked_bytes} unpacked bytes): compress it again, or send it as it is, \
+         without Content-Encoding"
+    )]
+    DamagedEncoding { encoding: &'static str, unpacked_bytes: usize, cause: String },
+    #[error(
+        "the {encoding} body unpacks to more than {limit_bytes} bytes, the limit of this route: send a smaller body"
+    )]
+    UnpacksTooLarge { encoding: &'static str, limit_bytes: u64 },
     #[error("the body is incomplete: {0}")]
     BrokenBody(String),
     #[error("invalid request: {0}")]
@@ -199,10 +211,16 @@ impl ApiError {
                 (StatusCode::UNPROCESSABLE_ENTITY, "key_reused", "The idempotency key was used before")
             }
             Self::FramesMissing { .. } => (StatusCode::CONFLICT, "frames_missing", "Some pictures are not stored"),
-            Self::TooLarge { .. } => (StatusCode::PAYLOAD_TOO_LARGE, "too_large", "The body is too large"),
+            Self::TooLarge { .. } | Self::UnpacksTooLarge { .. } => {
+                (StatusCode::PAYLOAD_TOO_LARGE, "too_large", "The body is too large")
+            }
             Self::WrongType { .. } => {
                 (StatusCode::UNSUPPORTED_MEDIA_TYPE, "wrong_content_type", "The content type is not supported")
             }
+            Self::WrongEncoding { .. } => {
+                (StatusCode::UNSUPPORTED_MEDIA_TYPE, "wrong_content_encoding", "The content encoding is not supported")
+            }
+            Self::DamagedEncoding { .. } => (StatusCode::BAD_REQUEST, "damaged_body", "The body cannot be unpacked"),
             Self::BrokenBody(_) => (StatusCode::BAD_REQUEST, "broken_body", "The body is incomplete"),
             Self::WrongRequest(_) => (StatusCode::BAD_REQUEST, "wrong_request", "The request is invalid"),
             Self::UnknownJob(_) => (StatusCode::NOT_FOUND, "unknown_job", "There is no such job"),
@@ -347,6 +365,9 @@ impl IntoResponse for ApiError {
             | Self::TooManyAtOnce { .. }
             | Self::Busy { .. } => {
                 response.headers_mut().insert(header::RETRY_AFTER, HeaderValue::from_static("5"));
+            }
+            Self::WrongEncoding { accepted, .. } => {
+                response.headers_mut().insert(header::ACCEPT_ENCODING, HeaderValue::from_static(accepted));
             }
             Self::WrongRange { size_bytes } => {
                 if let Ok(value) = HeaderValue::from_str(&format!("bytes */{size_bytes}")) {

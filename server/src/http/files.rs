@@ -9,6 +9,7 @@ use proto::JobId;
 
 use super::auth::Caller;
 use super::body::RequestBody;
+use super::content_encoding::ContentEncoding;
 use super::error::ApiError;
 use super::jobs::{Submission, job_id};
 use super::{body, merge_patch};
@@ -48,6 +49,7 @@ pub(super) async fn file(State(farm): State<Arc<Farm>>, Path(id): Path<String>) 
         ("tile_seconds" = Option<u32>, Query, description = "Time limit for rendering one tile, in seconds: above it the tile has failed; at most, and by default, the server's `--max-tile-seconds`", minimum = 1),
         ("webhook" = Option<Vec<String>>, Query, description = "Address to notify when the job has finished; up to four"),
         ("webhook_event" = Option<Vec<String>>, Query, description = "Events to send instead: job.running, job.succeeded, job.failed, job.cancelled, frame.stored"),
+        ("Content-Encoding" = Option<String>, Header, description = "`gzip` or `zstd` if the body is compressed; unpacked it has at most 1 MiB"),
         ("Idempotency-Key" = Option<String>, Header, description = "Makes the request idempotent: repeating it with the same key returns the job created first"),
         ("Prefer" = Option<String>, Header, description = "`wait=N`: respond when the job has finished, or after N seconds, at most 60"),
     ),
@@ -56,10 +58,10 @@ pub(super) async fn file(State(farm): State<Arc<Farm>>, Path(id): Path<String>) 
         (status = 201, description = "Accepted: the new job", body = ref("#/components/schemas/JobView"),
          headers(("Location" = String, description = "The new job"))),
         (status = 200, description = "The job is valid (dry run), or the job that was accepted before with the same Idempotency-Key", body = ref("#/components/schemas/SubmitAnswer")),
-        (status = 400, description = "Not JSON", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+        (status = 400, description = "Not JSON, or damaged in its content encoding", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
         (status = 404, description = "No such job", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
-        (status = 413, description = "Too large", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
-        (status = 415, description = "The content type is not JSON", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+        (status = 413, description = "Too large, as sent or when it is unpacked", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+        (status = 415, description = "The content type is not JSON, or the content encoding is not gzip or zstd", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
         (status = 422, description = "The job is invalid", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
         (status = 429, description = "The queue is full, the submitter's quota is used up, or there are too many requests: see Retry-After", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
         (status = 507, description = "Disk full", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
@@ -75,9 +77,10 @@ pub(super) async fn resubmit(
 ) -> Result<Response, ApiError> {
     let text = text_of(&farm, job_id(&id)?).await?;
     body::expect_json(&headers)?;
+    let encoding = ContentEncoding::of(&headers)?;
     let holder = request.holder().clone();
     let submission = Submission::begin(&farm, caller, uri, headers, &holder).await?;
-    let (changes, mut room) = body::read(request, MAX_CHANGES_BYTES).await?.into_parts();
+    let (changes, mut room) = body::read_encoded(request, encoding, MAX_CHANGES_BYTES).await?.into_parts();
     room.grow(text.len())?;
     let text = if changes.trim_ascii().is_empty() {
         text

@@ -14,6 +14,7 @@ use tracing::Instrument;
 
 use super::auth::Caller;
 use super::body::{self, RequestBody, Room};
+use super::content_encoding::ContentEncoding;
 use super::error::ApiError;
 use super::{prefer, quota, submit_options, trace_context};
 use crate::admission::Holder;
@@ -80,6 +81,7 @@ pub(super) fn has_no_cache(headers: &HeaderMap) -> bool {
         ("tile_seconds" = Option<u32>, Query, description = "Time limit for rendering one tile, in seconds: above it the tile has failed; at most, and by default, the server's `--max-tile-seconds`", minimum = 1),
         ("webhook" = Option<Vec<String>>, Query, description = "Address to notify when the job has finished; up to four"),
         ("webhook_event" = Option<Vec<String>>, Query, description = "Events to send instead: job.running, job.succeeded, job.failed, job.cancelled, frame.stored"),
+        ("Content-Encoding" = Option<String>, Header, description = "`gzip` or `zstd` if the body is compressed; unpacked it has at most 32 MiB"),
         ("Idempotency-Key" = Option<String>, Header, description = "Makes the request idempotent: repeating it with the same key returns the job created first"),
         ("Prefer" = Option<String>, Header, description = "`wait=N`: respond when the job has finished, or after N seconds, at most 60"),
     ),
@@ -88,10 +90,10 @@ pub(super) fn has_no_cache(headers: &HeaderMap) -> bool {
         (status = 201, description = "Accepted", body = ref("#/components/schemas/JobView"),
          headers(("Location" = String, description = "The job"))),
         (status = 200, description = "The job is valid (dry run), or the job that was accepted before with the same Idempotency-Key", body = ref("#/components/schemas/SubmitAnswer")),
-        (status = 400, description = "Not JSON", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+        (status = 400, description = "Not JSON, or damaged in its content encoding", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
         (status = 403, description = "The priority is above the highest of the key", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
-        (status = 413, description = "Too large", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
-        (status = 415, description = "The content type is not JSON", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+        (status = 413, description = "Too large, as sent or when it is unpacked", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+        (status = 415, description = "The content type is not JSON, or the content encoding is not gzip or zstd", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
         (status = 422, description = "The job is invalid: `errors` lists all errors", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
         (status = 429, description = "The queue is full, the submitter's quota is used up, or there are too many requests: see Retry-After", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
         (status = 507, description = "Disk full", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
@@ -106,7 +108,8 @@ pub(super) async fn submit(
 ) -> Result<Response, ApiError> {
     let submission = Submission::begin(&farm, caller, uri, headers, request.holder()).await?;
     body::expect_json(&submission.headers)?;
-    let (text, room) = body::read(request, scene::limits::MAX_BODY_BYTES).await?.into_parts();
+    let encoding = ContentEncoding::of(&submission.headers)?;
+    let (text, room) = body::read_encoded(request, encoding, scene::limits::MAX_BODY_BYTES).await?.into_parts();
     submission.finish(&farm, text, room).await
 }
 
@@ -168,12 +171,13 @@ impl Submission {
         let read = move |job: scene::Job| {
             let (plan, priority, warnings) = (TilePlan::new(&job, edge_px), job.priority, job.warnings());
             // A large job takes hundreds of megabytes: a dry run drops it here, before another one is parsed.
-            (plan, priority, warnings, (!dry_run).then_some(job))
+            // Cutting it into leaves takes as long as parsing it.
+            (plan, priority, warnings, (!dry_run).then(|| (job.compiled_nodes(), job)))
         };
         let parsed = farm.jobs.parse(reader, text.clone(), move |parsed| parsed.map(read)).await?;
         let (plan, priority, warnings, job) = parsed?;
         quota::check_priority(&caller, priority)?;
-        let Some(job) = job else {
+        let Some((nodes, job)) = job else {
             let (tiles, rays) = (plan.tiles_total(), plan.rays_total());
             let estimate = estimate::estimate(farm, &submitter, into_utf8(text)?, plan).await;
             let frames = plan.frames.into();
@@ -186,7 +190,7 @@ impl Submission {
             name: job.name.clone(),
             submitter: caller.name().to_owned(),
             priority: job.priority,
-            nodes: job.nodes(),
+            nodes,
             plan,
             media_type: media_type(&job.image),
             warnings,

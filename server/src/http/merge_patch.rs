@@ -23,7 +23,7 @@ pub(super) fn apply(file: &str, patch: &[u8]) -> Result<String, ApiError> {
         ));
     }
     let file: Option<Box<RawValue>> = serde_json::from_str(file).ok();
-    merged(file.as_deref(), &patch, 0).map(|merged| merged.get().to_owned())
+    merged(file, &patch, 0).map(|merged| Box::<str>::from(merged).into_string())
 }
 
 /// The members of an object; `None` for anything else.
@@ -31,7 +31,8 @@ fn members(value: &RawValue) -> Option<Members> {
     value.get().starts_with('{').then(|| serde_json::from_str(value.get()).ok()).flatten()
 }
 
-fn merged(target: Option<&RawValue>, patch: &RawValue, depth: usize) -> Result<Box<RawValue>, ApiError> {
+/// The target is taken, so that no level of it stays in memory while those in it are merged.
+fn merged(target: Option<Box<RawValue>>, patch: &RawValue, depth: usize) -> Result<Box<RawValue>, ApiError> {
     let Some(changes) = members(patch) else { return Ok(patch.to_owned()) };
     if depth == MAX_DEPTH {
         return Err(body::invalid_body(
@@ -39,13 +40,13 @@ fn merged(target: Option<&RawValue>, patch: &RawValue, depth: usize) -> Result<B
             format!("nested deeper than {MAX_DEPTH} objects: submit a new job file instead"),
         ));
     }
-    let mut target = target.and_then(members).unwrap_or_default();
+    let mut target = target.and_then(|target| members(&target)).unwrap_or_default();
     for (key, change) in changes {
         if change.get() == "null" {
             target.remove(&key);
         } else {
             let before = target.remove(&key);
-            target.insert(key, merged(before.as_deref(), &change, depth + 1)?);
+            target.insert(key, merged(before, &change, depth + 1)?);
         }
     }
     serde_json::value::to_raw_value(&target).map_err(|error| ApiError::Internal(Box::new(error)))

@@ -1,7 +1,7 @@
 //! Minimum transfer rates: for request bodies, and for clients that read responses.
 //!
 //! A transfer may stall for at most 20 s in total, plus one second for each second's bytes at the minimum rate:
-//! a body of 8 MiB holds its memory for at most 5 minutes. At most 20 s are saved up.
+//! a body of 32 MiB holds its memory for at most 18 minutes. At most 20 s are saved up.
 
 use std::io;
 use std::pin::Pin;

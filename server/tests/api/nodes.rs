@@ -11,10 +11,10 @@ use super::harness::{Farm, LEASE, Said, assert_state, job, leases, read, small_j
 /// Largest scene that a small worker of these tests renders, in nodes.
 const MAX_NODES: u32 = 500;
 
-/// Gives a job a scene with `nodes` nodes.
+/// Gives a job a scene with `nodes` nodes, which are not cut into leaves.
 fn with_nodes(mut job: Value, nodes: usize) -> Value {
     let spheres = vec![json!({ "sphere": { "radius": 1 } }); nodes - 1];
-    job["scene"]["objects"][0]["shape"] = json!({ "union": { "of": spheres } });
+    job["scene"]["objects"][0]["shape"] = json!({ "intersection": { "of": spheres } });
     job
 }
 

@@ -27,6 +27,25 @@ pub(crate) enum Inputs {
     Portable(Vec<u32>, Table),
 }
 
+impl Inputs {
+    /// Fails if the cells of the scene had no room.
+    pub(crate) fn check_cells(&self) -> Result<(), RenderError> {
+        let table = match self {
+            Self::X86(uniforms) => uniforms.table(),
+            Self::Portable(_, table) => Some(table),
+        };
+        check_cells(table)
+    }
+}
+
+/// Fails if the cells of the scene had no room in its table.
+pub(crate) fn check_cells(table: Option<&Table>) -> Result<(), RenderError> {
+    match table {
+        Some(table) if table.is_full() => Err(RenderError::ManyCells { bytes: table.capacity() * size_of::<u32>() }),
+        _ => Ok(()),
+    }
+}
+
 /// Memory of a thread that evaluates.
 #[derive(Debug)]
 pub(crate) enum Frame {

@@ -4,21 +4,23 @@
 
 #![expect(unsafe_code, reason = "a GPU's driver is a C library, and its programs see raw memory")]
 
+mod table;
+
 use std::sync::{Arc, OnceLock};
 
 use cudarc::driver::sys::{self, CUdevice_attribute, CUevent_flags};
 use cudarc::driver::{
-    CudaContext, CudaEvent, CudaFunction, CudaModule, CudaSlice, CudaStream, DevicePtr, DeviceRepr, LaunchConfig,
-    PinnedHostSlice, PushKernelArg, result,
+    CudaContext, CudaEvent, CudaFunction, CudaModule, CudaSlice, CudaStream, DeviceRepr, LaunchConfig, PinnedHostSlice,
+    PushKernelArg, result,
 };
 use cudarc::nvrtc::Ptx;
-use scene::real::Table;
+pub(super) use table::UploadedTable;
 
 use super::error::CudaError;
 use super::launches::{BLOCK_GROUP, LaunchLayout};
 
 /// Every driver function that is called through cudarc.
-const FUNCTIONS: [&str; 38] = [
+const FUNCTIONS: [&str; 39] = [
     "cuInit",
     "cuDriverGetVersion",
     "cuGetErrorName",
@@ -48,6 +50,7 @@ const FUNCTIONS: [&str; 38] = [
     "cuMemHostAlloc",
     "cuMemFreeHost",
     "cuMemcpyHtoDAsync_v2",
+    "cuMemsetD8Async",
     "cuMemcpyDtoHAsync_v2",
     "cuModuleLoadData",
     "cuModuleUnload",
@@ -239,12 +242,6 @@ fn version() -> String {
     if known { format!("{}.{}", version / 1000, version % 1000 / 10) } else { "of an unknown version".to_owned() }
 }
 
-/// A table in the GPU's memory.
-#[derive(Debug)]
-pub(super) struct UploadedTable {
-    _words: CudaSlice<u32>,
-}
-
 impl Device {
     /// Opens the GPU with this ordinal.
     pub(super) fn open(ordinal: usize) -> Result<Self, CudaError> {
@@ -300,19 +297,6 @@ impl Device {
     pub(super) fn set_uniforms(&self, program: &LoadedModule, bits: &[u32]) -> Result<(), CudaError> {
         let bytes: Vec<u8> = bits.iter().flat_map(|bits| bits.to_ne_bytes()).collect();
         self.set_global(program, "uniforms", &bytes)
-    }
-
-    /// Copies a table to the GPU and gives it to a kernel. It must live until the last launch that reads it has ended;
-    /// its memory is freed after the launches before its end.
-    pub(super) fn set_table(&self, program: &LoadedModule, table: &Table) -> Result<UploadedTable, CudaError> {
-        let bytes = size_of_val(&**table);
-        let words = self.compute.clone_htod(&**table).map_err(|error| match error.0 {
-            sys::CUresult::CUDA_ERROR_OUT_OF_MEMORY => CudaError::OutOfMemory { bytes },
-            _ => CudaError::driver_error("copy the scene's cells to the GPU")(error),
-        })?;
-        let address = words.device_ptr(&self.compute).0;
-        self.set_global(program, "table", &address.to_ne_bytes())?;
-        Ok(UploadedTable { _words: words })
     }
 
     fn set_global(&self, program: &LoadedModule, name: &str, bytes: &[u8]) -> Result<(), CudaError> {

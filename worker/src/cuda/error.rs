@@ -104,12 +104,21 @@ pub enum CudaError {
     /// The job is invalid at this frame.
     #[error("the job is invalid in this frame")]
     InvalidFrame(#[from] scene::FrameError),
+    /// The cells of the scene had no room.
+    #[error("{0}")]
+    Cells(Box<crate::RenderError>),
     /// The formulas were recorded wrongly.
     #[error("the recorded formulas are invalid, which is a fault of sdfarm")]
     InvalidTape(#[from] InvalidTape),
     /// The render was cancelled.
     #[error("the render was cancelled")]
     Cancelled,
+}
+
+impl From<crate::RenderError> for CudaError {
+    fn from(error: crate::RenderError) -> Self {
+        Self::Cells(Box::new(error))
+    }
 }
 
 impl CudaError {

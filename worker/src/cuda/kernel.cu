@@ -18,6 +18,11 @@ __device__ float uniforms[UNIFORM_COUNT];
 // Words of the scene that are read by computed indices.
 __device__ const unsigned* table;
 INLINE_FN unsigned word_at(unsigned index, unsigned last) { return __ldg(table + min(index, last)); }
+INLINE_FN unsigned word_of_row(unsigned row, unsigned place) { return __ldg(table + row + place); }
+__device__ unsigned* asked;
+INLINE_FN void set_bits(unsigned* word, unsigned bits) { atomicOr(word, bits); }
+// Copies of a loop's body cost more than the loop.
+#define LISTS_LOOP _Pragma("unroll 1")
 
 INLINE_FN unsigned bits_of(float x) { return __float_as_uint(x); }
 INLINE_FN float float_from_bits(unsigned bits) { return __uint_as_float(bits); }
@@ -64,6 +69,10 @@ static float uniforms[UNIFORM_COUNT];
 static const unsigned* table;
 
 INLINE_FN unsigned word_at(unsigned index, unsigned last) { return table[index < last ? index : last]; }
+INLINE_FN unsigned word_of_row(unsigned row, unsigned place) { return table[row + place]; }
+static unsigned* asked;
+INLINE_FN void set_bits(unsigned* word, unsigned bits) { *word |= bits; }
+#define LISTS_LOOP
 INLINE_FN unsigned bits_of(float x) { unsigned bits; memcpy(&bits, &x, 4); return bits; }
 INLINE_FN float float_from_bits(unsigned bits) { float x; memcpy(&x, &bits, 4); return x; }
 INLINE_FN float fma_rn(float a, float b, float c) { return fmaf(a, b, c); }
@@ -75,6 +84,19 @@ INLINE_FN float abs_f(float x) { return fabsf(x); }
 INLINE_FN float floor_f(float x) { return floorf(x); }
 
 #endif
+
+// Asks the host for a missing word, and returns one in place of it: by a bit for each word of the table, after a word
+// that is not 0 if any is set. Without that memory, no word is missing.
+NOINLINE_FN unsigned made_word(unsigned missing, unsigned index_mask, unsigned stand_in) {
+    if (!asked) return missing;
+    const unsigned index = missing & index_mask, bit = 1u << index % 32;
+    unsigned* bits = asked + 1 + index / 32;
+    if (!(*(volatile unsigned*)bits & bit)) {
+        set_bits(bits, bit);
+        *(volatile unsigned*)asked = 1;
+    }
+    return stand_in;
+}
 
 // ---- the picture ----
 
@@ -152,6 +174,14 @@ extern "C" __global__ void render(const Tile* __restrict__ tiles, unsigned tile_
     *blue = mean.f2 + 0.0f;
     *alpha = mean.f3 + 0.0f;
 }
+
+#ifdef HAS_TABLE
+// Changes words of the table: pairs of an index and the word.
+extern "C" __global__ void set_words(unsigned* words, const unsigned* pairs, unsigned count) {
+    const unsigned pair = blockIdx.x * blockDim.x + threadIdx.x;
+    if (pair < count) words[pairs[2 * pair]] = pairs[2 * pair + 1];
+}
+#endif
 
 #ifdef AOV_PLANES
 // Writes the layers' planes, after the color's.

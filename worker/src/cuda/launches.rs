@@ -148,6 +148,11 @@ impl Launches {
         Self { blocks, samples, resident_blocks: wave.max(1), first_block: 0, end_block: 0, sample: 0 }
     }
 
+    /// Begins again at a block, which has been launched before.
+    pub(super) fn restart(&mut self, first_block: u32) {
+        (self.first_block, self.sample) = (first_block, 0);
+    }
+
     /// Next launch, if any is left.
     pub(super) fn next(&mut self, cost: &CostModel) -> Option<LaunchRange> {
         if self.sample == 0 {

@@ -18,7 +18,7 @@ pub struct KernelSource {
     pub text: String,
     /// Values of the scene's numbers at the frame, which the kernel calls `uniforms`, as bits.
     pub parameters: Vec<u32>,
-    /// Words that the kernel reads by computed indices, if there are any.
+    /// Words that the kernel reads by computed indices, if there are any. It asks for those that are missing.
     pub table: Option<Table>,
     /// Number of statements of the integrator's steps.
     pub statements: usize,
@@ -36,8 +36,12 @@ impl KernelSource {
             KERNEL_TEMPLATE.split_once(INSERTION_POINT).expect("kernel.cu has a place for the picture");
         let numbers = tape.uniforms().len().max(1);
         let (has_layers, write_layers) = layers(image);
+        let has_table = if tape.table().is_some() { "#define HAS_TABLE\n" } else { "" };
         Ok(Self {
-            text: format!("#define UNIFORM_COUNT {numbers}\n{has_layers}{before}{}{write_layers}{after}", steps.code),
+            text: format!(
+                "#define UNIFORM_COUNT {numbers}\n{has_table}{has_layers}{before}{}{write_layers}{after}",
+                steps.code
+            ),
             parameters: tape.uniforms().to_vec(),
             table: tape.table().cloned(),
             statements: steps.statements,

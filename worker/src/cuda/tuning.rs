@@ -2,6 +2,7 @@
 
 use proto::Rect;
 
+use super::cells::Cells;
 use super::device::{self, BLOCK_DIMS, BlockDim, Buffer, LoadedModule};
 use super::{CudaError, CudaRenderer, KernelSource, launches};
 use crate::renderer::{CancelFlag, TileRequest};
@@ -21,7 +22,7 @@ impl CudaRenderer {
         const ROUNDS: usize = 3;
         let mut total_ms = 0.0;
         self.device.set_uniforms(loaded, &source.parameters)?;
-        let _table = source.table.as_ref().map(|table| self.device.set_table(loaded, table)).transpose()?;
+        let mut table = Cells::upload(&self.device, loaded, source)?;
         let mut best = [f64::INFINITY; BLOCK_DIMS.len()];
         let mut edge = 128;
         loop {
@@ -30,7 +31,12 @@ impl CudaRenderer {
             let piece = Rect { x, y, width, height };
             let mut buffer = self.device.buffer(piece.pixels() as usize * run.job.image.channels().len())?;
             // The first run warms up, and shows whether the part is large enough.
-            let ms = self.time_block_dim(loaded, BLOCK_DIMS[0], piece, run, &mut buffer)?;
+            let mut ms = self.time_block_dim(loaded, BLOCK_DIMS[0], piece, run, &mut buffer)?;
+            while let Some(cells) = &mut table
+                && cells.make_asked(&self.device, loaded, cancel)?
+            {
+                ms = self.time_block_dim(loaded, BLOCK_DIMS[0], piece, run, &mut buffer)?;
+            }
             total_ms += ms;
             if ms < MIN_TIMED_MS && piece != run.rect {
                 edge *= 2;

@@ -1,6 +1,6 @@
 //! Operations on batches. They are inlined into functions with more instructions than the build assumes.
 
-use scene::real::{Real, SQRT_FLOOR};
+use scene::real::{Real, SQRT_FLOOR, Words};
 
 use crate::tape::Operation;
 
@@ -74,20 +74,22 @@ pub(super) fn apply<const HAS_FMA: bool>(
         Operation::ShiftRight => words(to, a, a, |a, _| a.wrapping_shr(b.at(0))),
         Operation::Constant(_)
         | Operation::Uniform(_)
+        | Operation::Row(_)
         | Operation::Argument
         | Operation::CallResult
         | Operation::Variable
         | Operation::ToBits
         | Operation::FromBits
-        | Operation::Word => unreachable!("{operation:?} is not a step"),
+        | Operation::Word
+        | Operation::Made => unreachable!("{operation:?} is not a step"),
     }
 }
 
 /// Words of a table at indices, or the word at `last` where an index is beyond it.
 #[inline(always)]
-pub(super) fn gather(to: &mut Batch, table: &[u32], indices: &Batch, last: impl Operand) {
+pub(super) fn gather(to: &mut Batch, table: &Words, indices: &Batch, last: impl Operand) {
     for lane in 0..LANES {
-        to.0[lane] = table[indices.0[lane].min(last.at(lane)) as usize];
+        to.0[lane] = table.get(indices.0[lane].min(last.at(lane)));
     }
 }
 

@@ -21,6 +21,8 @@ pub(crate) enum Place {
     Constant(u32),
     /// Uniform, by its index.
     Uniform(u32),
+    /// Word of the function's row, by its index.
+    Row(u32),
     /// Never used.
     Nowhere,
 }
@@ -62,7 +64,7 @@ fn intervals(linear: &Linear) -> (Vec<Interval>, Vec<u32>) {
         let weight = (1_u64 << (3 * open.len().min(16))) as f32;
         step.for_each_var(|var| touch(var, at, weight));
         match step {
-            Step::Call { .. } => calls.push(at),
+            step if step.is_call() => calls.push(at),
             Step::Top(_) => open.push(at),
             Step::RepeatWhileAny { .. } => loops.push((open.pop().expect("a loop begins"), at)),
             _ => {}
@@ -126,6 +128,10 @@ pub(crate) fn allocate(linear: &Linear, registers: Registers) -> Allocation {
         }
         Source::Uniform(index) => {
             places[interval.var as usize] = Place::Uniform(index);
+            false
+        }
+        Source::Row(index) => {
+            places[interval.var as usize] = Place::Row(index);
             false
         }
         Source::Step => interval.start != u32::MAX,

@@ -3,10 +3,13 @@
 //! packets (`bench/straight.cpp`) has another preamble, and a function that selects, because C++ has no operator for
 //! that to define.
 
+mod fold;
+
 use std::collections::HashMap;
 use std::fmt::Write;
 
 use scene::nodes::snake_case;
+use scene::real::{INDEX_BITS, STAND_IN};
 
 use super::liveness::Liveness;
 use super::verify::InvalidTape;
@@ -76,7 +79,7 @@ impl Tape {
         fn count(block: &[Statement], live: &Liveness, calls: &mut [usize]) {
             for statement in block {
                 match statement {
-                    Statement::Emit(_) | Statement::Comment(_) => {}
+                    Statement::Emit(_) | Statement::Comment(_) | Statement::Fold(_) => {}
                     Statement::Call { function, returned, .. } => {
                         calls[*function] += usize::from(returned.iter().any(|&id| live.is_live(id)));
                     }
@@ -111,15 +114,14 @@ struct Printer<'a> {
 impl Printer<'_> {
     /// Generates a function; returns the number of statements it adds where it is called.
     fn function(&mut self, function: &Function, calls: usize) -> usize {
-        let is_entry = function.is_entry;
-        let arguments = function.arguments.iter().filter(|&&id| is_entry || self.live.is_live(id));
-        let arguments: Vec<String> = arguments
-            .enumerate()
-            .map(|(place, &id)| {
-                self.names.insert(id, format!("a{place}"));
-                format!("{} a{place}", self.kind(id))
-            })
-            .collect();
+        let keeps_all = function.keeps_all();
+        let arguments = function.arguments.iter().filter(|&&id| keeps_all || self.live.is_live(id));
+        let arguments = arguments.enumerate().map(|(place, &id)| {
+            self.names.insert(id, format!("a{place}"));
+            format!("{} a{place}", self.kind(id))
+        });
+        let row = function.row_words.map(|_| "unsigned row".to_owned());
+        let arguments: Vec<String> = row.into_iter().chain(arguments).collect();
         self.block(&function.body, 1);
         let body = std::mem::take(&mut self.code);
         let results: Vec<ValueId> = function.results.iter().copied().filter(|&id| self.live.is_live(id)).collect();
@@ -176,8 +178,11 @@ impl Printer<'_> {
                     let name = self.new_name(*id);
                     self.line(depth, &format!("const {kind} {name} = {value};"));
                 }
-                Statement::Emit(_) => {}
                 Statement::Call { function, arguments, returned } => self.call(depth, *function, arguments, returned),
+                Statement::Fold(fold) if fold.returned.iter().any(|&id| self.live.is_live(id)) => {
+                    self.fold(depth, fold);
+                }
+                Statement::Emit(_) | Statement::Fold(_) => {}
                 Statement::When { condition, variables, otherwise, body, value: then } => {
                     let live = self.live.assignments(variables, otherwise, then);
                     if live.is_empty() {
@@ -273,6 +278,10 @@ impl Printer<'_> {
             (Operation::Constant(bits), ValueType::Bool | ValueType::U32) => format!("{bits}u"),
             (Operation::Uniform(place), ValueType::F32 | ValueType::Bool) => format!("uniforms[{place}]"),
             (Operation::Uniform(place), ValueType::U32) => format!("bits_of(uniforms[{place}])"),
+            (Operation::Row(place), ValueType::F32 | ValueType::Bool) => {
+                format!("float_from_bits(word_of_row(row, {place}u))")
+            }
+            (Operation::Row(place), ValueType::U32) => format!("word_of_row(row, {place}u)"),
             _ => self.names[&id].clone(),
         }
     }
@@ -307,8 +316,10 @@ impl Printer<'_> {
             Operation::ShiftLeft => format!("{a} << {b}"),
             Operation::ShiftRight => format!("{a} >> {b}"),
             Operation::Word => format!("word_at({a}, {b})"),
+            Operation::Made => format!("made_word({a}, {}u, {STAND_IN}u)", (1_u32 << INDEX_BITS) - 1),
             Operation::Constant(_)
             | Operation::Uniform(_)
+            | Operation::Row(_)
             | Operation::Argument
             | Operation::CallResult
             | Operation::Variable => unreachable!("not defined by a statement"),

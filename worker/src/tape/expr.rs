@@ -2,7 +2,8 @@
 
 use std::ops::{Add, BitAnd, BitOr, BitXor, Div, Mul, Neg, Not, Shl, Shr, Sub};
 
-use scene::real::{Bits, Bundle, Real, Table};
+use scene::real::list::ListFunctions;
+use scene::real::{Bits, Bundle, Real, Table, Vec3};
 
 use super::recorder::{self, emit, note, repeat, shared, uniform, when};
 use super::{Operation, ValueId, ValueType};
@@ -173,8 +174,12 @@ impl Real for Expr {
         U32Expr(recorder::word(table, index.0))
     }
 
-    fn with_row<T>(table: &Table, row: U32Expr, formula: impl FnOnce() -> T) -> T {
-        recorder::with_row(table, row.0, formula)
+    fn made(table: &Table, missing: U32Expr) -> U32Expr {
+        U32Expr(recorder::made(table, missing.0))
+    }
+
+    fn fold<F: ListFunctions<Self>>(table: &Table, first: U32Expr, p: Vec3<Self>, functions: &F) -> F::Value {
+        recorder::fold(table, first.0, p, functions)
     }
 
     fn when<T: Bundle<Self>>(mask: BoolExpr, otherwise: T, then: impl FnOnce() -> T) -> T {

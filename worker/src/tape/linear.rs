@@ -3,9 +3,10 @@
 
 use std::collections::HashMap;
 
+use super::fold_step::FoldStep;
 use super::liveness::Liveness;
 use super::verify::{InvalidTape, MAX_VALUES, too_many_variables};
-use super::{Operation, Statement, Tape, ValueId, ValueType};
+use super::{Fold, Operation, Statement, Tape, ValueId, ValueType};
 
 /// Index of a variable of a [`Linear`].
 pub(crate) type Var = u32;
@@ -26,6 +27,8 @@ pub(crate) enum Source {
     Constant(u32),
     /// A uniform, by its index.
     Uniform(u32),
+    /// A word of the function's row, by its index.
+    Row(u32),
     /// A step.
     Step,
 }
@@ -58,9 +61,18 @@ pub(crate) enum Step {
     RepeatWhileAny { mask: Var, counter: usize, top: usize },
     /// Calls another function, with its live arguments and results.
     Call { callee: usize, live: Var, arguments: Vec<Var>, results: Vec<Var> },
+    /// `to` becomes the word in place of a missing one, in the active lanes.
+    Make { live: Var, to: Var, missing: Var },
+    /// Folds a list.
+    Fold(Box<FoldStep>),
 }
 
 impl Step {
+    /// Whether registers keep no value through the step.
+    pub(crate) fn is_call(&self) -> bool {
+        matches!(self, Self::Call { .. } | Self::Make { .. } | Self::Fold(_))
+    }
+
     /// Calls a function with each variable that the step reads or writes.
     pub(crate) fn for_each_var(&self, mut see: impl FnMut(Var)) {
         match self {
@@ -75,6 +87,11 @@ impl Step {
             Self::Call { live, arguments, results, .. } => {
                 see(*live);
                 arguments.iter().chain(results).for_each(|&var| see(var));
+            }
+            Self::Make { live, to, missing } => [*live, *missing, *to].into_iter().for_each(see),
+            Self::Fold(fold) => {
+                let FoldStep { live, list, arguments, results, .. } = &**fold;
+                [*live, *list].iter().chain(arguments).chain(results).for_each(|&var| see(var));
             }
         }
     }
@@ -125,7 +142,7 @@ impl LinearTape {
         let (mut lengths, mut inlined) = (vec![0; count], vec![false; count]);
         for (index, function) in tape.functions.iter().enumerate() {
             let own = length(&function.body, &lengths);
-            inlined[index] = !function.is_entry && own * calls[index].saturating_sub(1) <= MAX_INLINED_STEPS;
+            inlined[index] = !function.keeps_all() && own * calls[index].saturating_sub(1) <= MAX_INLINED_STEPS;
             lengths[index] = if inlined[index] { own } else { 1 };
         }
         let linear = |index: usize| {
@@ -151,7 +168,7 @@ impl LinearTape {
 /// Number of steps of a block, given those that each function adds where it is called.
 fn length(block: &[Statement], lengths: &[usize]) -> usize {
     let of = |statement: &Statement| match statement {
-        Statement::Emit(_) => 1,
+        Statement::Emit(_) | Statement::Fold(_) => 1,
         Statement::Comment(_) => 0,
         Statement::Call { function, .. } => lengths[*function],
         Statement::When { body, .. } | Statement::Repeat { body, .. } => 4 + length(body, lengths),
@@ -160,6 +177,15 @@ fn length(block: &[Statement], lengths: &[usize]) -> usize {
 }
 
 impl Linear {
+    /// Number of words of its row that it uses, with those between them.
+    pub(crate) fn row_words(&self) -> u32 {
+        let used = self.variables.iter().map(|variable| match variable.source {
+            Source::Row(word) => word + 1,
+            _ => 0,
+        });
+        used.max().unwrap_or(0)
+    }
+
     /// Lists the steps of a function.
     fn new(tape: &Tape, live: &Liveness, inlined: &[bool], index: usize) -> Self {
         let function = &tape.functions[index];
@@ -175,14 +201,25 @@ impl Linear {
         builder.linear.live = builder.fresh(Class::Mask, Source::Step);
         builder.mask = builder.linear.live;
         for &id in &function.arguments {
-            if function.is_entry || live.is_live(id) {
+            if function.keeps_all() || live.is_live(id) {
                 let var = builder.define(id);
                 builder.linear.arguments.push(var);
             }
         }
         builder.block(&function.body);
         let results = function.results.iter().filter(|id| live.is_live(**id));
-        builder.linear.results = results.map(|&id| builder.var(id)).collect();
+        let results: Vec<Var> = results.map(|&id| builder.var(id)).collect();
+        // The results of a function of lists may lie where its arguments were.
+        let own = |builder: &mut Builder<'_>, from: Var| {
+            if function.row_words.is_none() || !builder.linear.arguments.contains(&from) {
+                return from;
+            }
+            let to = builder.fresh(Class::Vector, Source::Step);
+            builder.push(Step::Move { to, from });
+            to
+        };
+        let results = results.into_iter().map(|from| own(&mut builder, from)).collect();
+        builder.linear.results = results;
         builder.linear
     }
 }
@@ -230,6 +267,7 @@ impl Builder<'_> {
         let source = match self.tape.definition(id).operation {
             Operation::Constant(bits) => Source::Constant(bits),
             Operation::Uniform(place) => Source::Uniform(place),
+            Operation::Row(place) => Source::Row(place),
             _ => return self.scope()[&id],
         };
         let class = self.class(id);
@@ -252,6 +290,7 @@ impl Builder<'_> {
                 Statement::Emit(id) if self.live.is_live(*id) => self.emit(*id),
                 Statement::Emit(_) | Statement::Comment(_) => {}
                 Statement::Call { function, arguments, returned } => self.call(*function, arguments, returned),
+                Statement::Fold(fold) => self.fold(fold),
                 Statement::When { condition, variables, otherwise, body, value } => {
                     let live = self.live.assignments(variables, otherwise, value);
                     if !live.is_empty() {
@@ -281,7 +320,34 @@ impl Builder<'_> {
             return;
         }
         let to = self.define(id);
-        self.push(Step::Compute { to, operation: definition.operation, operands });
+        self.push(match definition.operation {
+            Operation::Made => Step::Make { live: self.mask, to, missing: operands[0] },
+            operation => Step::Compute { to, operation, operands },
+        });
+    }
+
+    fn fold(&mut self, fold: &Fold) {
+        if !fold.returned.iter().any(|&id| self.live.is_live(id)) {
+            return;
+        }
+        let Operation::Uniform(last) = self.tape.definition(fold.last).operation else {
+            unreachable!("the verifier has seen a uniform")
+        };
+        let list = self.var(fold.list);
+        let arguments = fold.arguments.iter().map(|&id| self.var(id)).collect();
+        let results = fold.returned.iter().map(|&id| self.define(id)).collect();
+        let row_words = fold.functions().filter_map(|function| self.tape.functions[function].row_words).max();
+        self.push(Step::Fold(Box::new(FoldStep {
+            live: self.mask,
+            list,
+            last,
+            arguments,
+            leaves: fold.leaves.clone(),
+            joins: fold.joins.clone(),
+            row_words: row_words.unwrap_or(0),
+            depth: fold.depth,
+            results,
+        })));
     }
 
     fn when(&mut self, condition: ValueId, assigned: &[(ValueId, ValueId, ValueId)], body: &[Statement]) {

@@ -1,9 +1,9 @@
 //! Liveness: the values of a tape that its results depend on; no code is generated for the others.
 
 use super::verify::VerifiedTape;
-use super::{Function, Statement, Tape, ValueId};
+use super::{Fold, Function, Statement, Tape, ValueId};
 
-/// Values of a tape that its results depend on.
+/// Values of a tape that its results depend on. A function of lists keeps what it returns if a fold that uses it does.
 pub(super) struct Liveness {
     values: Vec<bool>,
 }
@@ -48,10 +48,18 @@ impl Liveness {
         let mut wanted = vec![false; results.len()];
         for function in &tape.functions[callee + 1..] {
             for_each_statement(&function.body, &mut |statement| {
-                if let Statement::Call { function, returned, .. } = statement
-                    && *function == callee
-                {
-                    returned.iter().zip(&mut wanted).for_each(|(id, wanted)| *wanted |= self.is_live(*id));
+                match statement {
+                    Statement::Call { function, returned, .. } if *function == callee => {
+                        returned.iter().zip(&mut wanted).for_each(|(id, wanted)| *wanted |= self.is_live(*id));
+                    }
+                    // One value of a join may depend on any of those before.
+                    Statement::Fold(fold) if fold.functions().any(|function| function == callee) => {
+                        let is_used = fold.returned.iter().any(|id| self.is_live(*id));
+                        for wanted in &mut wanted {
+                            *wanted |= is_used;
+                        }
+                    }
+                    _ => {}
                 }
             });
         }
@@ -90,6 +98,10 @@ impl Liveness {
                 let used: Vec<ValueId> = used.map(|(_, actual)| *actual).collect();
                 sources.extend(returned.iter().map(|id| (*id, used.clone())));
             }
+            Statement::Fold(Fold { list, last, arguments, returned, .. }) => {
+                let used: Vec<ValueId> = arguments.iter().chain([list, last]).copied().collect();
+                sources.extend(returned.iter().map(|id| (*id, used.clone())));
+            }
             Statement::When { condition, variables, otherwise, value: then, .. } => {
                 for ((id, otherwise), then) in variables.iter().zip(otherwise).zip(then) {
                     sources.push((*id, vec![*condition, *otherwise, *then]));
@@ -111,7 +123,7 @@ fn for_each_statement<'a>(block: &'a [Statement], see: &mut impl FnMut(&'a State
     for statement in block {
         see(statement);
         match statement {
-            Statement::Emit(_) | Statement::Comment(_) | Statement::Call { .. } => {}
+            Statement::Emit(_) | Statement::Comment(_) | Statement::Call { .. } | Statement::Fold(_) => {}
             Statement::When { body, .. } | Statement::Repeat { body, .. } => for_each_statement(body, see),
         }
     }

@@ -7,9 +7,10 @@ use std::any::Any;
 use std::cell::RefCell;
 use std::collections::HashMap;
 
-use scene::real::{Bundle, Merge, Table};
+use scene::real::list::ListFunctions;
+use scene::real::{Bundle, Merge, Table, Vec3};
 
-use super::{BoolExpr, Expr, Function, Instruction, Operation, Statement, Tape, ValueId, ValueType};
+use super::{BoolExpr, Expr, Fold, Function, Instruction, Operation, Statement, Tape, ValueId, ValueType};
 
 thread_local! {
     static RECORDER: RefCell<Option<Recorder>> = const { RefCell::new(None) };
@@ -33,8 +34,8 @@ struct FunctionBuilder {
     number: u32,
     arguments: Vec<ValueId>,
     blocks: Vec<BlockBuilder>,
-    /// First word of a row, and the number of its words that were used, if numbers of the scene are those of a row.
-    row: Option<(ValueId, u32)>,
+    /// In a function of lists, the number of words of its row that were used: numbers of the scene are these.
+    row_words: Option<u32>,
 }
 
 /// Statements, and the value of each operation already among them.
@@ -129,45 +130,82 @@ pub(super) fn emit(kind: ValueType, operation: Operation, operands: &[ValueId]) 
     })
 }
 
-/// Uniform of the scene, by its bits, or the next word of a row.
+/// Uniform of the scene, by its bits; in a function of lists, the next word of its row.
 pub(super) fn uniform(kind: ValueType, bits: u32) -> ValueId {
-    if let Some((row, place)) = with(|recorder| recorder.function().row) {
-        with(|recorder| recorder.function().row = Some((row, place + 1)));
-        let place = emit(ValueType::U32, Operation::Constant(place), &[]);
-        let word = word_at(emit(ValueType::U32, Operation::AddU32, &[row, place]));
-        return if kind == ValueType::F32 { emit(kind, Operation::FromBits, &[word]) } else { word };
+    let place = with(|recorder| {
+        let is_inner = recorder.open.iter().rev().skip(1).any(|function| function.row_words.is_some());
+        assert!(!is_inner, "numbers of a row are given to shared steps as arguments");
+        let words = recorder.function().row_words.as_mut()?;
+        *words += 1;
+        Some(*words - 1)
+    });
+    match place {
+        Some(place) => emit(kind, Operation::Row(place), &[]),
+        None => new_uniform(kind, bits),
     }
-    new_uniform(kind, bits)
 }
 
 /// Word of a table. All words of a tape are of one table.
 pub(super) fn word(table: &Table, index: ValueId) -> ValueId {
-    let known = with(|recorder| recorder.tape.table.clone());
-    if let Some(known) = known {
-        assert!(Table::ptr_eq(&known, table), "a formula reads one table");
-    } else {
-        let last = new_uniform(ValueType::U32, table.len() as u32 - 1);
-        with(|recorder| {
-            recorder.tape.table = Some(table.clone());
-            recorder.last_word = Some(last);
-        });
-    }
-    word_at(index)
-}
-
-fn word_at(index: ValueId) -> ValueId {
-    let last = with(|recorder| recorder.last_word).expect("a row is in a table");
+    let last = last_word(table);
     emit(ValueType::U32, Operation::Word, &[index, last])
 }
 
-/// Records a formula in which the numbers of the scene are the words of the table from `row` on.
-pub(super) fn with_row<T>(table: &Table, row: ValueId, formula: impl FnOnce() -> T) -> T {
-    // The table is that of the tape from now on.
-    word(table, row);
-    let outer = with(|recorder| recorder.function().row.replace((row, 0)));
-    let value = formula();
-    with(|recorder| recorder.function().row = outer);
-    value
+/// Word in place of one that says that its contents do not exist.
+pub(super) fn made(table: &Table, missing: ValueId) -> ValueId {
+    let last = last_word(table);
+    emit(ValueType::U32, Operation::Made, &[missing, last])
+}
+
+/// The uniform that is the index of the table's last word.
+fn last_word(table: &Table) -> ValueId {
+    let known = with(|recorder| recorder.tape.table.clone().zip(recorder.last_word));
+    if let Some((known, last)) = known {
+        assert!(Table::ptr_eq(&known, table), "a formula reads one table");
+        return last;
+    }
+    let last = new_uniform(ValueType::U32, table.capacity() as u32 - 1);
+    with(|recorder| {
+        recorder.tape.table = Some(table.clone());
+        recorder.last_word = Some(last);
+    });
+    last
+}
+
+/// Value of a list.
+pub(super) fn fold<F: ListFunctions<Expr>>(table: &Table, first: ValueId, p: Vec3<Expr>, functions: &F) -> F::Value {
+    let last = last_word(table);
+    let leaf = |(index, name): (usize, &&'static str)| function_of_rows(name, p, |p| functions.leaf(index, None, p));
+    let (leaves, values): (Vec<usize>, Vec<F::Value>) = functions.leaf_names().iter().enumerate().map(leaf).unzip();
+    let example = *values.first().expect("a list has leaves");
+    let join = |(index, name): (usize, &&'static str)| {
+        function_of_rows(name, (example, example), |(below, value)| functions.join(index, None, below, value)).0
+    };
+    let joins = functions.join_names().iter().enumerate().map(join).collect();
+    let result = fresh_values(example, Operation::CallResult);
+    push(Statement::Fold(Fold {
+        list: first,
+        last,
+        arguments: parts(p),
+        leaves,
+        joins,
+        depth: functions.depth() as u32,
+        returned: parts(result),
+    }));
+    result
+}
+
+/// Records a function of lists; returns its index, and an example of its value.
+fn function_of_rows<A: Bundle<Expr>, T: Bundle<Expr>>(
+    name: &'static str,
+    arguments: A,
+    step: impl FnOnce(A) -> T,
+) -> (usize, T) {
+    begin();
+    with(|recorder| recorder.function().row_words = Some(0));
+    let formal = arguments.merge(arguments, &mut FreshValues(argument));
+    let result = step(formal);
+    (end(name, parts(result), false), result)
 }
 
 fn new_uniform(kind: ValueType, bits: u32) -> ValueId {
@@ -200,7 +238,7 @@ fn begin() {
             number,
             arguments: Vec::new(),
             blocks: vec![BlockBuilder::default()],
-            row: None,
+            row_words: None,
         });
     });
 }
@@ -210,9 +248,10 @@ fn end(name: &'static str, results: Vec<ValueId>, is_entry: bool) -> usize {
         for &id in &results {
             recorder.check(id);
         }
-        let FunctionBuilder { arguments, mut blocks, .. } = recorder.open.pop().expect("a function was begun");
+        let FunctionBuilder { arguments, mut blocks, row_words, .. } =
+            recorder.open.pop().expect("a function was begun");
         let body = blocks.pop().expect("a function has a block until it ends").statements;
-        recorder.tape.functions.push(Function { name, arguments, body, results, is_entry });
+        recorder.tape.functions.push(Function { name, arguments, body, results, is_entry, row_words });
         recorder.tape.functions.len() - 1
     })
 }

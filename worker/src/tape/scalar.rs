@@ -3,9 +3,10 @@
 //! NaN is computed by no formula of a picture, and the sign of a zero is not defined. A value that depends on either is
 //! *vague*: back ends may differ in it.
 
-use scene::real::{Real, SQRT_FLOOR};
+use scene::real::list::{IS_LAST, IS_UNARY, NO_LEAF, OPERATION_WORDS, ROW_MASK, function_of};
+use scene::real::{Real, SQRT_FLOOR, Words};
 
-use super::{Operation, Statement, Tape, ValueId, ValueType};
+use super::{Fold, Operation, Statement, Tape, ValueId, ValueType};
 
 /// Bits of a value (0 or 1 for a condition), and whether back ends may differ in it.
 #[derive(Clone, Copy, Debug, Default)]
@@ -19,12 +20,14 @@ pub(crate) fn evaluate(tape: &Tape, entry: &str, arguments: &[f32]) -> Vec<Word>
     let index = tape.functions.iter().position(|function| function.name == entry).expect("an entry of the tape");
     let arguments: Vec<Word> =
         arguments.iter().map(|number| Word { bits: number.to_bits(), is_vague: false }).collect();
-    Run { tape, values: vec![Word::default(); tape.instructions.len()] }.call(index, &arguments)
+    Run { tape, values: vec![Word::default(); tape.instructions.len()], row: 0 }.call(index, &arguments)
 }
 
 struct Run<'a> {
     tape: &'a Tape,
     values: Vec<Word>,
+    /// First word of the current row.
+    row: u32,
 }
 
 impl Run<'_> {
@@ -35,10 +38,53 @@ impl Run<'_> {
         self.read(&function.results)
     }
 
+    fn table(&self) -> &Words {
+        self.tape.table().expect("a tape with words has a table")
+    }
+
+    /// A list that names no function, or takes a value where none waits, has a vague value.
+    fn fold(&mut self, fold: &Fold) -> Vec<Word> {
+        let last = self.table().capacity() as u32 - 1;
+        let row_words = fold.functions().filter_map(|index| self.tape.functions[index].row_words).max().unwrap_or(0);
+        let (list, point) = (self.value(fold.list), self.read(&fold.arguments));
+        let vague = vec![Word { bits: 0, is_vague: true }; fold.returned.len()];
+        let (mut at, mut waiting): (u32, Vec<Vec<Word>>) = (list.bits, Vec::new());
+        loop {
+            at = at.min(last - 1);
+            let (leaf, join) = (self.table().get(at), self.table().get(at + 1));
+            let mut with_row = |functions: &[usize], index: usize, word: u32, arguments: &[Word]| {
+                let function = functions.get(index)?;
+                self.row = (word & ROW_MASK).min(last - row_words);
+                Some(self.call(*function, arguments))
+            };
+            let value = match function_of(leaf) {
+                NO_LEAF => waiting.pop(),
+                function => with_row(&fold.leaves, function as usize, leaf, &point),
+            };
+            let Some(mut value) = value else { return vague };
+            if let Some(function) = function_of(join).checked_sub(1) {
+                let below = if join & IS_UNARY == 0 { waiting.pop() } else { Some(value.clone()) };
+                let Some(below) = below else { return vague };
+                let both: Vec<Word> = below.into_iter().chain(value).collect();
+                let Some(joined) = with_row(&fold.joins, function as usize, join, &both) else { return vague };
+                value = joined;
+            }
+            waiting.push(value);
+            at += OPERATION_WORDS;
+            if waiting.len() > fold.depth as usize {
+                return vague;
+            }
+            if leaf & IS_LAST != 0 || at >= last {
+                return if list.is_vague { vague } else { waiting.pop().unwrap_or(vague) };
+            }
+        }
+    }
+
     fn value(&self, id: ValueId) -> Word {
         match self.tape.definition(id).operation {
             Operation::Constant(bits) => Word { bits, is_vague: false },
             Operation::Uniform(place) => Word { bits: self.tape.uniforms[place as usize], is_vague: false },
+            Operation::Row(place) => Word { bits: self.table().get(self.row + place), is_vague: false },
             _ => self.values[id.0 as usize],
         }
     }
@@ -61,6 +107,10 @@ impl Run<'_> {
                 Statement::Call { function, arguments, returned } => {
                     let results = self.call(*function, &self.read(arguments));
                     self.assign(returned, &results);
+                }
+                Statement::Fold(fold) => {
+                    let results = self.fold(fold);
+                    self.assign(&fold.returned, &results);
                 }
                 Statement::When { condition, variables, otherwise, body, value } => {
                     let condition = self.value(*condition);
@@ -127,9 +177,11 @@ impl Run<'_> {
             Operation::MulU32 => a.wrapping_mul(b),
             Operation::ShiftLeft => a << b,
             Operation::ShiftRight => a >> b,
-            Operation::Word => self.tape.table().expect("a tape with words has a table")[a.min(b) as usize],
+            Operation::Word => self.table().get(a.min(b)),
+            Operation::Made => self.table().make(a),
             Operation::Constant(_)
             | Operation::Uniform(_)
+            | Operation::Row(_)
             | Operation::Argument
             | Operation::CallResult
             | Operation::Variable => panic!("no statement computes it"),

@@ -4,7 +4,9 @@
 use std::collections::HashSet;
 use std::ops::Deref;
 
-use super::{Function, Instruction, Operation, Statement, Tape, ValueId, ValueType};
+use scene::real::list::{NO_LEAF, OPERATION_WORDS};
+
+use super::{Fold, Function, Instruction, Operation, Statement, Tape, ValueId, ValueType};
 
 /// Maximum number of values of a tape, and of variables after inlining: frames then have 32-bit offsets.
 pub(super) const MAX_VALUES: usize = 1 << 24;
@@ -14,6 +16,11 @@ const MAX_FUNCTIONS: usize = 1 << 10;
 const MAX_LIST: usize = 1 << 14;
 /// Maximum depth of blocks, from an entry through all calls: back ends recurse into them.
 const MAX_DEPTH: usize = 512;
+/// Maximum number of words of a row.
+const MAX_ROW_WORDS: u32 = 1 << 16;
+/// Maximum number of values that wait in a fold, and of those that it returns.
+const MAX_WAITING: u32 = 64;
+const MAX_FOLDED: usize = 64;
 /// Maximum number of runs of a loop: the counts of a formula are exact in `f32`.
 const MAX_REPEATS: u32 = 1 << 24;
 
@@ -41,8 +48,18 @@ pub(super) enum Fault {
     UnknownUniform(u32),
     #[error("a shift is by a constant below 32")]
     Shift,
-    #[error("a word's last index is a uniform that is in the table")]
+    #[error("a word's last index is a uniform that is in the table, with room for a row before it")]
     Table,
+    #[error("word {0} of a row is used, which the function does not have")]
+    Row(u32),
+    #[error("function {0} is no function of lists, or takes or returns other values")]
+    ListFunction(usize),
+    #[error("function {0} is used by two folds, or called")]
+    SharedListFunction(usize),
+    #[error("a fold has no leaves or too many functions, or {0} values wait")]
+    FoldSize(u32),
+    #[error("a function of lists folds a list")]
+    NestedFold,
     #[error("it is defined by another kind of statement than its operation says")]
     Statement,
     #[error("it is defined twice")]
@@ -107,6 +124,12 @@ struct Verifier<'a> {
     visible: Vec<ValueId>,
     /// Depth of the blocks of each earlier function and of those that it calls.
     depths: Vec<usize>,
+    /// Whether each earlier function folds a list, itself or by those that it calls.
+    folds: Vec<bool>,
+    /// Functions of folds.
+    folded: HashSet<usize>,
+    /// Number of words of the row of the function that is being checked, if it has one.
+    row_words: Option<u32>,
     /// The function that is being checked.
     step: &'static str,
 }
@@ -119,6 +142,9 @@ impl Tape {
             values: vec![Visibility::Undefined; self.instructions.len()],
             visible: Vec::new(),
             depths: Vec::new(),
+            folds: Vec::new(),
+            folded: HashSet::new(),
+            row_words: None,
             step: "",
         };
         verifier.all()?;
@@ -185,7 +211,7 @@ impl Verifier<'_> {
             return self.refuse_value(id, Fault::Type { is: kind, wanted });
         }
         match operation {
-            Operation::Constant(_) | Operation::Uniform(_) if kind == ValueType::Bool => {
+            Operation::Constant(_) | Operation::Uniform(_) | Operation::Row(_) if kind == ValueType::Bool => {
                 self.refuse_value(id, Fault::BoolInput)
             }
             Operation::Uniform(place) if place as usize >= self.tape.uniforms.len() => {
@@ -196,18 +222,70 @@ impl Verifier<'_> {
                 let is_valid = matches!(by, Some(Operation::Constant(by)) if by < u32::BITS);
                 if is_valid { Ok(()) } else { self.refuse_value(id, Fault::Shift) }
             }
-            Operation::Word => {
-                let last = operands[1].map(|last| self.tape.definition(last).operation);
-                let last = last.and_then(|last| match last {
-                    Operation::Uniform(place) => self.tape.uniforms.get(place as usize),
-                    _ => None,
-                });
-                let length = self.tape.table.as_ref().map_or(0, |table| table.len());
-                let is_valid = last.is_some_and(|last| (*last as usize) < length);
+            Operation::Word | Operation::Made => {
+                let is_valid = operands[1].is_some_and(|last| self.is_last_word(last, 0));
                 if is_valid { Ok(()) } else { self.refuse_value(id, Fault::Table) }
             }
             _ => Ok(()),
         }
+    }
+
+    /// Whether a value is the index of a word of the table that has this many before it.
+    fn is_last_word(&self, last: ValueId, before: u32) -> bool {
+        let last = match self.tape.instructions.get(last.0 as usize).map(|last| last.operation) {
+            Some(Operation::Uniform(place)) => self.tape.uniforms.get(place as usize),
+            _ => None,
+        };
+        let length = self.tape.table.as_ref().map_or(0, |table| table.capacity());
+        last.is_some_and(|&last| (last as usize) < length && last >= before)
+    }
+
+    fn fold(&mut self, index: usize, fold: &Fold) -> Checked {
+        if self.row_words.is_some() {
+            return self.refuse(Fault::NestedFold);
+        }
+        let counts = [fold.leaves.len(), fold.joins.len()];
+        let is_sized = (1..=MAX_WAITING).contains(&fold.depth) && fold.returned.len() <= MAX_FOLDED;
+        if !is_sized || counts[0] == 0 || counts.into_iter().any(|count| count >= NO_LEAF as usize) {
+            return self.refuse(Fault::FoldSize(fold.depth));
+        }
+        self.used_as(fold.list, ValueType::U32)?;
+        self.all_used(&fold.arguments)?;
+        for &id in &fold.arguments {
+            self.expect_type(id, ValueType::F32)?;
+        }
+        let width = fold.returned.len();
+        let mut row_words = 0;
+        for (place, function) in fold.functions().enumerate() {
+            let arguments = if place < counts[0] { fold.arguments.len() } else { 2 * width };
+            let Some(callee) = self.tape.functions.get(function).filter(|_| function < index) else {
+                return self.refuse(Fault::Callee(function));
+            };
+            let are_numbers = callee
+                .arguments
+                .iter()
+                .chain(&callee.results)
+                .all(|id| self.tape.instructions.get(id.0 as usize).is_some_and(|id| id.kind == ValueType::F32));
+            let Some(words) = callee.row_words.filter(|words| *words <= MAX_ROW_WORDS && are_numbers) else {
+                return self.refuse(Fault::ListFunction(function));
+            };
+            if callee.arguments.len() != arguments || callee.results.len() != width || width == 0 {
+                return self.refuse(Fault::ListFunction(function));
+            }
+            if !self.folded.insert(function) {
+                return self.refuse(Fault::SharedListFunction(function));
+            }
+            row_words = row_words.max(words);
+        }
+        if !self.is_last_word(fold.last, row_words + OPERATION_WORDS) {
+            return self.refuse_value(fold.last, Fault::Table);
+        }
+        for &id in &fold.returned {
+            self.define(id, Operation::CallResult)?;
+            self.expect_type(id, ValueType::F32)?;
+        }
+        self.folds[index] = true;
+        Ok(())
     }
 
     fn function(&mut self, index: usize, function: &Function) -> Checked {
@@ -217,6 +295,11 @@ impl Verifier<'_> {
         }
         self.short(&function.arguments)?;
         self.short(&function.results)?;
+        if function.is_entry && function.row_words.is_some() {
+            return self.refuse(Fault::ListFunction(index));
+        }
+        self.row_words = function.row_words;
+        self.folds.push(false);
         for &id in &function.arguments {
             self.define(id, Operation::Argument)?;
         }
@@ -256,6 +339,10 @@ impl Verifier<'_> {
                 Statement::Call { function: callee, arguments, returned } => {
                     self.call(function, *callee, arguments, returned)?;
                     depth + 1 + self.depths[*callee]
+                }
+                Statement::Fold(fold) => {
+                    self.fold(function, fold)?;
+                    depth + 1 + fold.functions().map(|function| self.depths[function]).max().unwrap_or(0)
                 }
                 Statement::When { condition, variables, otherwise, body, value } => {
                     self.used_as(*condition, ValueType::Bool)?;
@@ -310,6 +397,16 @@ impl Verifier<'_> {
         if function.is_entry {
             return self.refuse(Fault::CalledEntry);
         }
+        // A function of lists has a row only in a fold.
+        if function.row_words.is_some() {
+            return self.refuse(Fault::SharedListFunction(callee));
+        }
+        if self.folds[callee] {
+            if self.row_words.is_some() {
+                return self.refuse(Fault::NestedFold);
+            }
+            self.folds[caller] = true;
+        }
         self.all_used(arguments)?;
         for &id in returned {
             self.define(id, Operation::CallResult)?;
@@ -347,7 +444,13 @@ impl Verifier<'_> {
     }
 
     fn used(&self, id: ValueId) -> Checked {
-        let is_input = self.known(id)?.operation.is_constant();
+        let operation = self.known(id)?.operation;
+        if let Operation::Row(word) = operation
+            && self.row_words.is_none_or(|words| word >= words)
+        {
+            return self.refuse_value(id, Fault::Row(word));
+        }
+        let is_input = operation.is_constant();
         let is_visible = is_input || self.values[id.0 as usize] == Visibility::Visible;
         if is_visible { Ok(()) } else { self.refuse_value(id, Fault::NotVisible) }
     }

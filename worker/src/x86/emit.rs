@@ -2,7 +2,8 @@
 //!
 //! Registers: `rdi` the thread's frame, `rsi` the uniforms, `rdx` the constants, `rcx` the cancel flag. Entries also have
 //! `r8` the arguments, `r9` the results, `r10` the bytes of a row, `r11` the packets that remain. The last two vector
-//! registers, k0, k7 and `rax` are scratch. Nothing else is used, and memory is reached through these only.
+//! registers, k0, k7 and `rax` are scratch. Folds of lists use the registers that are named there. Nothing else is used,
+//! and memory is reached through these only.
 
 use std::collections::HashMap;
 
@@ -10,7 +11,7 @@ use iced_x86::{Code, Instruction, MemoryOperand, Register};
 
 use super::isa::Isa;
 use super::operands::{MASK_SCRATCH, MASK_SCRATCH_2};
-use crate::tape::{Allocation, Linear, Place, Step, Var};
+use crate::tape::{Allocation, Linear, ListFunctionLayout, Place, Step, Var};
 
 pub(super) const FRAME: Register = Register::RDI;
 pub(super) const UNIFORMS: Register = Register::RSI;
@@ -20,8 +21,17 @@ pub(super) const ARGUMENTS: Register = Register::R8;
 pub(super) const RESULTS: Register = Register::R9;
 pub(super) const ROW_BYTES: Register = Register::R10;
 pub(super) const PACKETS: Register = Register::R11;
-/// The address of a row, or of the table.
+/// The address of a row of arguments or results, or of the table.
 pub(super) const ROW: Register = Register::RAX;
+/// Registers of folds, which an entry gives back as they were: an index in the table, a word, the address of the current
+/// row of numbers, that of the values that wait, the table's, and a function's number.
+pub(super) const AT: Register = Register::RBX;
+pub(super) const WORD: Register = Register::RBP;
+pub(super) const NUMBERS: Register = Register::R12;
+pub(super) const WAITING: Register = Register::R13;
+pub(super) const TABLE: Register = Register::R14;
+pub(super) const FUNCTION: Register = Register::R15;
+pub(super) const SAVED: [Register; 6] = [AT, WORD, NUMBERS, WAITING, TABLE, FUNCTION];
 pub(super) const STACK: Register = Register::RSP;
 /// Round to nearest, keep subnormal numbers, report nothing.
 const MXCSR: u32 = 0x1f80;
@@ -36,20 +46,42 @@ pub(super) struct FrameLayout {
     pub(super) arguments: u32,
     pub(super) results: u32,
     pub(super) slots: u32,
-    /// Counters of loops, then the rounding mode of an entry's caller.
+    /// Memory of the function's folds, and of the words that it has made.
+    pub(super) folds: u32,
+    /// Words of the function's row, as vectors, for an extension that can't take them from the row itself.
+    pub(super) row: u32,
+    /// Counters of loops, then the rounding mode of an entry's caller, then its registers.
     counters: u32,
     /// End of all parts.
     pub(super) end: u32,
+    /// Places of a function of lists.
+    pub(super) list_function: Option<ListFunctionLayout>,
 }
 
 impl FrameLayout {
-    pub(super) fn new(start: u32, linear: &Linear, slots: u32, packet_bytes: u32) -> Self {
-        let arguments = start + packet_bytes;
-        let results = arguments + packet_bytes * linear.arguments.len() as u32;
-        let first_slot = results + packet_bytes * linear.results.len() as u32;
-        let counters = first_slot + packet_bytes * slots;
-        let end = (counters + 4 * (linear.counters as u32 + 1)).next_multiple_of(packet_bytes);
-        Self { live: start, arguments, results, slots: first_slot, counters, end }
+    pub(super) fn new(
+        start: u32,
+        list_function: Option<ListFunctionLayout>,
+        linear: &Linear,
+        slots: u32,
+        packet_bytes: u32,
+    ) -> Self {
+        let arguments = linear.arguments.len() as u32;
+        let own = 1 + arguments + linear.results.len() as u32;
+        let places = list_function.unwrap_or(ListFunctionLayout { arguments: 1, results: 1 + arguments, own });
+        let [arguments, results, own] =
+            [places.arguments, places.results, places.own].map(|packets| start + packet_bytes * packets);
+        let folds = own + packet_bytes * slots;
+        let of_fold = |step: &Step| match step {
+            Step::Fold(fold) => fold.packets(),
+            Step::Make { .. } => 2,
+            _ => 0,
+        };
+        let row = folds + packet_bytes * linear.steps.iter().map(of_fold).max().unwrap_or(0);
+        let counters = row + packet_bytes * linear.row_words();
+        let end = (counters + 4 * (linear.counters as u32 + 1)).next_multiple_of(8) + 8 * SAVED.len() as u32;
+        let end = end.next_multiple_of(packet_bytes);
+        Self { live: start, arguments, results, slots: own, folds, row, counters, end, list_function }
     }
 }
 
@@ -78,10 +110,12 @@ pub(super) struct Assembly {
     pub(super) constants: ConstantPool,
     /// Number of the tape's uniforms.
     pub(super) uniforms: usize,
+    /// Whether it reads words of a table.
+    pub(super) has_table: bool,
 }
 
 impl Assembly {
-    fn next(&self) -> u64 {
+    pub(super) fn next(&self) -> u64 {
         self.instructions.len() as u64 + 1
     }
 }
@@ -92,7 +126,7 @@ pub(super) struct Emitter<'a> {
     pub(super) isa: &'static Isa,
     pub(super) linear: &'a Linear,
     pub(super) allocation: &'a Allocation,
-    layouts: &'a [FrameLayout],
+    pub(super) layouts: &'a [FrameLayout],
     index: usize,
     /// The vector of the packet for which code is emitted.
     pub(super) vector: u32,
@@ -143,6 +177,15 @@ impl<'a> Emitter<'a> {
 
     /// Loads what a caller left in the frame.
     fn take_inputs(&mut self) {
+        if !self.isa.has_masks() {
+            // No operand of this extension is one number for all lanes.
+            for word in 0..self.linear.row_words() {
+                let (from, scratch) = (memory(NUMBERS, 4 * word), self.isa.scratch);
+                self.push(valid(Instruction::with2(Code::VEX_Vbroadcastss_ymm_m32, scratch, from)));
+                let to = memory(FRAME, self.layout().row + self.isa.packet_bytes() * word);
+                self.push(valid(Instruction::with2(self.isa.store, to, scratch)));
+            }
+        }
         // In the order in which they were given registers: one that nothing reads may have that of a later one.
         self.load_from(self.linear.live, self.layout().live);
         for (place, &var) in self.linear.arguments.iter().enumerate() {
@@ -161,6 +204,12 @@ impl<'a> Emitter<'a> {
     fn entry(&mut self) {
         let saved_mode = memory(FRAME, self.layout().counters + 4 * self.linear.counters as u32);
         self.push(valid(Instruction::with1(Code::VEX_Vstmxcsr_m32, saved_mode)));
+        if self.assembly.has_table {
+            for (place, register) in SAVED.into_iter().enumerate() {
+                let to = self.saved(place as u32);
+                self.push(valid(Instruction::with2(Code::Mov_rm64_r64, to, register)));
+            }
+        }
         let place = self.assembly.constants.place(MXCSR);
         self.set_mode_unless_usual(saved_mode, self.constant_at(place, false));
         // Above the return address.
@@ -194,6 +243,12 @@ impl<'a> Emitter<'a> {
         self.push(valid(Instruction::with1(Code::Dec_rm64, PACKETS)));
         self.push(valid(Instruction::with_branch(Code::Jne_rel32_64, top)));
         self.set_mode_unless_usual(saved_mode, saved_mode);
+        if self.assembly.has_table {
+            for (place, register) in SAVED.into_iter().enumerate() {
+                let from = self.saved(place as u32);
+                self.push(valid(Instruction::with2(Code::Mov_r64_rm64, register, from)));
+            }
+        }
         self.push(Instruction::with(Code::VEX_Vzeroupper));
     }
 
@@ -260,6 +315,12 @@ impl<'a> Emitter<'a> {
         }
     }
 
+    /// Place of a register of an entry's caller.
+    fn saved(&self, place: u32) -> MemoryOperand {
+        let first = (self.layout().counters + 4 * (self.linear.counters as u32 + 1)).next_multiple_of(8);
+        memory(FRAME, first + 8 * place)
+    }
+
     fn counter(&self, counter: usize) -> MemoryOperand {
         memory(FRAME, self.layout().counters + 4 * counter as u32)
     }
@@ -282,6 +343,8 @@ impl<'a> Emitter<'a> {
             }
             Step::RepeatWhileAny { mask, counter, top } => self.repeat_while_any(*mask, *counter, *top),
             Step::Call { callee, live, arguments, results } => self.call(*callee, *live, arguments, results),
+            Step::Make { live, to, missing } => self.make(*live, *to, *missing),
+            Step::Fold(fold) => self.fold(fold),
         }
     }
 

@@ -2,7 +2,7 @@
 
 use iced_x86::{Code, Instruction, MemoryOperand, Register};
 
-use super::emit::{CONSTANTS, Emitter, FRAME, UNIFORMS, memory, valid};
+use super::emit::{CONSTANTS, Emitter, FRAME, NUMBERS, UNIFORMS, memory, valid};
 use crate::tape::{Class, Place, Var};
 
 pub(super) const MASK_SCRATCH: Register = Register::K7;
@@ -59,6 +59,10 @@ impl Emitter<'_> {
             Place::Vector(register) => Operand::Register(self.isa.vector(register, self.vector)),
             Place::Constant(bits) => self.constant(bits),
             Place::Uniform(index) => Operand::Memory(self.input(UNIFORMS, index, true)),
+            Place::Row(word) if self.isa.has_masks() => {
+                Operand::Memory(MemoryOperand { is_broadcast: true, ..memory(NUMBERS, 4 * word) })
+            }
+            Place::Row(word) => Operand::Memory(memory(FRAME, self.layout().row + self.isa.packet_bytes() * word)),
             place => Operand::Memory(self.in_frame(place).expect("a number is a vector or in the frame")),
         }
     }

@@ -7,10 +7,12 @@ mod guarded;
 mod memory;
 
 use std::io;
+use std::panic::AssertUnwindSafe;
+use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
 use memmap2::{Mmap, MmapMut};
-use scene::real::Table;
+use scene::real::{Table, Words};
 
 use super::isa::Isa;
 use memory::Memory;
@@ -72,8 +74,15 @@ pub(super) struct MachineCode {
 #[derive(Debug)]
 pub(crate) struct Uniforms {
     numbers: Memory,
-    /// The numbers end with its address.
+    /// The numbers end with its address, and those of what makes its words.
     table: Option<Table>,
+}
+
+impl Uniforms {
+    /// The table.
+    pub(crate) fn table(&self) -> Option<&Table> {
+        self.table.as_ref()
+    }
 }
 
 /// Memory of a thread that runs a program.
@@ -128,9 +137,12 @@ impl Program {
         let mut words = copied(values, self.isa);
         if let Some(table) = &table {
             words.resize(self.isa.table_address_at(self.uniforms) / size_of::<u32>(), 0);
-            let address = table.as_ptr().addr() as u64;
+            let maker: extern "sysv64" fn(*const Words, u32) -> u32 = made;
             table.as_ptr().expose_provenance();
-            words.extend([address as u32, (address >> 32) as u32]);
+            for address in [table.as_ptr().addr(), maker as usize, Arc::as_ptr(table).addr()] {
+                words.extend([address as u32, (address as u64 >> 32) as u32]);
+            }
+            Arc::as_ptr(table).expose_provenance();
             words.resize(uniform_bytes(self.isa, self.uniforms, true) / size_of::<u32>(), 0);
         }
         Uniforms { numbers: packets(words.into_iter()), table }
@@ -181,11 +193,22 @@ impl Program {
     }
 }
 
-/// Bytes of a program's uniforms, with the address of its table: then whole packets, so that vectors that end with them
+/// The word in place of a missing one; called by machine code. A panic is a failure of the table: no code above could
+/// pass it on.
+extern "sysv64" fn made(words: *const Words, missing: u32) -> u32 {
+    // SAFETY: `uniforms` wrote the address of a table that it keeps.
+    let words = unsafe { &*words };
+    std::panic::catch_unwind(AssertUnwindSafe(|| words.make(missing))).unwrap_or_else(|_| {
+        words.fail();
+        missing
+    })
+}
+
+/// Bytes of a program's uniforms, with the addresses of its table and of what makes its words: then whole packets, so that vectors that end with them
 /// are aligned.
 pub(super) fn uniform_bytes(isa: &Isa, uniforms: usize, has_table: bool) -> usize {
     if has_table {
-        (isa.table_address_at(uniforms) + size_of::<u64>()).next_multiple_of(size_of::<Packet>())
+        (isa.table_address_at(uniforms) + 3 * size_of::<u64>()).next_multiple_of(size_of::<Packet>())
     } else {
         isa.input_bytes(uniforms)
     }

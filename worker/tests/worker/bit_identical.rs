@@ -10,7 +10,7 @@ use worker::frame::render_frame;
 use worker::{CancelFlag, CpuRenderer, Simd};
 
 use crate::lanes::levels;
-use crate::shipped::{Shipped, shipped};
+use crate::shipped::{Shipped, large, shipped};
 
 /// Wider than any picture.
 const WHOLE: u32 = 65535;
@@ -51,15 +51,15 @@ impl Way {
     }
 }
 
-/// Compares every shipped job, converted by `form`, over all ways.
-fn assert_same(form: impl Fn(&Shipped) -> Job) {
+/// Compares jobs, converted by `form`, over all ways.
+fn assert_same(scenes: Vec<Shipped>, form: impl Fn(&Shipped) -> Job) {
     let reference = Way::new(Simd::Scalar, 1, Some(WHOLE));
     let vectors = levels().filter(|&level| level != Simd::Scalar).map(|level| Way::new(level, 1, Some(WHOLE)));
     let best = [(1, None), (3, None), (3, Some(32)), (2, Some(256)), (1, Some(WHOLE))];
     let best = best.map(|(threads, tile_px)| Way::new(Simd::Auto, threads, tile_px));
     let ways: Vec<Way> = vectors.chain(best).collect();
     let mut wrong = Vec::new();
-    for shipped in shipped() {
+    for shipped in scenes {
         let job = form(&shipped);
         let want = reference.picture(&job);
         let different = ways.iter().filter(|way| way.picture(&job) != want);
@@ -70,22 +70,28 @@ fn assert_same(form: impl Fn(&Shipped) -> Job) {
 
 #[test]
 fn small_pngs_are_bit_identical_to_scalar_code() {
-    assert_same(|shipped| shipped.png(SMALL_PX, SAMPLES));
+    assert_same(shipped(), |shipped| shipped.png(SMALL_PX, SAMPLES));
 }
 
 #[test]
 fn small_exrs_are_bit_identical_to_scalar_code() {
-    assert_same(|shipped| shipped.exr(SMALL_PX, SAMPLES));
+    assert_same(shipped(), |shipped| shipped.exr(SMALL_PX, SAMPLES));
 }
 
 #[test]
 #[ignore = "long: every shipped scene, larger, in all ways; 2 minutes"]
 fn larger_pngs_are_bit_identical_to_scalar_code() {
-    assert_same(|shipped| shipped.png(LARGE_PX, SAMPLES));
+    assert_same(shipped(), |shipped| shipped.png(LARGE_PX, SAMPLES));
 }
 
 #[test]
 #[ignore = "long: every shipped scene, larger, in all ways; 2 minutes"]
 fn larger_exrs_are_bit_identical_to_scalar_code() {
-    assert_same(|shipped| shipped.exr(LARGE_PX, SAMPLES));
+    assert_same(shipped(), |shipped| shipped.exr(LARGE_PX, SAMPLES));
+}
+
+#[test]
+#[ignore = "long: scenes of thousands of shapes in all ways; 45 s"]
+fn large_scenes_are_bit_identical_to_scalar_code() {
+    assert_same(large(), |shipped| shipped.exr(SMALL_PX, 1));
 }

@@ -12,6 +12,7 @@ use scene::camera::Projection;
 use scene::kinds::Example;
 use scene::lights::Light;
 use scene::real::Real;
+use scene::real::Table;
 use scene::{Image, Job, effects};
 use serde_json::{Value, json};
 use worker::cuda::{Compiler, KernelSource};
@@ -80,7 +81,11 @@ fn render_on_host(job: &Job, folder: &Path) -> TilePixels {
     let planes = job.image.channels().len();
     let Image { width, height, samples, .. } = job.image;
     let mut input: Vec<u8> = source.parameters.iter().flat_map(|bits| bits.to_ne_bytes()).collect();
-    let table = source.table.as_deref().unwrap_or_default();
+    let words = |table: &Table| {
+        table.make_all();
+        table.after(0)
+    };
+    let table = source.table.as_ref().map(words).unwrap_or_default();
     input.extend((table.len() as u32).to_ne_bytes());
     input.extend(table.iter().flat_map(|word| word.to_ne_bytes()));
     for word in [planes as u32, samples, 0, 0, width, height, 0, width.div_ceil(8), 0, 0] {

@@ -62,8 +62,8 @@ impl Real for Counting {
         f32::word(table, index)
     }
 
-    fn known(word: Self::Bits) -> Option<u32> {
-        f32::known(word)
+    fn made(table: &Table, missing: Self::Bits) -> Self::Bits {
+        f32::made(table, missing)
     }
 
     fn mul_add(self, factor: Self, term: Self) -> Self {

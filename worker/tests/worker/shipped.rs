@@ -46,10 +46,24 @@ fn sized(job: Job, width: u32, samples: u32) -> Job {
 
 /// All of them, by name.
 pub(crate) fn shipped() -> Vec<Shipped> {
-    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../scenes");
+    let found = of_folders(&[("", "scenes"), ("paper/", "scenes/paper")]);
+    assert!(found.len() > 30, "scenes/ holds job files");
+    found
+}
+
+/// The large scenes of the documents, by name.
+pub(crate) fn large() -> Vec<Shipped> {
+    let found = of_folders(&[("", "docs/scenes")]);
+    assert!(found.len() > 3, "docs/scenes/ holds job files");
+    found
+}
+
+/// The job files of folders, with prefixes of their names.
+fn of_folders(folders: &[(&str, &str)]) -> Vec<Shipped> {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
     let mut found = Vec::new();
-    for prefix in ["", "paper/"] {
-        for entry in std::fs::read_dir(root.join(prefix)).expect("there are scenes") {
+    for (prefix, folder) in folders {
+        for entry in std::fs::read_dir(root.join(folder)).expect("there are scenes") {
             let path = entry.expect("a folder can be read").path();
             if path.extension().is_some_and(|extension| extension == "json") {
                 let stem = path.file_stem().expect("a file has a name").to_string_lossy().into_owned();
@@ -59,6 +73,5 @@ pub(crate) fn shipped() -> Vec<Shipped> {
         }
     }
     found.sort_by(|left, right| left.name.cmp(&right.name));
-    assert!(found.len() > 30, "scenes/ holds job files");
     found
 }

@@ -165,20 +165,29 @@ impl Placements {
         all.filter_map(|(index, copy)| Some((Some(index), copy.material_mut()?))).collect()
     }
 
-    /// Value of a copy of `shape` at `p`.
-    pub(crate) fn sample<R: Real, V: SdfValue<R>>(&self, index: usize, shape: &Node, p: Vec3<R>) -> V {
-        let Placement { by, scale, inverse_rows: [x, y, z], material, .. } = &self.all[index];
+    /// Scale of a copy, if any copy is scaled.
+    pub(crate) fn scale(&self, index: usize) -> Option<f32> {
+        self.has_scale.then_some(self.all[index].scale)
+    }
+
+    /// Point of the shape that a copy has at `p`.
+    pub(crate) fn to_shape<R: Real>(&self, index: usize, p: Vec3<R>) -> Vec3<R> {
+        let Placement { by, scale, inverse_rows: [x, y, z], .. } = &self.all[index];
         let mut q = p - Vec3::uniform(p.x, *by);
         if self.has_rotation {
             q = vec3(q.dot_uniform(*x), q.dot_uniform(*y), q.dot_uniform(*z));
         }
-        let value: V = if self.has_scale {
-            let value: V = shape.sample(q * p.x.uniform(1.0 / scale));
-            let distance = value.distance() * p.x.uniform(*scale);
-            value.with_distance(distance)
-        } else {
-            shape.sample(q)
-        };
+        if self.has_scale { q * p.x.uniform(1.0 / scale) } else { q }
+    }
+
+    /// Value of a copy of `shape` at `p`.
+    pub(crate) fn sample<R: Real, V: SdfValue<R>>(&self, index: usize, shape: &Node, p: Vec3<R>) -> V {
+        let mut value: V = shape.sample(self.to_shape(index, p));
+        if let Some(scale) = self.scale(index) {
+            let distance = value.distance() * p.x.uniform(scale);
+            value = value.with_distance(distance);
+        }
+        let material = &self.all[index].material;
         match material {
             Some(material) => value.paint(material.slot(), p),
             None => value,
@@ -187,8 +196,13 @@ impl Placements {
 
     /// Bounds of a copy, given the shape's bounds for an isolevel.
     pub(crate) fn bounds_of(&self, index: usize, isolevel: f32, shape: impl Fn(f32) -> Bounds) -> Bounds {
+        self.to_copy(index, shape(isolevel / self.all[index].scale))
+    }
+
+    /// Bounds of a copy, given those of the shape.
+    pub(crate) fn to_copy(&self, index: usize, shape: Bounds) -> Bounds {
         let Placement { by, scale, inverse_rows, .. } = &self.all[index];
-        shape(isolevel / scale).scaled(*scale).rotated(*inverse_rows).translated(*by)
+        shape.scaled(*scale).rotated(*inverse_rows).translated(*by)
     }
 
     /// Bounds of each copy, given the shape's bounds for an isolevel.

@@ -29,10 +29,10 @@ pub struct KaleidoscopicIfs {
     pub offset: Point,
     /// A rotation before the folds.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub turn_before: Option<Rotation>,
+    pub turn_before: Option<Box<Rotation>>,
     /// A rotation after the folds.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub turn_after: Option<Rotation>,
+    pub turn_after: Option<Box<Rotation>>,
     /// Number of iterations.
     #[schemars(range(min = 1, max = MAX_ITERATIONS))]
     #[serde(deserialize_with = "iterations")]
@@ -70,12 +70,12 @@ impl Primitive for KaleidoscopicIfs {
         let step = Vec3::uniform(p.x, offset.map(|c| c * share));
         let shrink = p.x.uniform(1.0 / scale);
         let (place, size) = R::repeat(self.iterations, (p, p.x.constant(1.0)), |(place, size)| {
-            let place = turned(place, self.turn_before.as_ref());
+            let place = turned(place, self.turn_before.as_deref());
             let place = match self.folds {
                 KaleidoscopicFolds::Tetrahedral => folds::tetrahedral(place),
                 KaleidoscopicFolds::Octahedral | KaleidoscopicFolds::MengerLike => folds::octahedral(place),
             };
-            let place = turned(place, self.turn_after.as_ref());
+            let place = turned(place, self.turn_after.as_deref());
             let step = step * size;
             let place = match self.folds {
                 KaleidoscopicFolds::Tetrahedral | KaleidoscopicFolds::Octahedral => place - step,

@@ -4,14 +4,14 @@ use std::sync::OnceLock;
 
 use crate::seek::Invalidate;
 
-/// Value computed once. Ignored by `==`, because it follows from the node's numbers.
+/// Value computed once. Ignored by `==`, because it follows from the node's numbers. Boxed, so that nodes stay small.
 #[derive(Clone, Debug)]
-pub(in crate::nodes) struct Cached<T>(OnceLock<T>);
+pub(in crate::nodes) struct Cached<T>(OnceLock<Box<T>>);
 
 impl<T> Cached<T> {
     /// The value, computed by `find` at the first call.
     pub(in crate::nodes) fn get(&self, find: impl FnOnce() -> T) -> &T {
-        self.0.get_or_init(find)
+        self.0.get_or_init(|| Box::new(find()))
     }
 }
 

@@ -90,7 +90,7 @@ impl Real for Double {
     }
 
     fn word(table: &scene::real::Table, index: Word) -> Word {
-        Word(table[index.0 as usize])
+        Word(table.get(index.0))
     }
 
     fn mul_add(self, factor: Self, term: Self) -> Self {

@@ -1,9 +1,9 @@
 //! Tests that every back end of the CPU gives the reference's bits.
 
-use scene::real::{MaskValue, Real};
+use scene::real::{MaskValue, Real, vec3};
 
 use super::*;
-use crate::random_formula::{Generator, TABLE, index_of, random_formula};
+use crate::random_formula::{Generator, TABLE, fold, index_of, random_formula};
 use crate::tape::{Expr, record};
 
 mod c_text;
@@ -163,15 +163,14 @@ pub(super) fn operations() -> Vec<Formula> {
             let next = R::when(x.lt(b), x, || x * R::from_bits(R::word(&TABLE, index_of(x + c))));
             (next.lt(c), next - 0.125)
         });
-        "row": |a, b, c| {
-            let row = index_of(a) & 63;
-            let numbers = R::known(row).map_or([0.0; 2], |row| [0, 1].map(|place| f32::from_bits(TABLE[row as usize + place])));
-            let of_row = R::with_row(&TABLE, row, || {
-                let first = R::when(a.lt(b), c, || a * a.uniform(numbers[0]));
-                first + b.uniform(numbers[1])
-            });
-            of_row + a.uniform(0.5)
+        "fold": |a, b, c| {
+            let (first, second) = fold(vec3(a, b, c));
+            first + second * 0.5 + a.uniform(0.5)
         };
+        "one value of a fold, in a branch in a loop": |a, b, c| R::repeat(4, a, |x| {
+            let next = R::when(x.lt(b), x, || fold(vec3(x, b, c)).0);
+            (next.lt(c), next - 0.125)
+        });
         "uniform": |a, b, c| a * a.uniform(3.5) + b.uniform(0.25);
         "when": |a, b, c| R::when(a.lt(b), c, || a.sqrt() + b);
         "repeat": |a, b, c| R::repeat(9, a, |x| { let next = x * 0.7 + b; (next.abs().lt(c.abs()), next) });

@@ -3,6 +3,7 @@
 use scene::Integrator;
 use scene::bounds::Bounds;
 use scene::cells::{CellBuilder, Cells, Program, ScalarBuilder};
+use scene::nodes::Node;
 use scene::real::vec3;
 
 use super::*;
@@ -20,7 +21,7 @@ fn cells_of(text: &[u8], how: &dyn CellBuilder) -> Option<&'static Cells<'static
 
 fn formula_of(name: &str, cells: &'static Cells<'static>) -> Formula {
     let at = |[x, y, z]: [Expr; 3]| cells.distance(vec3(x, y, z));
-    Formula::new(name, at, |[x, y, z]| cells.program().distance(vec3(x, y, z)))
+    Formula::new(name, at, |[x, y, z]| cells.whole_distance(vec3(x, y, z)))
 }
 
 /// A job of one smooth union of many balls and boxes.
@@ -38,7 +39,12 @@ fn many(count: u32) -> String {
     let shapes: Vec<String> = (0..count).map(shape).collect();
     format!(
         r#"{{ "scene": {{ "camera": {{ "position": [0, 0, 5], "look_at": [0, 0, 0] }}, "objects": [ {{ "shape":
-           {{ "union": {{ "smooth": 0.05, "of": [{}] }} }} }} ] }}, "image": {{ "width": 8, "height": 8 }} }}"#,
+           {{ "union": {{ "smooth": 0.05, "of": [{}] }} }} }},
+           {{ "shape": {{ "plane": {{ "normal": [0, 1, 0], "offset": -0.6 }} }} }},
+           {{ "shape": {{ "copies": {{ "child": {{ "union": {{ "of": [
+                {{ "sphere": {{ "radius": 0.2 }} }}, {{ "box": {{ "size": [0.5, 0.1, 0.1] }} }} ] }} }},
+              "at": [ {{ "by": [1, 1, 1], "scale": 0.5 }}, {{ "by": [-1, 0.5, 1.5], "degrees": [0, 40, 0] }} ] }} }} }}
+           ] }}, "image": {{ "width": 8, "height": 8 }} }}"#,
         shapes.join(",")
     )
 }
@@ -56,6 +62,27 @@ fn cells_of_every_shipped_scene_give_the_reference_bits() {
     }
 }
 
+/// Each node as a leaf, in three places: two rows of one formula, and one that is scaled.
+#[test]
+fn every_node_can_be_a_leaf() {
+    let mut cut = 0;
+    for example in Node::examples() {
+        let text = format!(
+            r#"{{ "scene": {{ "camera": {{ "position": [0, 0, 5], "look_at": [0, 0, 0] }},
+               "shapes": {{ "leg": {{ "sphere": {{ "radius": 0.3 }} }} }}, "objects": [ {{ "shape": {{ "union": {{ "of": [
+                 {{ "translate": {{ "by": [2, 0, 0], "child": {0} }} }},
+                 {{ "translate": {{ "by": [-2, 1, 0], "child": {0} }} }},
+                 {{ "scale": {{ "by": 0.5, "child": {0} }} }} ] }} }} }} ] }}, "image": {{ "width": 8, "height": 8 }} }}"#,
+            example.node
+        );
+        if let Some(cells) = cells_of(text.as_bytes(), &FastBuilder) {
+            cut += 1;
+            compare_packets(&formula_of(example.kind, cells), 1);
+        }
+    }
+    assert!(cut > 100, "only {cut} examples were cut into leaves");
+}
+
 #[test]
 fn the_text_of_many_shapes_is_that_of_few() {
     let [few, many] =
@@ -68,9 +95,12 @@ fn the_text_of_many_shapes_is_that_of_few() {
 fn machine_code_and_the_reference_build_the_same_cells() {
     let job = many(500);
     let [fast, scalar] = [&FastBuilder as &dyn CellBuilder, &ScalarBuilder].map(|how| cells_of(job.as_bytes(), how));
-    let [fast, scalar] = [fast, scalar].map(|cells| cells.expect("cells").tree().words().clone());
-    assert_eq!(fast.len(), scalar.len());
-    assert!(fast == scalar, "the tables of {} words differ", fast.len());
+    let [fast, scalar] = [fast, scalar].map(|cells| {
+        let tree = cells.expect("cells").tree();
+        tree.words().make_all();
+        tree.checksum()
+    });
+    assert_eq!(fast, scalar, "the cells differ");
 }
 
 /// A pixel of 8 × 8 from numbers between -2 and 2.
@@ -83,7 +113,7 @@ fn place<R: Real>([x, y, _]: [R; 3]) -> (R, R) {
 fn pixels_by_cells_give_the_reference_bits() {
     let job = Box::leak(Box::new(scene::parse(many(200).as_bytes()).expect("a valid job")));
     let still = Box::leak(Box::new(job.at(0).expect("a valid frame")));
-    let [by_cells, without] = [Integrator::with_cells(still, &FastBuilder), Integrator::new(still)];
+    let [by_cells, without] = [Integrator::of_picture(still, &FastBuilder), Integrator::new(still)];
     let (by_cells, without) = (&*Box::leak(Box::new(by_cells)), &*Box::leak(Box::new(without)));
     let light = |all: [Expr; 3]| by_cells.pixel(place(all).0, place(all).1).color.x;
     compare_packets(&Formula::new("light", light, |all| by_cells.pixel(place(all).0, place(all).1).color.x), 4);

@@ -155,7 +155,14 @@ pub(super) const CASES: &[Case] = &[
                 let mut arguments = vec![x];
                 arguments.resize(t.functions[callee].arguments.len(), x);
                 let body = vec![Statement::Call { function: callee, arguments, returned: vec![result] }];
-                t.functions.push(Function { name, arguments: vec![x], body, results: vec![result], is_entry: false });
+                t.functions.push(Function {
+                    name,
+                    arguments: vec![x],
+                    body,
+                    results: vec![result],
+                    is_entry: false,
+                    row_words: None,
+                });
             }
         },
         Fault::Depth,

@@ -1,0 +1,47 @@
+"""Writes a job of many shapes, for benchmarks: python3 many.py spheres|boxes COUNT WIDTH HEIGHT SAMPLES > job.json
+
+One smooth union: of spheres that fill a ball, or of turned boxes that stand on a square, like houses.
+"""
+
+import json
+import random
+import sys
+
+kind, count, width, height, samples = sys.argv[1], *map(int, sys.argv[2:])
+numbers = random.Random(1)
+
+
+def between(low, high):
+    return round(numbers.uniform(low, high), 5)
+
+
+def sphere():
+    """A sphere in a ball of radius 1, of whose room all together have about a fifth."""
+    size = count ** (-1 / 3)
+    place = [1, 1, 1]
+    while sum(c * c for c in place) > 1:
+        place = [between(-1, 1) for _ in range(3)]
+    return move(place, {"sphere": {"radius": between(0.5 * size, 0.7 * size)}})
+
+
+def box():
+    """A box with its foot at height 0, in a square of edge 2."""
+    size = count ** (-1 / 2)
+    wide, deep, high = between(0.6 * size, 1.4 * size), between(0.6 * size, 1.4 * size), between(0.1, 0.4)
+    solid = {"box": {"size": [wide, high, deep], "round": round(0.05 * size, 5)}}
+    turned = {"rotate": {"degrees": [0, between(0, 360), 0], "child": solid}}
+    return move([between(-1, 1), round(high / 2, 5), between(-1, 1)], turned)
+
+
+def move(place, child):
+    return {"translate": {"by": place, "child": child}}
+
+
+shapes = [{"spheres": sphere, "boxes": box}[kind]() for _ in range(count)]
+smooth = round({"spheres": 0.3 * count ** (-1 / 3), "boxes": 0.3 * count ** (-1 / 2)}[kind], 5)
+scene = {
+    "camera": {"position": [0.9, 1.5, -2.6], "look_at": [0, 0, 0], "fov": 48},
+    "lights": [{"directional": {"direction": [0.5, 0.75, -0.433]}}],
+    "objects": [{"shape": {"union": {"smooth": smooth, "of": shapes}}}],
+}
+print(json.dumps({"scene": scene, "image": {"width": width, "height": height, "samples": samples}}))

@@ -1,0 +1,92 @@
+//! Source of folds of lists: a loop over the operations, with the values that wait in variables.
+
+use scene::real::list::{NO_LEAF, OPERATION_WORDS, ROW_BITS, ROW_MASK};
+
+use super::Printer;
+use crate::tape::Fold;
+
+impl Printer<'_> {
+    pub(super) fn fold(&mut self, depth: usize, fold: &Fold) {
+        let width = fold.returned.len();
+        let number = self.names.len();
+        let name = |part: &str, place: usize| format!("{part}{number}_{place}");
+        let all = |part: &str| (0..width).map(|place| name(part, place)).collect::<Vec<_>>();
+        let (below, value) = (all("below"), all("value"));
+        // The first of them waits last.
+        let waiting: Vec<Vec<String>> = (0..fold.depth).map(|index| all(&format!("waiting{index}_"))).collect();
+        for name in below.iter().chain(&value).chain(waiting.iter().flatten()) {
+            self.line(depth, &format!("float {name} = 0.0f;"));
+        }
+        for (&id, name) in fold.returned.iter().zip(&below) {
+            self.names.insert(id, name.clone());
+        }
+        let (list, last) = (self.operand(fold.list), self.operand(fold.last));
+        let arguments: Vec<String> = fold.arguments.iter().map(|&id| self.operand(id)).collect();
+        self.line(depth, &format!("LISTS_LOOP for (unsigned at = {list};; at += {OPERATION_WORDS}u) {{"));
+        let inner = depth + 1;
+        self.line(inner, &format!("const unsigned leaf = word_at(at, {last}), join = word_at(at + 1u, {last});"));
+        for (name, word) in [("leaf_function", "leaf"), ("join_function", "join")] {
+            self.line(inner, &format!("const unsigned {name} = ({word} >> {ROW_BITS}) & {NO_LEAF}u;"));
+        }
+        self.line(inner, &format!("if (leaf_function != {NO_LEAF}u) {{"));
+        self.line(inner + 1, "if (join_function == 0u) {");
+        for index in (0..waiting.len()).rev() {
+            let from = if index == 0 { &below } else { &waiting[index - 1] };
+            self.copy(inner + 2, &waiting[index], from);
+        }
+        self.line(inner + 1, "}");
+        self.cases(inner + 1, "leaf_function", "leaf", &fold.leaves, 0, &arguments, &value);
+        self.line(inner, "} else {");
+        self.copy(inner + 1, &value, &below);
+        self.line(inner + 1, "if (!(join >> 31)) {");
+        for (index, from) in waiting.iter().enumerate() {
+            let to = if index == 0 { &below } else { &waiting[index - 1] };
+            self.copy(inner + 2, to, from);
+        }
+        self.line(inner + 1, "}");
+        self.line(inner, "}");
+        self.line(inner, "if (join_function == 0u) {");
+        self.copy(inner + 1, &below, &value);
+        self.line(inner, "} else {");
+        let arguments: Vec<String> = below.iter().chain(&value).cloned().collect();
+        self.cases(inner + 1, "join_function", "join", &fold.joins, 1, &arguments, &below);
+        self.line(inner, "}");
+        self.line(inner, &format!("if ((leaf >> 31) || at >= {last}) break;"));
+        self.line(depth, "}");
+    }
+
+    fn copy(&mut self, depth: usize, to: &[String], from: &[String]) {
+        for (to, from) in to.iter().zip(from) {
+            self.line(depth, &format!("{to} = {from};"));
+        }
+    }
+
+    /// Calls the function whose number, from `first`, is in a variable.
+    #[expect(clippy::too_many_arguments, reason = "parts of one call")]
+    fn cases(
+        &mut self,
+        depth: usize,
+        chosen: &str,
+        word: &str,
+        functions: &[usize],
+        first: usize,
+        arguments: &[String],
+        results: &[String],
+    ) {
+        let arguments = arguments.join(", ");
+        for (index, &function) in functions.iter().enumerate() {
+            let name = self.tape.functions[function].name;
+            // The last needs no question: a list of the scene names no other.
+            if functions.len() > 1 {
+                self.line(depth, &format!("if ({chosen} == {}u) {{", index + first));
+            } else {
+                self.line(depth, "{");
+            }
+            self.line(depth + 1, &format!("const {name}_result r = step_{name}({word} & {ROW_MASK}u, {arguments});"));
+            for (place, result) in results.iter().enumerate() {
+                self.line(depth + 1, &format!("{result} = r.f{place};"));
+            }
+            self.line(depth, "}");
+        }
+    }
+}
