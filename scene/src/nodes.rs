@@ -78,15 +78,21 @@ use crate::values::Rotation;
 /// A node inside another.
 pub type Child = std::boxed::Box<Node>;
 
+/// What a node of a kind keeps; the largest kinds are boxed, so that lists of small ones stay small.
+macro_rules! payload {
+    ($Kind:ident) => { $Kind };
+    ($Kind:ident boxed) => { std::boxed::Box<$Kind> };
+}
+
 /// The registry.
 macro_rules! nodes {
-    ($($(#[$attribute:meta])* $Kind:ident),* $(,)?) => {
+    ($($(#[$attribute:meta])* $Kind:ident $($boxed:ident)?),* $(,)?) => {
         /// A shape: one node of an object's tree; an object whose member is the node's name.
         #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
         #[serde(rename_all = "snake_case")]
         #[seek(then = follow)]
         pub enum Node {
-            $($(#[$attribute])* #[doc = concat!("See [`", stringify!($Kind), "`].")] $Kind($Kind)),*
+            $($(#[$attribute])* #[doc = concat!("See [`", stringify!($Kind), "`].")] $Kind(payload!($Kind $($boxed)?))),*
         }
 
         impl Node {
@@ -138,7 +144,7 @@ macro_rules! nodes {
             /// Precomputes values that speed up its evaluation; its children have been precomputed before.
             fn prepare_alone(&mut self, is_animated: bool) {
                 match self {
-                    $($(#[$attribute])* Self::$Kind(node) => Sdf::precompute(node, is_animated)),*
+                    $($(#[$attribute])* Self::$Kind(node) => <$Kind as Sdf>::precompute(node, is_animated)),*
                 }
             }
 
@@ -202,7 +208,7 @@ macro_rules! nodes {
             /// A Lipschitz factor L: |d(p) − d(q)| ≤ L · |p − q|.
             pub fn stretch(&self) -> f32 {
                 match self {
-                    $($(#[$attribute])* Self::$Kind(node) => Sdf::lipschitz(node)),*
+                    $($(#[$attribute])* Self::$Kind(node) => <$Kind as Sdf>::lipschitz(node)),*
                 }
             }
 
@@ -211,21 +217,21 @@ macro_rules! nodes {
                 // Without the black box, LLVM 22 at level 2 assumes that a child's value is never exact, and the worse
                 // of exact and bound becomes exact.
                 std::hint::black_box(match self {
-                    $($(#[$attribute])* Self::$Kind(node) => Sdf::exactness(node)),*
+                    $($(#[$attribute])* Self::$Kind(node) => <$Kind as Sdf>::exactness(node)),*
                 })
             }
 
             /// Whether its surface has fine detail at every scale, see [`Sdf::is_fine`].
             pub(crate) fn is_fine(&self) -> bool {
                 match self {
-                    $($(#[$attribute])* Self::$Kind(node) => Sdf::is_fine(node)),*
+                    $($(#[$attribute])* Self::$Kind(node) => <$Kind as Sdf>::is_fine(node)),*
                 }
             }
 
             /// Error in its numbers taken together, if any.
             pub(crate) fn fault(&self) -> Option<NodeError> {
                 match self {
-                    $($(#[$attribute])* Self::$Kind(node) => Sdf::validate(node)),*
+                    $($(#[$attribute])* Self::$Kind(node) => <$Kind as Sdf>::validate(node)),*
                 }
             }
 
@@ -249,63 +255,63 @@ macro_rules! nodes {
             /// Box that contains every point whose distance is at most `isolevel`, which is at least 0.
             pub fn bounds(&self, isolevel: f32) -> Bounds {
                 match self {
-                    $($(#[$attribute])* Self::$Kind(node) => Sdf::bounds(node, isolevel)),*
+                    $($(#[$attribute])* Self::$Kind(node) => <$Kind as Sdf>::bounds(node, isolevel)),*
                 }
             }
 
             /// Its size in simple nodes, without its children.
             fn weight(&self) -> u32 {
                 match self {
-                    $($(#[$attribute])* Self::$Kind(node) => Sdf::size_in_nodes(node)),*
+                    $($(#[$attribute])* Self::$Kind(node) => <$Kind as Sdf>::size_in_nodes(node)),*
                 }
             }
 
             /// Cost of its own formula beyond its weight, in evaluations of a simple node.
             fn formula_cost(&self) -> f32 {
                 match self {
-                    $($(#[$attribute])* Self::$Kind(node) => Sdf::formula_cost(node)),*
+                    $($(#[$attribute])* Self::$Kind(node) => <$Kind as Sdf>::formula_cost(node)),*
                 }
             }
 
             /// Maximum number of child evaluations in one evaluation of the node.
             fn child_evaluations(&self) -> f32 {
                 match self {
-                    $($(#[$attribute])* Self::$Kind(node) => Sdf::child_evaluations(node)),*
+                    $($(#[$attribute])* Self::$Kind(node) => <$Kind as Sdf>::child_evaluations(node)),*
                 }
             }
 
             /// Whether it subtracts its other children from the first.
             pub(crate) fn subtracts(&self) -> bool {
                 match self {
-                    $($(#[$attribute])* Self::$Kind(node) => Sdf::subtracts(node)),*
+                    $($(#[$attribute])* Self::$Kind(node) => <$Kind as Sdf>::subtracts(node)),*
                 }
             }
 
             /// The angles by which it rotates its child about the axes, if it does nothing else.
             pub(crate) fn rotation(&self) -> Option<&Rotation> {
                 match self {
-                    $($(#[$attribute])* Self::$Kind(node) => Sdf::rotation(node)),*
+                    $($(#[$attribute])* Self::$Kind(node) => <$Kind as Sdf>::rotation(node)),*
                 }
             }
 
             /// Whether its child's position is animated.
             pub(crate) fn is_placement_animated(&self) -> bool {
                 match self {
-                    $($(#[$attribute])* Self::$Kind(node) => Sdf::is_placement_animated(node)),*
+                    $($(#[$attribute])* Self::$Kind(node) => <$Kind as Sdf>::is_placement_animated(node)),*
                 }
             }
 
             /// Name of the shape that it stands for, if it is a `use`.
             pub(crate) fn used_shape(&self) -> Option<&str> {
                 match self {
-                    $($(#[$attribute])* Self::$Kind(node) => Sdf::used_shape(node)),*
+                    $($(#[$attribute])* Self::$Kind(node) => <$Kind as Sdf>::used_shape(node)),*
                 }
             }
 
             /// Advice if its Lipschitz factor is so high that steps are tiny.
             pub(crate) fn lipschitz_advice(&self) -> &'static str {
                 match self {
-                    $($(#[$attribute])* Self::$Kind(node) => Sdf::lipschitz_advice(node)),*
+                    $($(#[$attribute])* Self::$Kind(node) => <$Kind as Sdf>::lipschitz_advice(node)),*
                 }
             }
 
@@ -325,6 +331,9 @@ macro_rules! nodes {
         }
     };
 }
+
+// A scene may have a million.
+const _: () = assert!(size_of::<Node>() <= 120);
 
 nodes![
     Sphere,
@@ -355,7 +364,7 @@ nodes![
     CutHollowSphere,
     DeathStar,
     Ellipsoid,
-    Vesica,
+    Vesica boxed,
     SolidAngle,
     Horseshoe,
     U,
@@ -374,9 +383,9 @@ nodes![
     Gyroid,
     SchwarzP,
     Diamond,
-    Extrude,
-    Revolve,
-    HeightField,
+    Extrude boxed,
+    Revolve boxed,
+    HeightField boxed,
     Xor,
     Chamfer,
     Stairs,
@@ -389,14 +398,14 @@ nodes![
     Onion,
     Elongate,
     Stretch,
-    Repeat,
+    Repeat boxed,
     PolarRepeat,
     Mirror,
     Twist,
     Bend,
     Taper,
-    Displace,
-    Warp,
+    Displace boxed,
+    Warp boxed,
     ApollonianGasket,
     KaleidoscopicIfs,
     Mandelbox,
@@ -405,8 +414,8 @@ nodes![
     QuaternionJulia,
     Sierpinski,
     Use,
-    Copies,
-    Scatter,
+    Copies boxed,
+    Scatter boxed,
     #[cfg(test)]
     AddedNode,
 ];
