@@ -23,8 +23,8 @@ mod walk;
 
 use crate::bounds::Bounds;
 pub use program::Program;
-pub use prune::{Pruned, Pruner, Regions, Unpruned};
-pub use tree::{CellBuilder, CellTree, Distances, LeafDistances, ScalarBuilder};
+pub use prune::{Pruned, Pruner, Regions, SLAB_CELLS, SLABS, Unpruned};
+pub use tree::{BLOCK_CELLS, CellBuilder, CellTree, Distances, LeafDistances, ScalarBuilder};
 pub use walk::{DistanceLists, Located};
 
 /// A scene's program and its cells.

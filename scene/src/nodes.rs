@@ -78,7 +78,7 @@ use crate::values::Rotation;
 /// A node inside another.
 pub type Child = std::boxed::Box<Node>;
 
-/// What a node of a kind keeps; the largest kinds are boxed, so that lists of small ones stay small.
+/// Contents of a node of a kind; the largest kinds are boxed, so that lists of small ones stay small.
 macro_rules! payload {
     ($Kind:ident) => { $Kind };
     ($Kind:ident boxed) => { std::boxed::Box<$Kind> };

@@ -3,7 +3,9 @@
 use std::sync::atomic::AtomicBool;
 use std::sync::{Arc, Mutex, PoisonError};
 
-use scene::cells::{CellBuilder, DistanceLists, Distances, LeafDistances, Program, Pruned, Unpruned};
+use scene::cells::{
+    BLOCK_CELLS, CellBuilder, DistanceLists, Distances, LeafDistances, Program, Pruned, SLAB_CELLS, SLABS, Unpruned,
+};
 use scene::real::{Real, Table, Vec3, Words, vec3};
 
 use crate::cpu::{Evaluator, Frame, Inputs};
@@ -60,7 +62,7 @@ impl CellBuilder for FastBuilder {
 }
 
 impl LeafDistances for Leaves {
-    fn append(&self, leaves: &[u32], points: &[Vec3<f32>], distances: &mut Vec<f32>) {
+    fn append(&self, leaves: &[u32], points: &[Vec3<f32>; BLOCK_CELLS as usize], distances: &mut [Vec<f32>; SLABS]) {
         /// Leaves that are evaluated together.
         const LEAVES: usize = 64;
         let frame = self.frames.lock().unwrap_or_else(PoisonError::into_inner).pop();
@@ -90,7 +92,9 @@ impl LeafDistances for Leaves {
             }
             self.evaluator.run(LIST, &mut frame, &self.inputs, &cancel, &arguments, &mut results);
             for values in results.chunks_exact(of_leaf).take(some.len()) {
-                distances.extend_from_slice(&values[..points.len()]);
+                for (distances, values) in distances.iter_mut().zip(values.chunks_exact(SLAB_CELLS)) {
+                    distances.extend_from_slice(values);
+                }
             }
         }
         self.frames.lock().unwrap_or_else(PoisonError::into_inner).push(frame);

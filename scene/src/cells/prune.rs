@@ -1,18 +1,31 @@
-//! The operations of a list that can matter in the cells of a block: in all of them at once, so that they are computed by
+//! The operations of a list that can matter in the cells of a slab: in all of them at once, so that they are computed by
 //! vector instructions.
+//!
+//! First the intervals of all values are found, from the leaves up. Then each value gets a *cutoff*, from the last join
+//! down: where the value is at least that, it changes nothing, and neither does anything else that is at least that in
+//! its place. A join of `a` and `b` with a seam of width w, itself with cutoff c, gives `b` the least of these cutoffs:
+//!
+//! * the greatest `a`, plus w: then the join is `a`;
+//! * c, if the least `a` is at least c + w: then the join is at least c;
+//! * c + w: the join is `a`, or else `a` is above c, and so is the join.
+//!
+//! `a` gets the same from `b`. Because each of these holds for a value and for what takes its place, all values that
+//! reach their cutoffs can be left out together.
+
+use std::collections::HashMap;
 
 use super::program::{JoinKind, Leaf, Program};
 use super::tree::BLOCK_CELLS;
 use crate::bounds::Bounds;
+use crate::real::Interval;
 use crate::real::list::{IS_LAST, IS_UNARY, NO_LEAF, ROW_BITS, ROW_MASK, function_of};
-use crate::real::{Interval, Vec3};
 
-/// Cells of a block.
-const CELLS: usize = BLOCK_CELLS as usize;
+/// Cells of a slab: a quarter of a block.
+pub const SLAB_CELLS: usize = 16;
+/// Slabs of a block.
+pub const SLABS: usize = BLOCK_CELLS as usize / SLAB_CELLS;
 /// Distance above which a cell has no surface.
 pub(super) const EMPTY_ABOVE: f32 = f32::MIN_POSITIVE;
-/// Number of entries of one value from which those that matter in no cell are taken out.
-const MAX_DEAD_ENTRIES: usize = 64;
 /// Rounding errors of distances and coordinates, as a part of their size.
 const ROUNDING: f32 = 1.0 / 65_536.0;
 /// Number of levels at which the box of a leaf without a Lipschitz factor is known, each half of the one before.
@@ -21,19 +34,15 @@ const LEVELS: u32 = 10;
 /// Bounds on the values of a program's leaves and joins, without their formulas.
 #[derive(Debug)]
 pub struct Pruner {
-    leaves: Vec<LeafRange>,
+    /// Lipschitz factor of each leaf; infinite for those that have `levels`. In memory of its own, because it is read
+    /// for every leaf of every list.
+    factors: Vec<f32>,
+    /// Of leaves whose distance can change in any way: outside of the box of a level, distances are above it. The greatest
+    /// level first.
+    levels: HashMap<u32, Vec<(f32, Bounds)>>,
     joins: Vec<JoinRange>,
     /// The program's rows: before each is the index of its leaf or join.
     rows: Vec<u32>,
-}
-
-/// How the distance of a leaf can change.
-#[derive(Debug)]
-enum LeafRange {
-    /// At most by this factor of the way.
-    Lipschitz(f32),
-    /// In any way; outside of the box of a level, distances are above it. The greatest level first.
-    Levels(Vec<(f32, Bounds)>),
 }
 
 /// How a join's value depends on those that it joins.
@@ -47,78 +56,58 @@ enum JoinRange {
     Scale(f32),
 }
 
-/// The boxes of the cells of a block.
+/// The boxes of the cells of a slab.
 #[derive(Debug)]
 pub struct Regions {
-    bounds: [Bounds; CELLS],
+    bounds: [Bounds; SLAB_CELLS],
     half_diagonals: Numbers,
     /// Greatest coordinate of each.
     sizes: Numbers,
 }
 
 impl Regions {
-    pub(super) fn new(bounds: &[Bounds; CELLS]) -> Self {
+    pub(super) fn new(bounds: &[Bounds; SLAB_CELLS]) -> Self {
         let size = |bounds: Bounds| {
             let corners = [bounds.min, bounds.max].map(|corner| corner.map(f32::abs).max_element());
             corners[0].max(corners[1])
         };
         Self { bounds: *bounds, half_diagonals: bounds.map(|bounds| 0.5 * bounds.diagonal()), sizes: bounds.map(size) }
     }
-
-    /// The centers of the boxes.
-    pub(super) fn centers(&self) -> [Vec3<f32>; CELLS] {
-        self.bounds.map(|bounds| (bounds.min + bounds.max) * 0.5)
-    }
 }
 
-/// Numbers of the cells of a block.
-type Numbers = [f32; CELLS];
+/// Numbers of the cells of a slab.
+type Numbers = [f32; SLAB_CELLS];
+/// Some of the cells of a slab: a bit for each.
+type Mask = u16;
 
-/// Intervals of a value in the cells of a block.
+/// Intervals of a value in the cells of a slab.
 #[derive(Clone, Copy, Debug)]
 struct Intervals {
     low: Numbers,
     high: Numbers,
 }
 
-/// Values that wait for a join, the last at `count - 1`: where the entries of each begin, and its intervals. Values are
-/// computed in their places, because copies of them would cost more.
-struct Stack {
-    waiting: Vec<(usize, Intervals)>,
-    count: usize,
-}
-
-impl Stack {
-    /// A place for one more value.
-    fn push(&mut self, start: usize) -> &mut Intervals {
-        if self.count == self.waiting.len() {
-            self.waiting.push((0, Intervals { low: [0.0; CELLS], high: [0.0; CELLS] }));
-        }
-        self.count += 1;
-        let (at, value) = &mut self.waiting[self.count - 1];
-        *at = start;
-        value
-    }
-
-    /// The last two values, the second of which is taken away; `None` if there are fewer.
-    #[expect(clippy::type_complexity, reason = "two values, each with its start")]
-    fn pop(&mut self) -> Option<((usize, &mut Intervals), (usize, &Intervals))> {
-        let [.., first, second] = &mut self.waiting[..self.count] else { return None };
-        self.count -= 1;
-        Some(((first.0, &mut first.1), (second.0, &second.1)))
-    }
-}
-
-/// A leaf or join that can matter in some cells.
+/// A leaf or join of a list, with the cells in which it can matter.
 #[derive(Clone, Copy, Debug)]
 struct Entry {
     word: u32,
-    is_leaf: bool,
-    /// A bit for each cell.
-    cells: u64,
+    of: EntryKind,
+    cells: Mask,
 }
 
-/// A list that is to be pruned in the cells of a block.
+/// Kind of an entry.
+#[derive(Clone, Copy, Debug)]
+enum EntryKind {
+    /// A leaf.
+    Leaf,
+    /// A value by a factor.
+    Scale(f32),
+    /// A join of two values with a seam of this width: the entry with the second value is before it, that with the first
+    /// has this index. The intervals of both have the other index.
+    Join { width: f32, first: u32, operands: u32 },
+}
+
+/// A list that is to be pruned in the cells of a slab.
 #[derive(Clone, Copy, Debug)]
 pub struct Unpruned<'a> {
     pub(super) pruner: &'a Pruner,
@@ -130,7 +119,7 @@ pub struct Unpruned<'a> {
     pub(super) distances: &'a [f32],
 }
 
-/// The lists of the cells of a block, and the intervals of their values.
+/// The lists of the cells of a slab, and the intervals of their values.
 #[derive(Debug)]
 pub struct Pruned {
     entries: Vec<Entry>,
@@ -144,14 +133,14 @@ impl Pruned {
     }
 
     /// Lists of the cells that may have a surface; of the others, nothing.
-    pub(super) fn lists(&self) -> [Vec<u32>; CELLS] {
+    pub(super) fn lists(&self) -> [Vec<u32>; SLAB_CELLS] {
         let near = !cells_where(|cell| self.value.low[cell] > EMPTY_ABOVE);
         let cells_of = |entry: &Entry| {
-            let rest = |cells: &u64| Some(cells & (cells - 1)).filter(|rest| *rest != 0);
+            let rest = |cells: &Mask| Some(cells & (cells - 1)).filter(|rest| *rest != 0);
             let first = Some(entry.cells & near).filter(|cells| *cells != 0);
             std::iter::successors(first, rest).map(|cells| cells.trailing_zeros() as usize)
         };
-        let mut lengths = [0; CELLS];
+        let mut lengths = [0; SLAB_CELLS];
         for entry in &self.entries {
             cells_of(entry).for_each(|cell| lengths[cell] += 2);
         }
@@ -160,7 +149,7 @@ impl Pruned {
             for cell in cells_of(entry) {
                 let list = &mut lists[cell];
                 match list.last_mut() {
-                    _ if entry.is_leaf => list.extend([entry.word, 0]),
+                    _ if matches!(entry.of, EntryKind::Leaf) => list.extend([entry.word, 0]),
                     // A leaf that nothing has joined yet is the second value alone.
                     Some(join) if *join == 0 && entry.word & IS_UNARY == 0 => *join = entry.word,
                     _ => list.extend([NO_LEAF << ROW_BITS, entry.word]),
@@ -177,48 +166,53 @@ impl Pruned {
 }
 
 /// The cells in which `is` holds, as bits.
+// Two loops over words of 32 bits each become vector instructions; one with a sum does not.
 #[inline(always)]
-fn cells_where(is: impl Fn(usize) -> bool) -> u64 {
-    // Halves of 32 bits become vector instructions.
-    let half =
-        |first: usize| (0..CELLS / 2).fold(0_u32, |bits, index| bits | if is(first + index) { 1 << index } else { 0 });
-    u64::from(half(0)) | u64::from(half(CELLS / 2)) << 32
+fn cells_where(is: impl Fn(usize) -> bool) -> Mask {
+    let mut bits = [0_u32; SLAB_CELLS];
+    for (cell, bit) in bits.iter_mut().enumerate() {
+        *bit = if is(cell) { 1 << cell } else { 0 };
+    }
+    bits.iter().fold(0, |all, bit| all | bit) as Mask
 }
 
-impl LeafRange {
-    fn new(leaf: &Leaf<'_>) -> Self {
-        if let Some(factor) = leaf.lipschitz() {
-            return Self::Lipschitz(factor);
-        }
-        let bounds = leaf.bounds();
-        let size = if bounds.is_finite() { bounds.diagonal() } else { 1.0 };
-        let levels = (0..LEVELS).map(|halvings| size * 4.0 / (1_u32 << halvings) as f32);
-        Self::Levels(levels.map(|level| (level, leaf.bounds_of(level))).collect())
+/// A number for each cell. Unlike `std::array::from_fn`, it is part of the function that calls it.
+#[inline(always)]
+fn numbers(of: impl Fn(usize) -> f32) -> Numbers {
+    let mut numbers = [0.0; SLAB_CELLS];
+    for (cell, number) in numbers.iter_mut().enumerate() {
+        *number = of(cell);
     }
+    numbers
+}
 
-    /// Intervals that contain every distance in the cells, given those at their centers.
-    #[inline(always)]
-    fn intervals(&self, regions: &Regions, at_centers: &Numbers, Intervals { low, high }: &mut Intervals) {
-        match self {
-            Self::Lipschitz(factor) => {
-                for cell in 0..CELLS {
-                    let distance = at_centers[cell];
-                    let change =
-                        factor * regions.half_diagonals[cell] + ROUNDING * (regions.sizes[cell] + distance.abs());
-                    low[cell] = distance - change;
-                    high[cell] = distance + change;
-                }
-            }
-            Self::Levels(levels) => {
-                *high = [f32::INFINITY; CELLS];
-                for (low, region) in low.iter_mut().zip(&regions.bounds) {
-                    let is_outside = |bounds: Bounds| bounds.with_margin(region.min).gap(*region) > 0.0;
-                    let level = levels.iter().find(|(_, bounds)| is_outside(*bounds)).map(|(level, _)| *level);
-                    *low = level.unwrap_or(f32::NEG_INFINITY);
-                }
-            }
-        }
+/// Boxes of levels around a leaf without a Lipschitz factor.
+fn levels(leaf: &Leaf<'_>) -> Vec<(f32, Bounds)> {
+    let bounds = leaf.bounds();
+    let size = if bounds.is_finite() { bounds.diagonal() } else { 1.0 };
+    let levels = (0..LEVELS).map(|halvings| size * 4.0 / (1_u32 << halvings) as f32);
+    levels.map(|level| (level, leaf.bounds_of(level))).collect()
+}
+
+/// Intervals that contain every distance of a leaf with a Lipschitz factor in the cells, given those at their centers.
+#[inline(always)]
+fn lipschitz_intervals(factor: f32, regions: &Regions, at_centers: &Numbers) -> Intervals {
+    let change = numbers(|cell| {
+        factor * regions.half_diagonals[cell] + ROUNDING * (regions.sizes[cell] + at_centers[cell].abs())
+    });
+    Intervals {
+        low: numbers(|cell| at_centers[cell] - change[cell]),
+        high: numbers(|cell| at_centers[cell] + change[cell]),
     }
+}
+
+/// Intervals of a leaf with these levels.
+fn level_intervals(levels: &[(f32, Bounds)], regions: &Regions) -> Intervals {
+    let low = regions.bounds.map(|region| {
+        let is_outside = |bounds: Bounds| bounds.with_margin(region.min).gap(region) > 0.0;
+        levels.iter().find(|(_, bounds)| is_outside(*bounds)).map_or(f32::NEG_INFINITY, |(level, _)| *level)
+    });
+    Intervals { low, high: [f32::INFINITY; SLAB_CELLS] }
 }
 
 impl JoinRange {
@@ -227,14 +221,6 @@ impl JoinRange {
             JoinKind::Union(smooth) if smooth.get() > 0.0 => Self::Union(smooth.get()),
             JoinKind::Union(_) | JoinKind::Objects => Self::Least,
             JoinKind::Scale(by) => Self::Scale(*by),
-        }
-    }
-
-    /// Width within which two values change each other.
-    fn width(self) -> f32 {
-        match self {
-            Self::Union(width) => width,
-            Self::Least | Self::Scale(_) => 0.0,
         }
     }
 
@@ -261,8 +247,10 @@ impl JoinRange {
 
 impl Pruner {
     pub(super) fn new(program: &Program<'_>) -> Self {
+        let with_levels = program.leaves().iter().enumerate().filter(|(_, leaf)| leaf.lipschitz().is_none());
         Self {
-            leaves: program.leaves().iter().map(LeafRange::new).collect(),
+            factors: program.leaves().iter().map(|leaf| leaf.lipschitz().unwrap_or(f32::INFINITY)).collect(),
+            levels: with_levels.map(|(index, leaf)| (index as u32, levels(leaf))).collect(),
             joins: program.joins().map(JoinRange::new).collect(),
             rows: program.rows().to_vec(),
         }
@@ -280,78 +268,139 @@ impl Unpruned<'_> {
     /// for the vector instructions of the function that calls it, as are all functions that it calls.
     #[inline(always)]
     pub fn prune(&self) -> Pruned {
+        let (mut entries, mut operands) = (Vec::with_capacity(self.list.len()), Vec::new());
+        let value = self.values(&mut entries, &mut operands);
+        cut_off(&mut entries, &operands);
+        keep_joins(&mut entries);
+        Pruned { entries, value }
+    }
+
+    /// Intervals of the list's value. Appends the entries that can matter, but for cutoffs, and the operands of joins.
+    #[inline(always)]
+    fn values(&self, entries: &mut Vec<Entry>, operands: &mut Vec<[Intervals; 2]>) -> Intervals {
         let Self { pruner, list, leaves, regions, distances } = *self;
-        let (mut entries, mut stack) = (Vec::new(), Stack { waiting: Vec::new(), count: 0 });
-        let mut known = leaves.iter().zip(distances.as_chunks::<CELLS>().0);
+        let unknown = Intervals { low: [f32::NEG_INFINITY; SLAB_CELLS], high: [f32::INFINITY; SLAB_CELLS] };
+        let mut waiting: Vec<(u32, u32, Intervals)> = Vec::new();
+        let mut known = leaves.iter().zip(distances.as_chunks::<SLAB_CELLS>().0);
         for operation in list.chunks_exact(2) {
             let &[leaf, join] = operation else { continue };
             if function_of(leaf) != NO_LEAF
                 && let Some((&index, at_centers)) = known.next()
             {
-                pruner.leaves[index as usize].intervals(regions, at_centers, stack.push(entries.len()));
-                entries.push(Entry { word: leaf & !IS_LAST, is_leaf: true, cells: u64::MAX });
+                let factor = pruner.factors[index as usize];
+                let value = if factor < f32::INFINITY {
+                    lipschitz_intervals(factor, regions, at_centers)
+                } else {
+                    pruner.levels.get(&index).map_or(unknown, |levels| level_intervals(levels, regions))
+                };
+                waiting.push((entries.len() as u32, operands.len() as u32, value));
+                entries.push(Entry { word: leaf & !IS_LAST, of: EntryKind::Leaf, cells: 0 });
             }
-            if join != 0 {
-                let kind = pruner.joins[pruner.rows[(join & ROW_MASK) as usize - 1] as usize];
-                join_values(kind, join, &mut stack, &mut entries);
+            if join == 0 {
+                continue;
             }
+            let width = match pruner.joins[pruner.rows[(join & ROW_MASK) as usize - 1] as usize] {
+                JoinRange::Union(width) => width,
+                JoinRange::Least => 0.0,
+                kind @ JoinRange::Scale(by) => {
+                    entries.push(Entry { word: join, of: EntryKind::Scale(by), cells: 0 });
+                    if let Some((.., value)) = waiting.last_mut() {
+                        for cell in 0..SLAB_CELLS {
+                            let all = [value.low[cell], value.high[cell]];
+                            [value.low[cell], value.high[cell]] = kind.apply(all, all);
+                        }
+                    }
+                    continue;
+                }
+            };
+            let [.., (_, _, a), (middle, middle_operands, b)] = &mut waiting[..] else { continue };
+            if cells_where(|cell| b.low[cell] - a.high[cell] >= width) == Mask::MAX {
+                entries.truncate(*middle as usize);
+                operands.truncate(*middle_operands as usize);
+            } else {
+                let of = EntryKind::Join { width, first: *middle - 1, operands: operands.len() as u32 };
+                operands.push([*a, *b]);
+                entries.push(Entry { word: join, of, cells: 0 });
+                if width > 0.0 {
+                    join_intervals(JoinRange::Union(width), width, a, b);
+                } else {
+                    join_intervals(JoinRange::Least, width, a, b);
+                }
+            }
+            waiting.pop();
         }
-        let unknown = Intervals { low: [f32::NEG_INFINITY; CELLS], high: [f32::INFINITY; CELLS] };
-        Pruned { entries, value: stack.waiting.first().map_or(unknown, |(_, value)| *value) }
+        waiting.first().map_or(unknown, |(.., value)| *value)
     }
 }
 
-/// Joins the last value that waits with the one before, or applies a join of one value to it.
+/// Sets the cells of leaves and factors whose values do not reach their cutoffs.
 #[inline(always)]
-fn join_values(kind: JoinRange, word: u32, stack: &mut Stack, entries: &mut Vec<Entry>) {
-    if let JoinRange::Scale(_) = kind {
-        entries.push(Entry { word, is_leaf: false, cells: u64::MAX });
-        if let Some((_, value)) = stack.waiting[..stack.count].last_mut() {
-            for cell in 0..CELLS {
-                let all = [value.low[cell], value.high[cell]];
-                [value.low[cell], value.high[cell]] = kind.apply(all, all);
+fn cut_off(entries: &mut [Entry], operands: &[[Intervals; 2]]) {
+    let Some(last) = entries.len().checked_sub(1) else { return };
+    let mut open: Vec<(usize, Mask, Numbers)> = vec![(last, Mask::MAX, [f32::INFINITY; SLAB_CELLS])];
+    while let Some((index, cells, cutoff)) = open.pop() {
+        entries[index].cells = cells;
+        match entries[index].of {
+            EntryKind::Leaf => {}
+            EntryKind::Scale(by) => open.push((index - 1, cells, numbers(|cell| unscaled(cutoff[cell], by)))),
+            EntryKind::Join { width, first, operands: at } => {
+                let [a, b] = &operands[at as usize];
+                let of_a = numbers(|cell| cutoff_of(cutoff[cell], [b.low[cell], b.high[cell]], width));
+                let of_b = numbers(|cell| cutoff_of(cutoff[cell], [a.low[cell], a.high[cell]], width));
+                let matters =
+                    |value: &Intervals, cutoff: &Numbers| cells & !cells_where(|cell| value.low[cell] >= cutoff[cell]);
+                for (index, cells, cutoff) in
+                    [(first as usize, matters(a, &of_a), of_a), (index - 1, matters(b, &of_b), of_b)]
+                {
+                    if cells != 0 {
+                        open.push((index, cells, cutoff));
+                    }
+                }
             }
         }
-        return;
     }
-    let Some(((start, a), (middle, b))) = stack.pop() else { return };
-    let width = kind.width();
-    let is_inert = cells_where(|cell| b.low[cell] - a.high[cell] >= width);
-    if is_inert == u64::MAX {
-        return entries.truncate(middle);
-    }
-    // Of equal values, the first is taken.
-    let replaces = cells_where(|cell| a.low[cell] - b.high[cell] >= width && a.low[cell] > b.high[cell]) & !is_inert;
-    if is_inert != 0 {
-        entries[middle..].iter_mut().for_each(|entry| entry.cells &= !is_inert);
-    }
-    if replaces != 0 {
-        entries[start..middle].iter_mut().for_each(|entry| entry.cells &= !replaces);
-    }
-    entries.push(Entry { word, is_leaf: false, cells: !(is_inert | replaces) });
-    match kind {
-        JoinRange::Union(_) => join_intervals(kind, a, b),
-        JoinRange::Least | JoinRange::Scale(_) => join_intervals(JoinRange::Least, a, b),
-    }
-    if entries.len() - start > MAX_DEAD_ENTRIES {
-        let mut kept = start;
-        for index in start..entries.len() {
-            if entries[index].cells != 0 {
-                entries[kept] = entries[index];
-                kept += 1;
+}
+
+/// Cutoff of a value whose join, with this cutoff, has another operand in an interval; rounded up.
+#[inline(always)]
+fn cutoff_of(of_join: f32, [low, high]: [f32; 2], width: f32) -> f32 {
+    let above = |value: f32, by: f32| value + by + (32.0 * f32::EPSILON * (value.abs() + width) + f32::MIN_POSITIVE);
+    let apart = above(of_join, width);
+    let through_join = if low >= apart { above(of_join, 0.0) } else { apart };
+    through_join.min(above(high, width))
+}
+
+/// Cutoff of a value with one times a factor; rounded up.
+#[inline(always)]
+fn unscaled(cutoff: f32, by: f32) -> f32 {
+    let least = cutoff / by;
+    if by > 0.0 { least + 4.0 * f32::EPSILON * least.abs() + f32::MIN_POSITIVE } else { f32::INFINITY }
+}
+
+/// Takes from joins and factors the cells in which an operand is left out.
+fn keep_joins(entries: &mut [Entry]) {
+    let mut waiting: Vec<Mask> = Vec::new();
+    for entry in entries {
+        match entry.of {
+            EntryKind::Leaf => waiting.push(entry.cells),
+            EntryKind::Scale(_) => entry.cells = waiting.last().copied().unwrap_or(0),
+            EntryKind::Join { .. } => {
+                let [.., a, b] = &mut waiting[..] else { continue };
+                entry.cells = *a & *b;
+                *a |= *b;
+                waiting.pop();
             }
         }
-        entries.truncate(kept);
     }
 }
 
 /// Replaces `a` by the join with `b`; where one can't change the other, by that.
 #[inline(always)]
-fn join_intervals(kind: JoinRange, a: &mut Intervals, b: &Intervals) {
-    let width = kind.width();
-    for cell in 0..CELLS {
+fn join_intervals(kind: JoinRange, width: f32, a: &mut Intervals, b: &Intervals) {
+    for cell in 0..SLAB_CELLS {
         let (first, second) = ([a.low[cell], a.high[cell]], [b.low[cell], b.high[cell]]);
         let is_inert = second[0] - first[1] >= width;
+        // Of equal values, the first is taken.
         let replaces = first[0] - second[1] >= width && first[0] > second[1];
         let joined = kind.apply(first, second);
         let choose = |a: f32, b: f32, joined: f32| {

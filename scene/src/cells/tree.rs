@@ -8,7 +8,7 @@ use std::ops::Deref;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use super::program::Program;
-use super::prune::{EMPTY_ABOVE, Pruned, Pruner, Regions, Unpruned};
+use super::prune::{EMPTY_ABOVE, Pruned, Pruner, Regions, SLAB_CELLS, SLABS, Unpruned};
 use crate::bounds::Bounds;
 use crate::real::list::{IS_LAST, NO_LEAF, OPERATION_WORDS, function_of};
 use crate::real::{INDEX_BITS, Interval, MakeWords, Table, Vec3, Words, vec3};
@@ -16,7 +16,7 @@ use crate::real::{INDEX_BITS, Interval, MakeWords, Table, Vec3, Words, vec3};
 /// Edge of a block, in cells.
 pub(super) const BLOCK_EDGE: u32 = 4;
 /// Cells of a block.
-pub(super) const BLOCK_CELLS: u32 = BLOCK_EDGE * BLOCK_EDGE * BLOCK_EDGE;
+pub const BLOCK_CELLS: u32 = BLOCK_EDGE * BLOCK_EDGE * BLOCK_EDGE;
 /// Maximum depth of the tree: coordinates of cells are exact in `f32`.
 pub(super) const MAX_LEVELS: u32 = 10;
 /// Number of leaves in a list up to which a cell is not divided.
@@ -88,8 +88,9 @@ pub enum Distances<'a> {
 
 /// Distances of leaves.
 pub trait LeafDistances: Send + Sync {
-    /// Appends the distances of leaves at points: of the first leaf at all points, then of the second.
-    fn append(&self, leaves: &[u32], points: &[Vec3<f32>], distances: &mut Vec<f32>);
+    /// Appends the distances of leaves at the points of a block: those of each slab to its own, of the first leaf at all
+    /// points of the slab, then of the second.
+    fn append(&self, leaves: &[u32], points: &[Vec3<f32>; BLOCK_CELLS as usize], distances: &mut [Vec<f32>; SLABS]);
 
     /// Prunes a list, with the best vector instructions.
     fn prune(&self, list: &Unpruned<'_>) -> Pruned {
@@ -108,9 +109,11 @@ impl CellBuilder for ScalarBuilder {
 }
 
 impl LeafDistances for &Program<'_> {
-    fn append(&self, leaves: &[u32], points: &[Vec3<f32>], distances: &mut Vec<f32>) {
-        for &leaf in leaves {
-            distances.extend(points.iter().map(|p| self.leaves()[leaf as usize].distance(*p)));
+    fn append(&self, leaves: &[u32], points: &[Vec3<f32>; BLOCK_CELLS as usize], distances: &mut [Vec<f32>; SLABS]) {
+        for (points, distances) in points.chunks_exact(SLAB_CELLS).zip(distances) {
+            for &leaf in leaves {
+                distances.extend(points.iter().map(|p| self.leaves()[leaf as usize].distance(*p)));
+            }
         }
     }
 }
@@ -382,23 +385,25 @@ impl<'a, D: Deref<Target = dyn LeafDistances + 'a> + Sync> Builder<D> {
     fn block(&self, words: &Words, parent: &Undivided) -> Option<u32> {
         let list: Vec<u32> = (parent.list..parent.list + parent.length).map(|index| words.get(index)).collect();
         let cells = self.cells(&parent.cell);
-        let regions = Regions::new(&cells.map(|cell| self.frame.bounds(&cell)));
+        let bounds = cells.map(|cell| self.frame.bounds(&cell));
         let leaves: Vec<u32> = self.pruner.leaves(&list).collect();
-        let mut distances = Vec::with_capacity(leaves.len() * cells.len());
-        self.distances.append(&leaves, &regions.centers(), &mut distances);
-        let unpruned =
-            Unpruned { pruner: &self.pruner, list: &list, leaves: &leaves, regions: &regions, distances: &distances };
-        let pruned = self.distances.prune(&unpruned);
-        let lists = pruned.lists();
+        let mut distances = std::array::from_fn(|_| Vec::with_capacity(leaves.len() * SLAB_CELLS));
+        self.distances.append(&leaves, &bounds.map(|bounds| (bounds.min + bounds.max) * 0.5), &mut distances);
         let block = words.append(&[0; BLOCK_CELLS as usize + 1])?;
         words.set(block + BLOCK_CELLS, parent.list);
-        for (index, cell) in cells.into_iter().enumerate() {
-            let place = block + index as u32;
-            let word = match pruned.value(index) {
-                value if value.low > EMPTY_ABOVE => empty(value.low),
-                value => self.near(words, parent, leaves.len(), (cell, place), value, &lists[index])?,
-            };
-            words.set(place, word);
+        for (slab, (bounds, distances)) in bounds.as_chunks::<SLAB_CELLS>().0.iter().zip(&distances).enumerate() {
+            let (list, leaves, regions) = (&list, &leaves, &Regions::new(bounds));
+            let unpruned = Unpruned { pruner: &self.pruner, list, leaves, regions, distances };
+            let pruned = self.distances.prune(&unpruned);
+            for (index, list) in pruned.lists().iter().enumerate() {
+                let of_block = slab * SLAB_CELLS + index;
+                let place = block + of_block as u32;
+                let word = match pruned.value(index) {
+                    value if value.low > EMPTY_ABOVE => empty(value.low),
+                    value => self.near(words, parent, leaves.len(), (cells[of_block], place), value, list)?,
+                };
+                words.set(place, word);
+            }
         }
         Some(BLOCK << KIND_SHIFT | block)
     }

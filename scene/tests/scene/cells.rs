@@ -33,6 +33,38 @@ fn around(reach: f32) -> Bounds {
     Bounds::symmetric(reach, reach, reach)
 }
 
+/// Spheres that fill a ball, in the order of chance, in a smooth union.
+fn ball_of_spheres(count: u32) -> Job {
+    let mut random = Random(5);
+    let mut spheres = Vec::new();
+    while spheres.len() < count as usize {
+        let Vec3 { x, y, z } = random.point(1.0);
+        if x * x + y * y + z * z < 1.0 {
+            let child = format!(r#"{{ "sphere": {{ "radius": {} }} }}"#, random.between(0.06, 0.09));
+            spheres.push(format!(r#"{{ "translate": {{ "by": [{x}, {y}, {z}], "child": {child} }} }}"#));
+        }
+    }
+    let job = format!(
+        r#"{{ "scene": {{ "camera": {{ "position": [0, 0, 5], "look_at": [0, 0, 0] }}, "objects": [{{ "shape":
+            {{ "union": {{ "smooth": 0.04, "of": [{}] }} }} }}] }}, "image": {{ "width": 8, "height": 8 }} }}"#,
+        spheres.join(",")
+    );
+    parse(job.as_bytes()).expect("a valid job")
+}
+
+/// Shapes in a group of eight are anywhere, so that the group's nearest one may be distant.
+#[test]
+fn shapes_that_matter_only_in_their_groups_are_left_out() {
+    let job = ball_of_spheres(600);
+    let still = job.at(0).expect("the first frame");
+    let program = Program::new(&[(0, &still.scene().objects[0], None)]).expect("few families");
+    let cells = Cells::new(program, around(1.2), &ScalarBuilder);
+    let words = cells.tree().words().used();
+    println!("{words} words");
+    // They are 918,000; without cutoffs that pass through joins, 1,486,000.
+    assert!(words < 1_000_000, "lists are long: {words} words");
+}
+
 /// Compares cells with the whole program at random points, and on the faces of cells.
 fn check(name: &str, job: &Job, points: u32) {
     let still = job.at(0).expect("the first frame");
