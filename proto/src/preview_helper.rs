@@ -56,6 +56,8 @@ pub struct CostSample {
     /// Time of one thread to prepare a tile, in seconds: evaluating the job at the frame, and building
     /// its integrator.
     pub setup_seconds_per_tile: f64,
+    /// Time of all threads together to make what the tiles of a frame share, in seconds: the cells of its scene.
+    pub shared_seconds_per_frame: f64,
     /// Time that one thread needs to encode a pixel into the picture's file, in seconds.
     pub encode_seconds_per_pixel: f64,
     /// Peak memory of the sample, in bytes.
@@ -63,10 +65,15 @@ pub struct CostSample {
 }
 
 impl CostSample {
-    /// Time of one thread for this many rays, tiles and file pixels, in seconds.
-    pub fn core_seconds(&self, rays: u64, tiles: u64, pixels: u64) -> f64 {
-        let counts = [rays, tiles, pixels].map(|count| count as f64);
-        let each = [self.thread_seconds_per_ray, self.setup_seconds_per_tile, self.encode_seconds_per_pixel];
+    /// Time of one thread for this many rays, tiles, frames and file pixels, in seconds.
+    pub fn core_seconds(&self, rays: u64, tiles: u64, frames: u64, pixels: u64) -> f64 {
+        let counts = [rays, tiles, frames, pixels].map(|count| count as f64);
+        let each = [
+            self.thread_seconds_per_ray,
+            self.setup_seconds_per_tile,
+            self.shared_seconds_per_frame,
+            self.encode_seconds_per_pixel,
+        ];
         counts.iter().zip(each).map(|(count, seconds)| count * seconds).sum()
     }
 }

@@ -62,7 +62,8 @@ fn estimate_from_sample(
     pool: u32,
 ) -> Estimate {
     let rays = plan.rays_total();
-    let core_seconds = sample.core_seconds(rays, plan.tiles_total(), rays / u64::from(plan.samples));
+    let core_seconds =
+        sample.core_seconds(rays, plan.tiles_total(), u64::from(plan.frames), rays / u64::from(plan.samples));
     // Workers beyond the number of tiles are idle.
     let share = (plan.tiles_total() as f64 / present.len().max(1) as f64).min(1.0);
     let each = (threads / pool.max(1) as usize).max(1);
@@ -91,6 +92,7 @@ mod tests {
         rays: 10,
         thread_seconds_per_ray: 1e-6,
         setup_seconds_per_tile: 0.03125,
+        shared_seconds_per_frame: 0.0,
         encode_seconds_per_pixel: 1e-6,
         memory_bytes: 7,
     };

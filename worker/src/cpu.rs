@@ -8,7 +8,7 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 use rayon::{ThreadPool, ThreadPoolBuilder};
-use scene::JobAtFrame;
+use scene::{Job, JobAtFrame};
 
 use crate::picture_tape::{EVALUATIONS, integrator, record_evaluations};
 use crate::simd::Simd;
@@ -36,6 +36,19 @@ impl CpuRenderer {
             .build()
             .map_err(RenderError::Threads)?;
         Ok(Self { threads: Arc::new(threads), simd, kernels: Arc::default() })
+    }
+
+    /// A renderer with this many threads of its own, which shares compiled scenes and cells with this one.
+    pub fn sharing(&self, threads: usize) -> Result<Self, RenderError> {
+        Ok(Self { kernels: self.kernels.clone(), ..Self::new(Some(threads), self.simd)? })
+    }
+
+    /// Compiles a frame, if that has not been done; returns whether it has cells, which are made as rays enter them.
+    pub fn has_cells(&self, job: &Job, frame: u32) -> Result<bool, RenderError> {
+        Ok(match self.kernel(&job.at(frame)?)? {
+            Kernel::Reference(..) => false,
+            Kernel::Prepared(prepared) => prepared.inputs.has_cells(),
+        })
     }
 
     /// Number of threads.

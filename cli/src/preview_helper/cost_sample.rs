@@ -33,8 +33,8 @@ pub(crate) fn sample(job: &Job, threads: usize, render_ms: u64) -> anyhow::Resul
     let count = job.frames.count.min(MAX_FRAMES);
     let spread = |index: u32| u64::from(job.frames.count - 1) * u64::from(index) / u64::from((count - 1).max(1));
     let limit = Duration::from_millis(render_ms) / count;
-    let renderers: Vec<CpuRenderer> =
-        (0..threads.max(1)).map(|_| CpuRenderer::new(Some(1), Simd::Auto)).collect::<Result<_, _>>()?;
+    let first = CpuRenderer::new(Some(1), Simd::Auto)?;
+    let renderers: Vec<CpuRenderer> = (0..threads.max(1)).map(|_| first.sharing(1)).collect::<Result<_, _>>()?;
     let mut sum = FrameCost::default();
     for index in 0..count {
         sum.add(&measure(job, spread(index) as u32, &renderers, limit)?);
@@ -46,6 +46,7 @@ pub(crate) fn sample(job: &Job, threads: usize, render_ms: u64) -> anyhow::Resul
         rays: sum.rays,
         thread_seconds_per_ray: sum.seconds_per_ray / frames,
         setup_seconds_per_tile: sum.setup_seconds / frames,
+        shared_seconds_per_frame: sum.shared_seconds / frames,
         encode_seconds_per_pixel: sum.encode_seconds_per_pixel / frames,
         memory_bytes: peak_memory_bytes() + frame_bytes.min(MAX_FRAME_BYTES),
     })
@@ -57,6 +58,7 @@ struct FrameCost {
     rays: u64,
     seconds_per_ray: f64,
     setup_seconds: f64,
+    shared_seconds: f64,
     encode_seconds_per_pixel: f64,
 }
 
@@ -65,6 +67,7 @@ impl FrameCost {
         self.rays += other.rays;
         self.seconds_per_ray += other.seconds_per_ray;
         self.setup_seconds += other.setup_seconds;
+        self.shared_seconds += other.shared_seconds;
         self.encode_seconds_per_pixel += other.encode_seconds_per_pixel;
     }
 }
@@ -79,30 +82,81 @@ fn measure(job: &Job, frame: u32, renderers: &[CpuRenderer], limit: Duration) ->
     if job.image.layers.is_empty() {
         job.image.samples = job.image.samples.min(MAX_SAMPLES);
     }
-    let (rays, blocks) = (AtomicU64::new(0), AtomicUsize::new(0));
-    let done = Mutex::new(Vec::new());
     let program_start = Instant::now();
     let moved = job.at(frame)?;
     std::hint::black_box(Integrator::new(&moved));
     let program_seconds = program_start.elapsed().as_secs_f64();
-    let before = cpu_seconds();
-    let start = Instant::now();
-    render(&job, frame, renderers, limit, &|pixels: Option<TilePixels>, more: u64| {
-        rays.fetch_add(more, Ordering::Relaxed);
-        if let Some(pixels) = pixels {
-            blocks.fetch_add(1, Ordering::Relaxed);
-            done.lock().expect("no holder panics").push(pixels);
+    let rects = blocks(job.image.width, job.image.height);
+    let first = renderers.first().context("there is a renderer")?;
+    let (all, shared_seconds) = if first.has_cells(&job, frame)? {
+        let making = Pass::render(&job, frame, renderers, limit / 2, &rects)?;
+        // With the cells that exist by then, also for blocks that were not finished.
+        let begun = &rects[..rects.len().min(making.blocks.len().max(renderers.len()))];
+        let again = || Pass::render(&job, frame, renderers, limit / 4, begun);
+        let passes = [again()?, again()?].into_iter().filter(|pass| pass.rays > 0);
+        match passes.min_by(|a, b| a.seconds_per_ray(0.0).total_cmp(&b.seconds_per_ray(0.0))) {
+            Some(pass) => {
+                let frame_blocks = job.image.pixels() as f64 / f64::from(BLOCK_PX * BLOCK_PX);
+                let shared_seconds = making.shared_seconds(pass.seconds_per_ray(0.0), frame_blocks);
+                (pass, shared_seconds)
+            }
+            None => (making, 0.0),
         }
-    })?;
-    let passed = start.elapsed().as_secs_f64();
-    let used = match (before, cpu_seconds()) {
-        (Some(before), Some(after)) => after - before,
-        _ => passed * renderers.len() as f64,
+    } else {
+        (Pass::render(&job, frame, renderers, limit, &rects)?, 0.0)
     };
-    let (rays, blocks) = (rays.into_inner(), blocks.into_inner());
-    let rendering = (used - blocks as f64 * program_seconds).max(used / 10.0);
-    let encode_seconds_per_pixel = encode(picture, done.into_inner().expect("no holder panics"))?;
-    Ok(FrameCost { rays, seconds_per_ray: rendering / rays.max(1) as f64, setup_seconds, encode_seconds_per_pixel })
+    let (rays, seconds_per_ray) = (all.rays, all.seconds_per_ray(program_seconds));
+    let encode_seconds_per_pixel = encode(picture, all.blocks)?;
+    Ok(FrameCost { rays, seconds_per_ray, setup_seconds, shared_seconds, encode_seconds_per_pixel })
+}
+
+/// Rays and finished blocks, and the CPU time of all threads for them, in seconds.
+#[derive(Debug)]
+struct Pass {
+    rays: u64,
+    seconds: f64,
+    blocks: Vec<TilePixels>,
+}
+
+impl Pass {
+    /// Renders blocks until the time limit.
+    fn render(
+        job: &Job,
+        frame: u32,
+        renderers: &[CpuRenderer],
+        limit: Duration,
+        rects: &[Rect],
+    ) -> anyhow::Result<Self> {
+        let (rays, done) = (AtomicU64::new(0), Mutex::new(Vec::new()));
+        let before = cpu_seconds();
+        let start = Instant::now();
+        render(job, frame, renderers, limit, rects, &|pixels: Option<TilePixels>, more: u64| {
+            rays.fetch_add(more, Ordering::Relaxed);
+            if let Some(pixels) = pixels {
+                done.lock().expect("no holder panics").push(pixels);
+            }
+        })?;
+        let seconds = match (before, cpu_seconds()) {
+            (Some(before), Some(after)) => after - before,
+            _ => start.elapsed().as_secs_f64() * renderers.len() as f64,
+        };
+        Ok(Self { rays: rays.into_inner(), seconds, blocks: done.into_inner().expect("no holder panics") })
+    }
+
+    /// CPU time of a ray, without that for preparing each block.
+    fn seconds_per_ray(&self, program_seconds: f64) -> f64 {
+        let rendering = (self.seconds - self.blocks.len() as f64 * program_seconds).max(self.seconds / 10.0);
+        rendering / self.rays.max(1) as f64
+    }
+
+    /// CPU time of making the cells of a frame of `frame_blocks`, where a ray takes `seconds_per_ray` without that.
+    fn shared_seconds(&self, seconds_per_ray: f64, frame_blocks: f64) -> f64 {
+        /// Blocks all over a picture share large cells, so that the time grows with a power of their number: this one in
+        /// the scenes of docs/benchmarks.md.
+        const GROWTH: f64 = 0.5;
+        let making = (self.seconds - self.rays as f64 * seconds_per_ray).max(0.0);
+        making * (frame_blocks / self.blocks.len().max(1) as f64).max(1.0).powf(GROWTH)
+    }
 }
 
 /// Renders blocks until the time limit, on all renderers at once. `found` receives finished rays, and
@@ -112,9 +166,9 @@ fn render(
     frame: u32,
     renderers: &[CpuRenderer],
     limit: Duration,
+    rects: &[Rect],
     found: &(dyn Fn(Option<TilePixels>, u64) + Sync),
 ) -> anyhow::Result<()> {
-    let rects = blocks(job.image.width, job.image.height);
     let next = AtomicUsize::new(0);
     let start = Instant::now();
     let cancel = CancelFlag::new();
@@ -127,7 +181,7 @@ fn render(
                 flag.cancel();
             }
         });
-        let (rects, next, cancel) = (&rects, &next, &cancel);
+        let (next, cancel) = (&next, &cancel);
         let work = move |renderer: &CpuRenderer| {
             while start.elapsed() < limit {
                 let Some(&rect) = rects.get(next.fetch_add(1, Ordering::Relaxed)) else { break };
@@ -210,6 +264,35 @@ fn peak_memory_bytes() -> u64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn cells_that_blocks_share_are_not_counted_for_each_ray() {
+        let (job, rects) = (many_spheres(200), blocks(256, 256));
+        let first = CpuRenderer::new(Some(1), Simd::Auto).expect("threads");
+        let renderers = [first.sharing(1).expect("threads"), first.sharing(1).expect("threads")];
+        assert!(first.has_cells(&job, 0).expect("it compiles"));
+        let pass = Pass::render(&job, 0, &renderers, Duration::from_mins(1), &rects).expect("a sample");
+        assert_eq!((pass.blocks.len(), pass.rays), (16, 16 * 256 * 4));
+        // A second of each three goes into rays, and the rest into cells; a frame has 256 blocks.
+        let pass = Pass { seconds: 3.0 * pass.rays as f64, ..pass };
+        assert_eq!(pass.shared_seconds(1.0, 256.0), 2.0 * pass.rays as f64 * 4.0);
+        assert_eq!(pass.shared_seconds(4.0, 256.0), 0.0);
+    }
+
+    /// A job of spheres in a smooth union, row by row in a cube.
+    fn many_spheres(count: u32) -> Job {
+        let sphere = |number: u32| {
+            let at = [number % 10, number / 10 % 10, number / 100].map(|c| f64::from(c) / 5.0 - 0.9);
+            format!(r#"{{ "translate": {{ "by": {at:?}, "child": {{ "sphere": {{ "radius": 0.08 }} }} }} }}"#)
+        };
+        let spheres: Vec<String> = (0..count).map(sphere).collect();
+        let job = format!(
+            r#"{{ "scene": {{ "camera": {{ "position": [1, 1, 4], "look_at": [0, 0, 0] }}, "objects": [{{ "shape":
+                {{ "union": {{ "smooth": 0.05, "of": [{}] }} }} }}] }}, "image": {{ "width": 256, "height": 256 }} }}"#,
+            spheres.join(",")
+        );
+        scene::parse(job.as_bytes()).expect("a valid job")
+    }
 
     #[test]
     fn blocks_cover_a_sixteenth_of_a_large_picture() {

@@ -7,8 +7,8 @@ use std::time::Duration;
 
 use scene::limits::{MAX_BODY_BYTES, MAX_NODES};
 
-/// Limit of the memory of reading a text, in sizes of the text: ten, as it is rounded in the report.
-const MAX_MEMORY: f64 = 10.05;
+/// Limit of the memory of reading a text, in sizes of the text.
+const MAX_MEMORY: f64 = 10.0;
 /// Limit of the time of reading a job of 30 MB, in a release build on an idle machine.
 const MAX_TIME: Duration = Duration::from_secs(1);
 /// Limit of the time until such a text is refused.

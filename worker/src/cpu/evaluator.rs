@@ -30,11 +30,19 @@ pub(crate) enum Inputs {
 impl Inputs {
     /// Fails if the cells of the scene had no room.
     pub(crate) fn check_cells(&self) -> Result<(), RenderError> {
-        let table = match self {
+        check_cells(self.table())
+    }
+
+    /// Whether there are cells.
+    pub(crate) fn has_cells(&self) -> bool {
+        self.table().is_some_and(|table| table.capacity() > 1)
+    }
+
+    fn table(&self) -> Option<&Table> {
+        match self {
             Self::X86(uniforms) => uniforms.table(),
             Self::Portable(_, table) => Some(table),
-        };
-        check_cells(table)
+        }
     }
 }
 

@@ -48,7 +48,7 @@ impl Outlook {
         let tiling = Tiling { width, height, samples, pixel_bytes: image.pixel_bytes(), tile_edge: None };
         let (rays, tiles) = (job.rays_per_frame() * frames, tiling.tiles().len() as u64 * frames);
         let judge = |sample: &CostSample| Judged {
-            core_seconds: sample.core_seconds(rays, tiles, image.pixels() * frames),
+            core_seconds: sample.core_seconds(rays, tiles, frames, image.pixels() * frames),
             memory_bytes: sample.memory_bytes,
             sample_rays: sample.rays,
         };
@@ -225,6 +225,7 @@ mod tests {
             rays: 10,
             thread_seconds_per_ray: 1e-3,
             setup_seconds_per_tile: 0.0,
+            shared_seconds_per_frame: 0.0,
             encode_seconds_per_pixel: 0.0,
             memory_bytes: 20_000_000,
         };
