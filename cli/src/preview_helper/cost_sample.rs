@@ -119,7 +119,7 @@ struct Pass {
 }
 
 impl Pass {
-    /// Renders blocks until the time limit.
+    /// Renders blocks until the time limit, on all renderers at once.
     fn render(
         job: &Job,
         frame: u32,
@@ -127,14 +127,42 @@ impl Pass {
         limit: Duration,
         rects: &[Rect],
     ) -> anyhow::Result<Self> {
-        let (rays, done) = (AtomicU64::new(0), Mutex::new(Vec::new()));
+        let (rays, done, next) = (AtomicU64::new(0), Mutex::new(Vec::new()), AtomicUsize::new(0));
         let before = cpu_seconds();
         let start = Instant::now();
-        render(job, frame, renderers, limit, rects, &|pixels: Option<TilePixels>, more: u64| {
-            rays.fetch_add(more, Ordering::Relaxed);
-            if let Some(pixels) = pixels {
-                done.lock().expect("no holder panics").push(pixels);
+        let cancel = CancelFlag::new();
+        let (finished, over) = mpsc::channel::<()>();
+        std::thread::scope(|scope| {
+            let flag = cancel.clone();
+            // A block that takes too long is cancelled.
+            scope.spawn(move || {
+                if over.recv_timeout(limit * 2) == Err(RecvTimeoutError::Timeout) {
+                    flag.cancel();
+                }
+            });
+            let (rays, done, next, cancel) = (&rays, &done, &next, &cancel);
+            let work = move |renderer: &CpuRenderer| {
+                while start.elapsed() < limit {
+                    let Some(&rect) = rects.get(next.fetch_add(1, Ordering::Relaxed)) else { break };
+                    let count = |more: u64| {
+                        rays.fetch_add(more, Ordering::Relaxed);
+                    };
+                    match renderer.render(&TileRequest { job, frame, rect }, cancel, &count) {
+                        Ok(pixels) => done.lock().expect("no holder panics").push(pixels),
+                        Err(worker::RenderError::Cancelled) => break,
+                        Err(error) => return Err(error),
+                    }
+                }
+                Ok(())
+            };
+            let threads: Vec<_> = renderers.iter().map(|renderer| scope.spawn(move || work(renderer))).collect();
+            let ended: Vec<_> = threads.into_iter().map(std::thread::ScopedJoinHandle::join).collect();
+            drop(finished);
+            for end in ended {
+                end.map_err(|_| anyhow::anyhow!("a rendering thread panicked"))?
+                    .context("could not render a sample")?;
             }
+            anyhow::Ok(())
         })?;
         let seconds = match (before, cpu_seconds()) {
             (Some(before), Some(after)) => after - before,
@@ -157,50 +185,6 @@ impl Pass {
         let making = (self.seconds - self.rays as f64 * seconds_per_ray).max(0.0);
         making * (frame_blocks / self.blocks.len().max(1) as f64).max(1.0).powf(GROWTH)
     }
-}
-
-/// Renders blocks until the time limit, on all renderers at once. `found` receives finished rays, and
-/// finished blocks.
-fn render(
-    job: &Job,
-    frame: u32,
-    renderers: &[CpuRenderer],
-    limit: Duration,
-    rects: &[Rect],
-    found: &(dyn Fn(Option<TilePixels>, u64) + Sync),
-) -> anyhow::Result<()> {
-    let next = AtomicUsize::new(0);
-    let start = Instant::now();
-    let cancel = CancelFlag::new();
-    let (done, over) = mpsc::channel::<()>();
-    std::thread::scope(|scope| {
-        let flag = cancel.clone();
-        // A block that takes too long is cancelled.
-        scope.spawn(move || {
-            if over.recv_timeout(limit * 2) == Err(RecvTimeoutError::Timeout) {
-                flag.cancel();
-            }
-        });
-        let (next, cancel) = (&next, &cancel);
-        let work = move |renderer: &CpuRenderer| {
-            while start.elapsed() < limit {
-                let Some(&rect) = rects.get(next.fetch_add(1, Ordering::Relaxed)) else { break };
-                match renderer.render(&TileRequest { job, frame, rect }, cancel, &|rays| found(None, rays)) {
-                    Ok(pixels) => found(Some(pixels), 0),
-                    Err(worker::RenderError::Cancelled) => break,
-                    Err(error) => return Err(error),
-                }
-            }
-            Ok(())
-        };
-        let threads: Vec<_> = renderers.iter().map(|renderer| scope.spawn(move || work(renderer))).collect();
-        let ended: Vec<_> = threads.into_iter().map(std::thread::ScopedJoinHandle::join).collect();
-        drop(done);
-        for end in ended {
-            end.map_err(|_| anyhow::anyhow!("a rendering thread panicked"))?.context("could not render a sample")?;
-        }
-        Ok(())
-    })
 }
 
 /// Returns a block in each cell of a picture, ordered so that the first few are spread all over it.

@@ -107,6 +107,14 @@ enum EntryKind {
     Join { width: f32, first: u32, operands: u32 },
 }
 
+/// A value that waits for a join.
+struct Waiting {
+    /// Indices of its first entry, and of the first operands after those of the values before it.
+    first_entry: usize,
+    first_operands: usize,
+    value: Intervals,
+}
+
 /// A list that is to be pruned in the cells of a slab.
 #[derive(Clone, Copy, Debug)]
 pub struct Unpruned<'a> {
@@ -280,7 +288,7 @@ impl Unpruned<'_> {
     fn values(&self, entries: &mut Vec<Entry>, operands: &mut Vec<[Intervals; 2]>) -> Intervals {
         let Self { pruner, list, leaves, regions, distances } = *self;
         let unknown = Intervals { low: [f32::NEG_INFINITY; SLAB_CELLS], high: [f32::INFINITY; SLAB_CELLS] };
-        let mut waiting: Vec<(u32, u32, Intervals)> = Vec::new();
+        let mut waiting: Vec<Waiting> = Vec::new();
         let mut known = leaves.iter().zip(distances.as_chunks::<SLAB_CELLS>().0);
         for operation in list.chunks_exact(2) {
             let &[leaf, join] = operation else { continue };
@@ -293,7 +301,7 @@ impl Unpruned<'_> {
                 } else {
                     pruner.levels.get(&index).map_or(unknown, |levels| level_intervals(levels, regions))
                 };
-                waiting.push((entries.len() as u32, operands.len() as u32, value));
+                waiting.push(Waiting { first_entry: entries.len(), first_operands: operands.len(), value });
                 entries.push(Entry { word: leaf & !IS_LAST, of: EntryKind::Leaf, cells: 0 });
             }
             if join == 0 {
@@ -304,7 +312,7 @@ impl Unpruned<'_> {
                 JoinRange::Least => 0.0,
                 kind @ JoinRange::Scale(by) => {
                     entries.push(Entry { word: join, of: EntryKind::Scale(by), cells: 0 });
-                    if let Some((.., value)) = waiting.last_mut() {
+                    if let Some(Waiting { value, .. }) = waiting.last_mut() {
                         for cell in 0..SLAB_CELLS {
                             let all = [value.low[cell], value.high[cell]];
                             [value.low[cell], value.high[cell]] = kind.apply(all, all);
@@ -313,23 +321,25 @@ impl Unpruned<'_> {
                     continue;
                 }
             };
-            let [.., (_, _, a), (middle, middle_operands, b)] = &mut waiting[..] else { continue };
+            let [.., Waiting { value: a, .. }, second] = &mut waiting[..] else { continue };
+            let b = &second.value;
             if cells_where(|cell| b.low[cell] - a.high[cell] >= width) == Mask::MAX {
-                entries.truncate(*middle as usize);
-                operands.truncate(*middle_operands as usize);
+                entries.truncate(second.first_entry);
+                operands.truncate(second.first_operands);
             } else {
-                let of = EntryKind::Join { width, first: *middle - 1, operands: operands.len() as u32 };
+                let of =
+                    EntryKind::Join { width, first: second.first_entry as u32 - 1, operands: operands.len() as u32 };
                 operands.push([*a, *b]);
                 entries.push(Entry { word: join, of, cells: 0 });
                 if width > 0.0 {
-                    join_intervals(JoinRange::Union(width), width, a, b);
+                    join_intervals(JoinRange::Union(width), a, b);
                 } else {
-                    join_intervals(JoinRange::Least, width, a, b);
+                    join_intervals(JoinRange::Least, a, b);
                 }
             }
             waiting.pop();
         }
-        waiting.first().map_or(unknown, |(.., value)| *value)
+        waiting.first().map_or(unknown, |first| first.value)
     }
 }
 
@@ -396,7 +406,8 @@ fn keep_joins(entries: &mut [Entry]) {
 
 /// Replaces `a` by the join with `b`; where one can't change the other, by that.
 #[inline(always)]
-fn join_intervals(kind: JoinRange, width: f32, a: &mut Intervals, b: &Intervals) {
+fn join_intervals(kind: JoinRange, a: &mut Intervals, b: &Intervals) {
+    let width = if let JoinRange::Union(width) = kind { width } else { 0.0 };
     for cell in 0..SLAB_CELLS {
         let (first, second) = ([a.low[cell], a.high[cell]], [b.low[cell], b.high[cell]]);
         let is_inert = second[0] - first[1] >= width;
