@@ -15,6 +15,7 @@
 //! 39(4), 2020, prunes formulas by intervals; Wilhem Barbier et al., "Lipschitz pruning: hierarchical simplification of
 //! primitive-based SDFs", Computer Graphics Forum 44(2), 2025, prunes lists of smooth joins.
 
+mod division;
 mod program;
 mod prune;
 mod trace;
@@ -22,9 +23,10 @@ mod tree;
 mod walk;
 
 use crate::bounds::Bounds;
+pub use division::{BOX_LEVELS, BOX_NUMBERS, Division};
 pub use program::Program;
-pub use prune::{Pruned, Pruner, Regions, SLAB_CELLS, SLABS, Unpruned};
-pub use tree::{BLOCK_CELLS, CellBuilder, CellTree, Distances, LeafDistances, ScalarBuilder};
+pub use prune::{Pruned, Pruner, ROUNDING, Regions, SLAB_CELLS, SLABS, Unpruned};
+pub use tree::{BLOCK_CELLS, CellBuilder, CellTree, Distances, LeafDistances, ScalarBuilder, checksum};
 pub use walk::{DistanceLists, Located};
 
 /// A scene's program and its cells.

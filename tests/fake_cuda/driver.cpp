@@ -164,6 +164,10 @@ Result cuMemcpyDtoHAsync_v2(void* to, const void* from, size_t size, void*) {
     return state();
 }
 
+Result cuMemcpyDtoDAsync_v2(void* to, const void* from, size_t size, void*) {
+    return std::memcpy(to, from, size), state();
+}
+
 Result cuMemsetD8Async(void* to, unsigned char value, size_t size, void*) {
     return std::memset(to, value, size), state();
 }

@@ -51,8 +51,14 @@ void run_layers(void** arguments, const unsigned* grid, const unsigned* block) {
 }
 #endif
 #ifdef HAS_TABLE
-void run_set_words(void** arguments, const unsigned* grid, const unsigned* block) {
-    run_all(set_words, arguments, grid, block);
+void run_measure(void** arguments, const unsigned* grid, const unsigned* block) {
+    run_all(measure, arguments, grid, block);
+}
+void run_divide(void** arguments, const unsigned* grid, const unsigned* block) {
+    run_all(divide, arguments, grid, block);
+}
+void run_publish(void** arguments, const unsigned* grid, const unsigned* block) {
+    run_all(publish, arguments, grid, block);
 }
 #endif
 void* place_of_uniforms = uniforms;

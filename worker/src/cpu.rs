@@ -16,7 +16,7 @@ use crate::{CancelFlag, RenderError, Renderer, TilePixels, TileRequest};
 use kernels::{Kernel, KernelCache};
 use packets::{Band, SAMPLES_PER_RUN, block};
 
-pub(crate) use evaluator::{Evaluator, Frame, Inputs, check_cells};
+pub(crate) use evaluator::{Evaluator, Frame, Inputs};
 
 /// Renders on the cores of this machine.
 #[derive(Clone, Debug)]

@@ -9,8 +9,10 @@
 //! * c, if the least `a` is at least c + w: then the join is at least c;
 //! * c + w: the join is `a`, or else `a` is above c, and so is the join.
 //!
-//! `a` gets the same from `b`. Because each of these holds for a value and for what takes its place, all values that
-//! reach their cutoffs can be left out together.
+//! `a` gets the same from `b`, but c where `b` is left out by the first rule, because `a` is the join there. Because each
+//! of these holds for a value and for what takes its place, all values that reach their cutoffs can be left out together.
+//!
+//! A cell's list is the same whichever cells are pruned together with it. On a GPU, `cells.cu` finds the same lists.
 
 use std::collections::HashMap;
 
@@ -27,27 +29,27 @@ pub const SLABS: usize = BLOCK_CELLS as usize / SLAB_CELLS;
 /// Distance above which a cell has no surface.
 pub(super) const EMPTY_ABOVE: f32 = f32::MIN_POSITIVE;
 /// Rounding errors of distances and coordinates, as a part of their size.
-const ROUNDING: f32 = 1.0 / 65_536.0;
+pub const ROUNDING: f32 = 1.0 / 65_536.0;
 /// Number of levels at which the box of a leaf without a Lipschitz factor is known, each half of the one before.
-const LEVELS: u32 = 10;
+pub(super) const LEVELS: u32 = 10;
 
 /// Bounds on the values of a program's leaves and joins, without their formulas.
 #[derive(Debug)]
 pub struct Pruner {
     /// Lipschitz factor of each leaf; infinite for those that have `levels`. In memory of its own, because it is read
     /// for every leaf of every list.
-    factors: Vec<f32>,
+    pub(super) factors: Vec<f32>,
     /// Of leaves whose distance can change in any way: outside of the box of a level, distances are above it. The greatest
     /// level first.
-    levels: HashMap<u32, Vec<(f32, Bounds)>>,
-    joins: Vec<JoinRange>,
+    pub(super) levels: HashMap<u32, Vec<(f32, Bounds)>>,
+    pub(super) joins: Vec<JoinRange>,
     /// The program's rows: before each is the index of its leaf or join.
     rows: Vec<u32>,
 }
 
 /// How a join's value depends on those that it joins.
 #[derive(Clone, Copy, Debug)]
-enum JoinRange {
+pub(super) enum JoinRange {
     /// The smooth minimum of two values, with the seam's width.
     Union(f32),
     /// The lesser of two values.
@@ -323,7 +325,7 @@ impl Unpruned<'_> {
             };
             let [.., Waiting { value: a, .. }, second] = &mut waiting[..] else { continue };
             let b = &second.value;
-            if cells_where(|cell| b.low[cell] - a.high[cell] >= width) == Mask::MAX {
+            if cells_where(|cell| b.low[cell] >= beyond(a.high[cell], width)) == Mask::MAX {
                 entries.truncate(second.first_entry);
                 operands.truncate(second.first_operands);
             } else {
@@ -355,8 +357,17 @@ fn cut_off(entries: &mut [Entry], operands: &[[Intervals; 2]]) {
             EntryKind::Scale(by) => open.push((index - 1, cells, numbers(|cell| unscaled(cutoff[cell], by)))),
             EntryKind::Join { width, first, operands: at } => {
                 let [a, b] = &operands[at as usize];
-                let of_a = numbers(|cell| cutoff_of(cutoff[cell], [b.low[cell], b.high[cell]], width));
-                let of_b = numbers(|cell| cutoff_of(cutoff[cell], [a.low[cell], a.high[cell]], width));
+                let of = |value: &Intervals, other: &Intervals| {
+                    numbers(|cell| {
+                        let of_other = [other.low[cell], other.high[cell]];
+                        if other.low[cell] >= beyond(value.high[cell], width) {
+                            cutoff[cell]
+                        } else {
+                            cutoff_of(cutoff[cell], of_other, width)
+                        }
+                    })
+                };
+                let (of_a, of_b) = (of(a, b), of(b, a));
                 let matters =
                     |value: &Intervals, cutoff: &Numbers| cells & !cells_where(|cell| value.low[cell] >= cutoff[cell]);
                 for (index, cells, cutoff) in
@@ -371,13 +382,18 @@ fn cut_off(entries: &mut [Entry], operands: &[[Intervals; 2]]) {
     }
 }
 
+/// A value plus the width of a seam; rounded up.
+#[inline(always)]
+fn beyond(value: f32, width: f32) -> f32 {
+    value + width + (32.0 * f32::EPSILON * (value.abs() + width) + f32::MIN_POSITIVE)
+}
+
 /// Cutoff of a value whose join, with this cutoff, has another operand in an interval; rounded up.
 #[inline(always)]
 fn cutoff_of(of_join: f32, [low, high]: [f32; 2], width: f32) -> f32 {
-    let above = |value: f32, by: f32| value + by + (32.0 * f32::EPSILON * (value.abs() + width) + f32::MIN_POSITIVE);
-    let apart = above(of_join, width);
-    let through_join = if low >= apart { above(of_join, 0.0) } else { apart };
-    through_join.min(above(high, width))
+    let apart = beyond(of_join, width);
+    let through_join = if low >= apart { beyond(of_join, 0.0) } else { apart };
+    through_join.min(beyond(high, width))
 }
 
 /// Cutoff of a value with one times a factor; rounded up.

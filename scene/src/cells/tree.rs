@@ -7,6 +7,7 @@ use std::collections::HashMap;
 use std::ops::Deref;
 use std::sync::{Arc, Mutex, PoisonError};
 
+use super::division::Division;
 use super::program::Program;
 use super::prune::{EMPTY_ABOVE, Pruned, Pruner, Regions, SLAB_CELLS, SLABS, Unpruned};
 use crate::bounds::Bounds;
@@ -20,12 +21,12 @@ pub const BLOCK_CELLS: u32 = BLOCK_EDGE * BLOCK_EDGE * BLOCK_EDGE;
 /// Maximum depth of the tree: coordinates of cells are exact in `f32`.
 pub(super) const MAX_LEVELS: u32 = 10;
 /// Number of leaves in a list up to which a cell is not divided.
-const SHORT_LIST: usize = 24;
+pub(super) const SHORT_LIST: usize = 24;
 /// A cell that has more than this part of its parent's leaves is hardly smaller in what matters.
-const SHORTER: f32 = 0.75;
+pub(super) const SHORTER: f32 = 0.75;
 /// Number of cells, each inside the one before, that may be hardly smaller: where shapes overlap so much, more cells would
 /// not make shorter lists.
-const MAX_STALLS: u32 = 2;
+pub(super) const MAX_STALLS: u32 = 2;
 
 /// Bits of a cell's word that are not its kind. A cell of kind 0 has no surface.
 pub(super) const KIND_SHIFT: u32 = INDEX_BITS;
@@ -45,7 +46,7 @@ const MIN_WORDS: usize = 1 << 27;
 
 /// The cells of a scene, with their lists and rows, as one table of words.
 ///
-/// After the rows come the word of the outermost cell, the list of all operations, and a short one. A block is the words of 64 cells,
+/// After the rows come the word of the outermost cell, the list of all operations, and those of the leaves alone. A block is the words of 64 cells,
 /// x fastest, then the index of the list of all of them.
 #[derive(Clone, Debug)]
 pub struct CellTree {
@@ -69,7 +70,7 @@ pub(super) struct CellFrame {
     /// Depth of the tree.
     pub(super) levels: u32,
     /// Number of its outermost levels, whose innermost cells touch at the center of the shapes.
-    outer_levels: u32,
+    pub(super) outer_levels: u32,
 }
 
 /// A way to build cells: all at once by the scalar reference here, or by machine code when they are needed.
@@ -172,12 +173,15 @@ impl CellTree {
     pub(super) fn new(program: &Program<'_>, reach: Bounds, how: &dyn CellBuilder) -> Self {
         let frame = CellFrame::new(program, reach);
         let rows = program.rows();
-        let capacity = rows.len() + program.list().len() + MIN_WORDS.max(WORDS_PER_LEAF * program.leaf_count());
+        let lists = program.list().len() + OPERATION_WORDS as usize * program.leaf_count();
+        let capacity = rows.len() + lists + MIN_WORDS.max(WORDS_PER_LEAF * program.leaf_count());
         let words = Words::with_capacity(capacity.min(1 << KIND_SHIFT));
         let append = |part: &[u32]| words.append(part).expect("there is room for the rows and the first list");
         append(rows);
         let (root, whole) = (append(&[ROOT]), append(program.list()));
-        let brief = append(&[append(&program.list_of(0))]);
+        let leaf_lists: Vec<u32> = (0..program.leaf_count() as u32).flat_map(|leaf| program.list_of(leaf)).collect();
+        let leaf_lists = append(&leaf_lists);
+        let brief = append(&[leaf_lists]);
         let outermost = Cell { at: [0; 3], level: 0 };
         let undivided =
             Undivided { place: root, cell: outermost, list: whole, length: program.list().len() as u32, stalls: 0 };
@@ -186,7 +190,11 @@ impl CellTree {
         let tree = Self { frame, root, whole, brief, words: Arc::new(words) };
         let pruner = Pruner::new(program);
         match how.distances(program) {
-            Distances::Kept(distances) => tree.words.set_maker(Box::new(Builder::new(frame, pruner, root, distances))),
+            Distances::Kept(distances) => {
+                let division = Division::new(program, &frame, &pruner, [root, leaf_lists]);
+                let builder = Builder::new(frame, pruner, root, distances);
+                tree.words.set_maker(Box::new(LazyBuilder { builder, division }));
+            }
             Distances::OfScene(distances) => {
                 Builder::new(frame, pruner, root, distances).divide_all(&tree.words);
             }
@@ -194,33 +202,9 @@ impl CellTree {
         tree
     }
 
-    /// A number of all cells and their lists, however they are placed in the table. Of a complete tree.
+    /// Checksum of the cells, which must all exist.
     pub fn checksum(&self) -> u64 {
-        let list = |first: u32| {
-            let mut sum = 0_u64;
-            for operation in (first..).step_by(OPERATION_WORDS as usize) {
-                for index in operation..operation + OPERATION_WORDS {
-                    sum = mix(sum, self.words.get(index));
-                }
-                if self.words.get(operation) & IS_LAST != 0 {
-                    return sum;
-                }
-            }
-            sum
-        };
-        let (mut sum, mut open) = (0_u64, vec![self.words.get(self.root)]);
-        while let Some(word) = open.pop() {
-            let index = index_of(word);
-            sum = match word >> KIND_SHIFT {
-                LIST => sum.wrapping_mul(3).wrapping_add(list(index)),
-                BLOCK => {
-                    open.extend((index..index + BLOCK_CELLS).map(|place| self.words.get(place)));
-                    mix(sum, BLOCK).wrapping_add(list(self.words.get(index + BLOCK_CELLS)))
-                }
-                _ => mix(sum, word),
-            };
-        }
-        sum
+        checksum(&self.words, self.root)
     }
 
     /// The table.
@@ -236,6 +220,36 @@ impl CellTree {
     pub(super) fn frame(&self) -> &CellFrame {
         &self.frame
     }
+}
+
+/// A number of all cells and their lists, however they are placed in the table, from the index of the outermost cell's word.
+/// All cells must exist.
+pub fn checksum(words: &Words, root: u32) -> u64 {
+    let list = |first: u32| {
+        let mut sum = 0_u64;
+        for operation in (first..).step_by(OPERATION_WORDS as usize) {
+            for index in operation..operation + OPERATION_WORDS {
+                sum = mix(sum, words.get(index));
+            }
+            if words.get(operation) & IS_LAST != 0 {
+                return sum;
+            }
+        }
+        sum
+    };
+    let (mut sum, mut open) = (0_u64, vec![words.get(root)]);
+    while let Some(word) = open.pop() {
+        let index = index_of(word);
+        sum = match word >> KIND_SHIFT {
+            LIST => sum.wrapping_mul(3).wrapping_add(list(index)),
+            BLOCK => {
+                open.extend((index..index + BLOCK_CELLS).map(|place| words.get(place)));
+                mix(sum, BLOCK).wrapping_add(list(words.get(index + BLOCK_CELLS)))
+            }
+            _ => mix(sum, word),
+        };
+    }
+    sum
 }
 
 /// Mixes a word into a sum (the constant of Knuth's linear congruential generator MMIX).
@@ -318,17 +332,23 @@ impl CellFrame {
     }
 }
 
-impl MakeWords for Builder<Arc<dyn LeafDistances>> {
-    fn make(&self, words: &Words, missing: u32) -> u32 {
-        self.divide(words, missing)
-    }
+/// Divides cells when they are needed.
+struct LazyBuilder {
+    builder: Builder<Arc<dyn LeafDistances>>,
+    division: Division,
+}
 
-    fn place(&self, words: &Words, missing: u32) -> u32 {
-        Undivided::at(words, index_of(missing)).place
+impl MakeWords for LazyBuilder {
+    fn make(&self, words: &Words, missing: u32) -> u32 {
+        self.builder.divide(words, missing)
     }
 
     fn make_all(&self, words: &Words) {
-        self.divide_all(words);
+        self.builder.divide_all(words);
+    }
+
+    fn division(&self) -> &Division {
+        &self.division
     }
 }
 

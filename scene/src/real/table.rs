@@ -4,6 +4,8 @@ use std::fmt;
 use std::sync::atomic::{AtomicU32, AtomicUsize, Ordering};
 use std::sync::{Arc, OnceLock};
 
+use crate::cells::Division;
+
 /// A table, shared by all that read it.
 pub type Table = Arc<Words>;
 
@@ -13,17 +15,21 @@ pub const INDEX_BITS: u32 = 30;
 /// not the formula's value: the missing word is to be made, and the formula computed again.
 pub const STAND_IN: u32 = 1;
 
+/// Place of the length of a list among the words that a missing one refers to. A GPU divides lists together, and needs
+/// memory for the longest.
+pub const LENGTH_PLACE: u32 = 6;
+
 /// Makes the words of a table that do not exist yet.
 pub trait MakeWords: Send + Sync {
     /// The word in place of one that says that its contents do not exist: after the contents have been made. Called by
     /// several threads.
     fn make(&self, words: &Words, missing: u32) -> u32;
 
-    /// Index of the word that becomes another when the contents of this missing word are made.
-    fn place(&self, words: &Words, missing: u32) -> u32;
-
     /// Makes all words that formulas could ask for.
     fn make_all(&self, words: &Words);
+
+    /// How a GPU makes missing words.
+    fn division(&self) -> &Division;
 }
 
 /// Words of a scene: at least one. They are appended, and never move. Memory that no word was appended to is not used.
@@ -122,9 +128,9 @@ impl Words {
         self.maker.get().map_or(missing, |maker| maker.make(self, missing))
     }
 
-    /// Makes the contents of a missing word; returns the index of the word that has become another, and that.
-    pub fn make_in_place(&self, missing: u32) -> (u32, u32) {
-        self.maker.get().map_or((0, self.get(0)), |maker| (maker.place(self, missing), maker.make(self, missing)))
+    /// How a GPU makes missing words, if they can be made.
+    pub fn division(&self) -> Option<&Division> {
+        self.maker.get().map(|maker| maker.division())
     }
 }
 

@@ -30,7 +30,12 @@ pub(crate) enum Inputs {
 impl Inputs {
     /// Fails if the cells of the scene had no room.
     pub(crate) fn check_cells(&self) -> Result<(), RenderError> {
-        check_cells(self.table())
+        match self.table() {
+            Some(table) if table.is_full() => {
+                Err(RenderError::ManyCells { bytes: table.capacity() * size_of::<u32>() })
+            }
+            _ => Ok(()),
+        }
     }
 
     /// Whether there are cells.
@@ -43,14 +48,6 @@ impl Inputs {
             Self::X86(uniforms) => uniforms.table(),
             Self::Portable(_, table) => Some(table),
         }
-    }
-}
-
-/// Fails if the cells of the scene had no room in its table.
-pub(crate) fn check_cells(table: Option<&Table>) -> Result<(), RenderError> {
-    match table {
-        Some(table) if table.is_full() => Err(RenderError::ManyCells { bytes: table.capacity() * size_of::<u32>() }),
-        _ => Ok(()),
     }
 }
 

@@ -20,7 +20,7 @@ use super::error::CudaError;
 use super::launches::{BLOCK_GROUP, LaunchLayout};
 
 /// Every driver function that is called through cudarc.
-const FUNCTIONS: [&str; 39] = [
+const FUNCTIONS: [&str; 40] = [
     "cuInit",
     "cuDriverGetVersion",
     "cuGetErrorName",
@@ -52,6 +52,7 @@ const FUNCTIONS: [&str; 39] = [
     "cuMemcpyHtoDAsync_v2",
     "cuMemsetD8Async",
     "cuMemcpyDtoHAsync_v2",
+    "cuMemcpyDtoDAsync_v2",
     "cuModuleLoadData",
     "cuModuleUnload",
     "cuModuleGetFunction",

@@ -7,6 +7,7 @@
 
 #define INLINE_FN static __device__ __forceinline__
 #define NOINLINE_FN static __device__ __noinline__
+#define INLINE_METHOD __device__ __forceinline__
 
 // Constant memory holds 64 KiB.
 #if UNIFORM_COUNT <= 16384
@@ -20,9 +21,12 @@ __device__ const unsigned* table;
 INLINE_FN unsigned word_at(unsigned index, unsigned last) { return __ldg(table + min(index, last)); }
 INLINE_FN unsigned word_of_row(unsigned row, unsigned place) { return __ldg(table + row + place); }
 __device__ unsigned* asked;
-INLINE_FN void set_bits(unsigned* word, unsigned bits) { atomicOr(word, bits); }
+INLINE_FN unsigned fetch_or(unsigned* word, unsigned bits) { return atomicOr(word, bits); }
+INLINE_FN unsigned fetch_add(unsigned* word, unsigned by) { return atomicAdd(word, by); }
+INLINE_FN void raise_to(unsigned* word, unsigned least) { atomicMax(word, least); }
 // Copies of a loop's body cost more than the loop.
 #define LISTS_LOOP _Pragma("unroll 1")
+#define UNROLL _Pragma("unroll")
 
 INLINE_FN unsigned bits_of(float x) { return __float_as_uint(x); }
 INLINE_FN float float_from_bits(unsigned bits) { return __uint_as_float(bits); }
@@ -60,6 +64,7 @@ INLINE_FN float floor_f(float x) { return floorf(x); }
 
 #define INLINE_FN static inline
 #define NOINLINE_FN static
+#define INLINE_METHOD inline
 #define __global__
 #define __restrict__
 
@@ -71,8 +76,11 @@ static const unsigned* table;
 INLINE_FN unsigned word_at(unsigned index, unsigned last) { return table[index < last ? index : last]; }
 INLINE_FN unsigned word_of_row(unsigned row, unsigned place) { return table[row + place]; }
 static unsigned* asked;
-INLINE_FN void set_bits(unsigned* word, unsigned bits) { *word |= bits; }
+INLINE_FN unsigned fetch_or(unsigned* word, unsigned bits) { const unsigned old = *word; *word |= bits; return old; }
+INLINE_FN unsigned fetch_add(unsigned* word, unsigned by) { const unsigned old = *word; *word += by; return old; }
+INLINE_FN void raise_to(unsigned* word, unsigned least) { if (*word < least) *word = least; }
 #define LISTS_LOOP
+#define UNROLL
 INLINE_FN unsigned bits_of(float x) { unsigned bits; memcpy(&bits, &x, 4); return bits; }
 INLINE_FN float float_from_bits(unsigned bits) { float x; memcpy(&x, &bits, 4); return x; }
 INLINE_FN float fma_rn(float a, float b, float c) { return fmaf(a, b, c); }
@@ -85,15 +93,17 @@ INLINE_FN float floor_f(float x) { return floorf(x); }
 
 #endif
 
-// Asks the host for a missing word, and returns one in place of it: by a bit for each word of the table, after a word
-// that is not 0 if any is set. Without that memory, no word is missing.
-NOINLINE_FN unsigned made_word(unsigned missing, unsigned index_mask, unsigned stand_in) {
+// Asks the host for the cell of a missing word, and returns a word in place of it. Without memory for that, no word is
+// missing. The memory: the number of cells that were asked for, the length of their longest list, the number of cells that
+// it holds, their indices, and a bit for each word of the table that tells whether its cell is among them.
+NOINLINE_FN unsigned made_word(unsigned missing, unsigned index_mask, unsigned length_place, unsigned stand_in) {
     if (!asked) return missing;
-    const unsigned index = missing & index_mask, bit = 1u << index % 32;
-    unsigned* bits = asked + 1 + index / 32;
-    if (!(*(volatile unsigned*)bits & bit)) {
-        set_bits(bits, bit);
-        *(volatile unsigned*)asked = 1;
+    const unsigned index = missing & index_mask, bit = 1u << index % 32, room = asked[2];
+    unsigned* bits = asked + 3 + room + index / 32;
+    if (!(*(volatile unsigned*)bits & bit) && !(fetch_or(bits, bit) & bit)) {
+        raise_to(asked + 1, table[index + length_place]);
+        const unsigned turn = fetch_add(asked, 1u);
+        if (turn < room) asked[3 + turn] = index;
     }
     return stand_in;
 }
@@ -174,14 +184,6 @@ extern "C" __global__ void render(const Tile* __restrict__ tiles, unsigned tile_
     *blue = mean.f2 + 0.0f;
     *alpha = mean.f3 + 0.0f;
 }
-
-#ifdef HAS_TABLE
-// Changes words of the table: pairs of an index and the word.
-extern "C" __global__ void set_words(unsigned* words, const unsigned* pairs, unsigned count) {
-    const unsigned pair = blockIdx.x * blockDim.x + threadIdx.x;
-    if (pair < count) words[pairs[2 * pair]] = pairs[2 * pair + 1];
-}
-#endif
 
 #ifdef AOV_PLANES
 // Writes the layers' planes, after the color's.

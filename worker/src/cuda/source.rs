@@ -2,13 +2,16 @@
 
 use std::fmt::Write;
 
-use scene::real::Table;
+use scene::cells::{BLOCK_CELLS, BOX_LEVELS, BOX_NUMBERS, Division, ROUNDING};
+use scene::real::list::{IS_LAST, IS_UNARY, NO_LEAF, ROW_BITS, ROW_MASK};
+use scene::real::{INDEX_BITS, Table};
 use scene::{Image, JobAtFrame};
 
 use crate::picture_tape::record_picture;
 use crate::tape::InvalidTape;
 
 const KERNEL_TEMPLATE: &str = include_str!("kernel.cu");
+const CELLS: &str = include_str!("cells.cu");
 const INSERTION_POINT: &str = "// ---- the picture ----\n";
 
 /// Input of a GPU render of a frame.
@@ -36,10 +39,10 @@ impl KernelSource {
             KERNEL_TEMPLATE.split_once(INSERTION_POINT).expect("kernel.cu has a place for the picture");
         let numbers = tape.uniforms().len().max(1);
         let (has_layers, write_layers) = layers(image);
-        let has_table = if tape.table().is_some() { "#define HAS_TABLE\n" } else { "" };
+        let (has_table, cells) = tape.table().and_then(|table| table.division()).map(cells).unwrap_or_default();
         Ok(Self {
             text: format!(
-                "#define UNIFORM_COUNT {numbers}\n{has_table}{has_layers}{before}{}{write_layers}{after}",
+                "#define UNIFORM_COUNT {numbers}\n{has_table}{has_layers}{before}{}{write_layers}{after}{cells}",
                 steps.code
             ),
             parameters: tape.uniforms().to_vec(),
@@ -48,6 +51,32 @@ impl KernelSource {
             distance_operations: tape.flops_per_call("distance"),
         })
     }
+}
+
+/// Source before and after the steps if the scene has cells: the constants of their division, and its kernels.
+fn cells(division: &Division) -> (String, &'static str) {
+    let numbers = [("EPSILON", f32::EPSILON), ("MIN_POSITIVE", f32::MIN_POSITIVE), ("INFINITE", f32::INFINITY)];
+    let numbers = numbers.into_iter().chain([("ROUNDING", ROUNDING)]);
+    let words = [
+        ("BLOCK_CELLS", BLOCK_CELLS),
+        ("ROW_BITS", ROW_BITS),
+        ("ROW_MASK", ROW_MASK),
+        ("NO_LEAF", NO_LEAF),
+        ("IS_LAST", IS_LAST),
+        ("IS_UNARY", IS_UNARY),
+        ("KIND_SHIFT", INDEX_BITS),
+        ("BOX_LEVELS", BOX_LEVELS),
+        ("BOX_NUMBERS", BOX_NUMBERS as u32),
+        ("LIST_DEPTH", division.depth.max(1)),
+    ];
+    let mut defines = "#define HAS_TABLE\n".to_owned();
+    for (name, number) in numbers {
+        let _ = writeln!(defines, "#define {name} float_from_bits({}u)", number.to_bits());
+    }
+    for (name, word) in words {
+        let _ = writeln!(defines, "#define {name} {word}u");
+    }
+    (defines, CELLS)
 }
 
 /// Source before and after the steps if the job requests layers: the define that enables them, and the function

@@ -9,7 +9,7 @@ use std::collections::HashMap;
 use std::fmt::Write;
 
 use scene::nodes::snake_case;
-use scene::real::{INDEX_BITS, STAND_IN};
+use scene::real::{INDEX_BITS, LENGTH_PLACE, STAND_IN};
 
 use super::liveness::Liveness;
 use super::verify::InvalidTape;
@@ -316,7 +316,9 @@ impl Printer<'_> {
             Operation::ShiftLeft => format!("{a} << {b}"),
             Operation::ShiftRight => format!("{a} >> {b}"),
             Operation::Word => format!("word_at({a}, {b})"),
-            Operation::Made => format!("made_word({a}, {}u, {STAND_IN}u)", (1_u32 << INDEX_BITS) - 1),
+            Operation::Made => {
+                format!("made_word({a}, {}u, {LENGTH_PLACE}u, {STAND_IN}u)", (1_u32 << INDEX_BITS) - 1)
+            }
             Operation::Constant(_)
             | Operation::Uniform(_)
             | Operation::Row(_)

@@ -62,7 +62,7 @@ fn small(shipped: &Shipped) -> Job {
     job.with_image(image)
 }
 
-fn compile_text(source: &str, folder: &Path) -> PathBuf {
+pub(crate) fn compile_text(source: &str, folder: &Path) -> PathBuf {
     let (text, program) = (folder.join("kernel.cpp"), folder.join("kernel"));
     std::fs::write(&text, source).expect("a scratch folder can be written");
     let compiler = std::env::var("CXX").unwrap_or_else(|_| "c++".to_owned());

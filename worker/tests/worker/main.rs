@@ -7,6 +7,7 @@ mod bit_identical;
 mod blobs;
 mod cancel;
 mod cuda;
+mod divided_cells;
 mod docs;
 mod evaluations;
 mod fake_renderer;

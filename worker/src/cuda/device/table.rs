@@ -1,34 +1,104 @@
-//! Words of a scene in a GPU's memory. Its kernels tell which missing ones they asked for.
+//! Words of a scene in a GPU's memory, whose cells are divided there when a kernel asks for them.
 
 #![expect(unsafe_code, reason = "kernels see raw memory")]
 
-use cudarc::driver::{CudaFunction, CudaSlice, DevicePtr, LaunchConfig, PushKernelArg, sys};
+use cudarc::driver::{CudaFunction, CudaSlice, DevicePtr, DeviceRepr, LaunchConfig, PushKernelArg, sys};
+use scene::cells::{BLOCK_CELLS, Division};
 use scene::real::Words;
+use scene::real::list::OPERATION_WORDS;
 
 use super::{Device, LoadedModule};
+use crate::RenderError;
 use crate::cuda::CudaError;
 
-/// Least room for words, so that few tables are copied again because they have grown.
+/// Least room for words, so that few tables are copied because they have grown.
 const MIN_WORDS: usize = 1 << 20;
-/// Threads of a block of `set_words`.
-const THREADS: u32 = 256;
+/// Words of a block: its cells, and the index of their list.
+const BLOCK_WORDS: usize = BLOCK_CELLS as usize + 1;
+/// Threads of a block of the kernels that divide cells.
+const THREADS: u32 = 128;
+/// Words of `asked` before the indices: their number, the length of the longest list, and the room for them.
+const ASKED_HEAD: usize = 3;
+/// Maximum number of cells that kernels may ask for at a time. Those beyond are asked for again.
+const MAX_ASKED: usize = 1 << 18;
+/// Numbers of scratch memory, unless a single list needs more.
+const SCRATCH_NUMBERS: usize = 1 << 28;
 
 /// A table in the GPU's memory, with room for more words.
 #[derive(Debug)]
 pub(in crate::cuda) struct UploadedTable {
     words: CudaSlice<u32>,
+    /// Number of words that exist, and that may exist.
+    used: usize,
+    limit: usize,
     /// `asked` of kernel.cu.
     asked: CudaSlice<u32>,
-    /// Number of words that have been copied.
-    used: usize,
-    set_words: CudaFunction,
+    /// `None` if all cells exist.
+    division: Option<UploadedDivision>,
 }
 
-fn copy_error(bytes: usize) -> impl FnOnce(cudarc::driver::DriverError) -> CudaError {
+/// The rules by which cells are divided, with memory for that.
+#[derive(Debug)]
+struct UploadedDivision {
+    rules: Rules,
+    factors: CudaSlice<f32>,
+    boxes: CudaSlice<f32>,
+    joins: CudaSlice<f32>,
+    first_boxes: CudaSlice<u32>,
+    /// Number of words that are used, and whether there was no room for some.
+    state: CudaSlice<u32>,
+    scratch: CudaSlice<f32>,
+    measure: CudaFunction,
+    divide: CudaFunction,
+    publish: CudaFunction,
+}
+
+/// `Division` of cells.cu.
+#[derive(Clone, Copy, Debug)]
+#[repr(C)]
+struct DivisionArguments {
+    words: u64,
+    state: u64,
+    missing: u64,
+    factors: u64,
+    boxes: u64,
+    joins: u64,
+    first_boxes: u64,
+    scratch: u64,
+    cells: u32,
+    first_block: u32,
+    longest: u32,
+    capacity: u32,
+    rules: Rules,
+}
+
+/// `Rules` of cells.cu.
+#[derive(Clone, Copy, Debug)]
+#[repr(C)]
+struct Rules {
+    center: [f32; 3],
+    unit: f32,
+    shorter: f32,
+    levels: u32,
+    outer_levels: u32,
+    leaf_lists: u32,
+    short_list: u32,
+    max_stalls: u32,
+}
+
+// SAFETY: it is plain numbers, in C's order and with C's padding.
+unsafe impl DeviceRepr for DivisionArguments {}
+
+fn copy_error(bytes: usize) -> impl Fn(cudarc::driver::DriverError) -> CudaError {
     move |error| match error.0 {
         sys::CUresult::CUDA_ERROR_OUT_OF_MEMORY => CudaError::OutOfMemory { bytes },
-        _ => CudaError::driver_error("copy the scene's cells to the GPU")(error),
+        _ => CudaError::driver_error("make the scene's cells on the GPU")(error),
     }
+}
+
+/// Numbers of scratch memory for a cell whose list has this many operations.
+fn scratch_of(operations: usize) -> usize {
+    BLOCK_CELLS as usize * (5 * operations + operations.div_ceil(32))
 }
 
 impl Device {
@@ -38,81 +108,205 @@ impl Device {
         let present = table.after(0);
         let room = (present.len() + present.len() / 2).max(MIN_WORDS);
         let copy = || {
-            // SAFETY: kernels read no words beyond those that are copied here.
+            // SAFETY: kernels read no words beyond those that are copied here, or that they have written.
             let mut words = unsafe { self.compute.alloc::<u32>(room) }?;
             self.compute.memcpy_htod(&present, &mut words.slice_mut(..present.len()))?;
-            let asked = self.compute.alloc_zeros(1 + room.div_ceil(32))?;
-            let set_words = program.module.load_function("set_words")?;
-            Ok(UploadedTable { words, asked, used: present.len(), set_words })
+            let division = table.division().map(|division| self.upload_division(program, division)).transpose()?;
+            Ok(UploadedTable {
+                words,
+                used: present.len(),
+                limit: table.capacity(),
+                asked: self.new_asked(room)?,
+                division,
+            })
         };
         let uploaded = copy().map_err(copy_error(room * size_of::<u32>()))?;
-        for (name, memory) in [("table", &uploaded.words), ("asked", &uploaded.asked)] {
-            self.set_global(program, name, &memory.device_ptr(&self.compute).0.to_ne_bytes())?;
-        }
+        self.set_pointers(program, &uploaded)?;
         Ok(uploaded)
     }
 
-    /// Whether a launch that has ended asked for missing words.
-    pub(in crate::cuda) fn has_asked(&self, table: &UploadedTable) -> Result<bool, CudaError> {
+    /// Memory for what kernels ask for, in a table with this much room.
+    fn new_asked(&self, room: usize) -> Result<CudaSlice<u32>, cudarc::driver::DriverError> {
+        let mut asked = self.compute.alloc_zeros(ASKED_HEAD + MAX_ASKED + room.div_ceil(32))?;
+        self.compute.memcpy_htod(&[0, 0, MAX_ASKED as u32], &mut asked.slice_mut(..ASKED_HEAD))?;
+        Ok(asked)
+    }
+
+    fn set_pointers(&self, program: &LoadedModule, table: &UploadedTable) -> Result<(), CudaError> {
+        for (name, memory) in [("table", &table.words), ("asked", &table.asked)] {
+            self.set_global(program, name, &memory.device_ptr(&self.compute).0.to_ne_bytes())?;
+        }
+        Ok(())
+    }
+
+    fn upload_division(
+        &self,
+        program: &LoadedModule,
+        division: &Division,
+    ) -> Result<UploadedDivision, cudarc::driver::DriverError> {
+        let Division { center, unit, levels, outer_levels, leaf_lists, short_list, shorter, max_stalls, .. } =
+            *division;
+        let Division { factors, first_boxes, boxes, joins, .. } = division;
+        // Memory of no bytes has no address.
+        let or_one = |numbers: &[f32]| self.compute.clone_htod(if numbers.is_empty() { &[0.0][..] } else { numbers });
+        let first_boxes: &[u32] = if first_boxes.is_empty() { &[0] } else { first_boxes };
+        Ok(UploadedDivision {
+            rules: Rules {
+                center: [center.x, center.y, center.z],
+                unit,
+                shorter,
+                levels,
+                outer_levels,
+                leaf_lists,
+                short_list,
+                max_stalls,
+            },
+            factors: or_one(factors)?,
+            boxes: or_one(boxes)?,
+            joins: or_one(joins)?,
+            first_boxes: self.compute.clone_htod(first_boxes)?,
+            state: self.compute.alloc_zeros(2)?,
+            scratch: self.compute.alloc_zeros(1)?,
+            measure: program.module.load_function("measure")?,
+            divide: program.module.load_function("divide")?,
+            publish: program.module.load_function("publish")?,
+        })
+    }
+
+    /// Number of cells that launches that have ended asked for, and the number of words of their longest list.
+    pub(in crate::cuda) fn asked(&self, table: &UploadedTable) -> Result<(usize, usize), CudaError> {
         let look = || {
-            let mut first = [0];
-            self.copies.memcpy_dtoh(&table.asked.slice(..1), &mut first[..])?;
-            self.copies.synchronize().map(|()| first != [0])
+            let mut head = [0, 0];
+            self.copies.memcpy_dtoh(&table.asked.slice(..2), &mut head[..])?;
+            self.copies.synchronize()?;
+            Ok((head[0] as usize, head[1] as usize))
         };
         look().map_err(CudaError::driver_error("read from the GPU which cells it needs"))
     }
 
-    /// Indices of the missing words that were asked for since the last call, after all launches so far.
-    pub(in crate::cuda) fn take_asked(&self, table: &mut UploadedTable) -> Result<Vec<u32>, CudaError> {
-        let mut take = || {
-            let mut bits = self.compute.clone_dtoh(&table.asked.slice(1..=table.used.div_ceil(32)))?;
-            self.compute.memset_zeros(&mut table.asked)?;
-            self.compute.synchronize()?;
-            let mut indices = Vec::new();
-            for (first, bits) in (0..).step_by(32).zip(&mut bits) {
-                while *bits != 0 {
-                    indices.push(first + bits.trailing_zeros());
-                    *bits &= *bits - 1;
-                }
-            }
-            Ok(indices)
-        };
-        take().map_err(CudaError::driver_error("read from the GPU which cells it needs"))
-    }
-
-    /// Copies the words that have been appended since the last copy, and changes some before them, given as index and
-    /// word. No launch may be running.
-    pub(in crate::cuda) fn update_table(
+    /// Divides the cells that all launches so far asked for, some at a time, while `go_on` allows it. Returns their
+    /// number.
+    pub(in crate::cuda) fn divide_asked(
         &self,
         program: &LoadedModule,
-        uploaded: &mut UploadedTable,
-        table: &Words,
-        changes: &[(u32, u32)],
-    ) -> Result<(), CudaError> {
-        let appended = table.after(uploaded.used);
-        let used = uploaded.used + appended.len();
-        if used > uploaded.words.len() {
-            *uploaded = self.set_table(program, table)?;
-            return Ok(());
+        table: &mut UploadedTable,
+        go_on: &dyn Fn() -> Result<(), CudaError>,
+    ) -> Result<usize, CudaError> {
+        self.compute.synchronize().map_err(CudaError::driver_error("render on the GPU"))?;
+        let (asked, longest) = self.asked(table)?;
+        let (count, longest) = (asked.min(MAX_ASKED), longest / OPERATION_WORDS as usize);
+        let together = (SCRATCH_NUMBERS / scratch_of(longest).max(1)).clamp(1, count.max(1));
+        let mut first = 0;
+        while first < count {
+            go_on()?;
+            let cells = together.min(count - first);
+            if self.divide_some(program, table, first, cells, longest)? {
+                first += cells;
+            } else {
+                self.grow(table)?;
+            }
         }
-        let pairs: Vec<u32> = changes.iter().flat_map(|&(index, word)| [index, word]).collect();
-        let count = changes.len() as u32;
-        let mut copy = || {
-            self.compute.memcpy_htod(&appended, &mut uploaded.words.slice_mut(uploaded.used..used))?;
-            let pairs = self.compute.clone_htod(&pairs)?;
-            let config = LaunchConfig {
-                grid_dim: (count.div_ceil(THREADS), 1, 1),
-                block_dim: (THREADS, 1, 1),
-                shared_mem_bytes: 0,
+        if count > 0 {
+            let mut renew = || {
+                let room = table.words.len();
+                if table.asked.len() < ASKED_HEAD + MAX_ASKED + room.div_ceil(32) {
+                    table.asked = self.new_asked(room)?;
+                    return Ok(());
+                }
+                self.compute.memset_zeros(&mut table.asked.slice_mut(..2))?;
+                self.compute.memset_zeros(&mut table.asked.slice_mut(ASKED_HEAD + MAX_ASKED..))
             };
-            let mut set_words = self.compute.launch_builder(&uploaded.set_words);
-            set_words.arg(&mut uploaded.words).arg(&pairs).arg(&count);
-            // SAFETY: the arguments match those of `set_words` in kernel.cu in number, order and type. The changed words
-            // are among those that were copied before.
-            unsafe { set_words.launch(config) }.map(|_| ())
+            renew().map_err(copy_error(table.words.len() / 8))?;
+            self.set_pointers(program, table)?;
+        }
+        Ok(count)
+    }
+
+    /// Divides some of the cells that were asked for; returns whether there was room.
+    fn divide_some(
+        &self,
+        program: &LoadedModule,
+        table: &mut UploadedTable,
+        first: usize,
+        cells: usize,
+        longest: usize,
+    ) -> Result<bool, CudaError> {
+        let start = table.used + cells * BLOCK_WORDS;
+        if start > table.words.len() {
+            return Ok(false);
+        }
+        // The leaves are measured by the scene's function, which reads the table.
+        self.set_pointers(program, table)?;
+        let numbers = cells * scratch_of(longest);
+        let Some(division) = &mut table.division else { return Ok(true) };
+        let mut divide = || {
+            let UploadedDivision { rules, factors, boxes, joins, first_boxes, state, scratch, .. } = division;
+            if scratch.len() < numbers {
+                // SAFETY: each thread reads only what it has written.
+                *scratch = unsafe { self.compute.alloc(numbers) }?;
+            }
+            self.compute.memcpy_htod(&[start as u32, 0], state)?;
+            let number = |memory: &CudaSlice<f32>| memory.device_ptr(&self.compute).0;
+            let word = |memory: &CudaSlice<u32>| memory.device_ptr(&self.compute).0;
+            let arguments = DivisionArguments {
+                words: word(&table.words),
+                state: word(state),
+                missing: word(&table.asked) + ((ASKED_HEAD + first) * size_of::<u32>()) as u64,
+                factors: number(factors),
+                boxes: number(boxes),
+                joins: number(joins),
+                first_boxes: word(first_boxes),
+                scratch: number(scratch),
+                cells: cells as u32,
+                first_block: table.used as u32,
+                longest: longest as u32,
+                capacity: table.words.len() as u32,
+                rules: *rules,
+            };
+            let UploadedDivision { measure, divide, publish, .. } = division;
+            let of_blocks = cells * BLOCK_CELLS as usize;
+            for (function, threads) in [(measure, longest * of_blocks), (divide, of_blocks), (publish, cells)] {
+                let config = LaunchConfig {
+                    grid_dim: (threads.div_ceil(THREADS as usize) as u32, 1, 1),
+                    block_dim: (THREADS, 1, 1),
+                    shared_mem_bytes: 0,
+                };
+                let mut launch = self.compute.launch_builder(function);
+                launch.arg(&arguments);
+                // SAFETY: the argument matches that of the kernels in cells.cu. They write only inside of the words
+                // beyond `used`, of the scratch memory, and the words of the divided cells.
+                unsafe { launch.launch(config) }?;
+            }
+            let mut after = [0, 0];
+            self.compute.memcpy_dtoh(&division.state, &mut after[..])?;
+            self.compute.synchronize()?;
+            Ok(after)
         };
-        copy().map_err(copy_error(appended.len() * size_of::<u32>()))?;
-        uploaded.used = used;
-        Ok(())
+        let [used, is_full] = divide().map_err(copy_error(numbers * size_of::<f32>()))?;
+        if is_full == 0 {
+            table.used = used as usize;
+        }
+        Ok(is_full == 0)
+    }
+
+    /// Doubles the room of a table.
+    fn grow(&self, table: &mut UploadedTable) -> Result<(), CudaError> {
+        let room = (2 * table.words.len()).min(table.limit);
+        if room <= table.words.len() {
+            return Err(RenderError::ManyCells { bytes: table.limit * size_of::<u32>() }.into());
+        }
+        let mut copy = || {
+            // SAFETY: as in `set_table`.
+            let mut words = unsafe { self.compute.alloc::<u32>(room) }?;
+            self.compute.memcpy_dtod(&table.words.slice(..table.used), &mut words.slice_mut(..table.used))?;
+            table.words = words;
+            Ok(())
+        };
+        copy().map_err(copy_error(room * size_of::<u32>()))
+    }
+
+    /// Number of words of a table.
+    pub(in crate::cuda) fn words(&self, table: &UploadedTable) -> usize {
+        table.used
     }
 }
