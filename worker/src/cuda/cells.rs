@@ -42,7 +42,7 @@ impl Cells {
     ) -> Result<bool, CudaError> {
         let go_on = || if cancel.is_cancelled() { Err(CudaError::Cancelled) } else { Ok(()) };
         let cells = device.divide_asked(loaded, &mut self.uploaded, &go_on)?;
-        tracing::debug!(cells, words = device.words(&self.uploaded), "made cells");
+        tracing::debug!(cells, words = self.uploaded.used(), "made cells");
         Ok(cells > 0)
     }
 }

@@ -73,7 +73,7 @@ pub enum CudaError {
     },
     /// The GPU is out of memory.
     #[error(
-        "the GPU is out of memory for {bytes} bytes of pixels: close other programs that use it, or render smaller tiles (--tile)"
+        "the GPU is out of memory for {bytes} bytes: close other programs that use it, or render smaller tiles (--tile)"
     )]
     OutOfMemory {
         /// Requested size.

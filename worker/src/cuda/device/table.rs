@@ -37,6 +37,13 @@ pub(in crate::cuda) struct UploadedTable {
     division: Option<UploadedDivision>,
 }
 
+impl UploadedTable {
+    /// Number of words that exist.
+    pub(in crate::cuda) fn used(&self) -> usize {
+        self.used
+    }
+}
+
 /// The rules by which cells are divided, with memory for that.
 #[derive(Debug)]
 struct UploadedDivision {
@@ -303,10 +310,5 @@ impl Device {
             Ok(())
         };
         copy().map_err(copy_error(room * size_of::<u32>()))
-    }
-
-    /// Number of words of a table.
-    pub(in crate::cuda) fn words(&self, table: &UploadedTable) -> usize {
-        table.used
     }
 }
