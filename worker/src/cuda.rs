@@ -1,4 +1,4 @@
-//! Renders on an NVIDIA GPU: the picture's formulas as CUDA C, compiled at run time, one thread per pixel. The
+//! Renders on an NVIDIA GPU: the picture's formulas as CUDA C, compiled at run time. The
 //! pixels are bit-identical to every other renderer's.
 //!
 //! Only `cuda/device.rs`, `cuda/device/table.rs` and `cuda/compiler.rs` are unsafe; this module has no formula of a
@@ -65,8 +65,8 @@ pub struct CudaRenderer {
     device: Device,
     compiler: Compiler,
     cache: Cache,
-    /// Block dimensions for all kernels; `None` means the fastest for each.
-    shape: Option<BlockDim>,
+    /// Block dimensions for all kernels, whose threads render a pixel each; `None` means the fastest for each.
+    block: Option<BlockDim>,
     programs: Mutex<HashMap<blake3::Hash, Arc<Kernel>>>,
     sources: Recent<blake3::Hash, KernelSource>,
     /// Locked while a frame's launches are created, because they share the kernels' constants.
@@ -85,7 +85,7 @@ pub struct CudaRenderer {
 #[derive(Debug)]
 struct Kernel {
     loaded: LoadedModule,
-    shape: BlockDim,
+    block: BlockDim,
     known: Mutex<KernelState>,
 }
 
@@ -110,15 +110,17 @@ pub struct CompileReport {
     /// Whether its machine code was cached.
     pub was_cached: bool,
     /// Block dimensions.
-    pub shape: BlockDim,
+    pub block: BlockDim,
+    /// Threads of a block for each pixel.
+    pub threads_of_pixel: u32,
     /// Resources.
     pub resources: Resources,
 }
 
 impl CudaRenderer {
     /// Opens the GPU with this ordinal, and verifies that it renders the expected bits. Compiled kernels are
-    /// stored in `cache`; blocks have `shape`, or the fastest dimensions.
-    pub fn new(ordinal: usize, cache: Option<&Path>, shape: Option<BlockDim>) -> Result<Self, RenderError> {
+    /// stored in `cache`. Threads of blocks of these dimensions render a pixel each; `None` means the fastest layout.
+    pub fn new(ordinal: usize, cache: Option<&Path>, block: Option<BlockDim>) -> Result<Self, RenderError> {
         let name = format!("cuda:{ordinal}");
         let refused = |trouble: CudaError| unavailable(&name, &trouble);
         let device = Device::open(ordinal).map_err(refused)?;
@@ -129,7 +131,7 @@ impl CudaRenderer {
             device,
             compiler,
             cache: Cache::new(cache),
-            shape,
+            block,
             programs: Mutex::default(),
             sources: Mutex::default(),
             launching: Mutex::default(),
@@ -173,8 +175,9 @@ impl CudaRenderer {
             self.program(&source, run, &CancelFlag::new()).map_err(|trouble| self.render_error(&trouble))?;
         let time = start.elapsed();
         let resources =
-            self.device.resources(&program.loaded, program.shape).map_err(|trouble| self.render_error(&trouble))?;
-        Ok(CompileReport { time, was_cached: was_kept, shape: program.shape, resources })
+            self.device.resources(&program.loaded, program.block).map_err(|trouble| self.render_error(&trouble))?;
+        let (block, threads_of_pixel) = (program.block, source.together);
+        Ok(CompileReport { time, was_cached: was_kept, block, threads_of_pixel, resources })
     }
 
     /// Unloads the kernels from the GPU; those on disk remain.
@@ -210,21 +213,21 @@ impl CudaRenderer {
         }
         let start = Instant::now();
         // A cached kernel that cannot be loaded, for example by another driver, is compiled again.
-        let load = |code: &[u8]| self.device.load(code, !sample.job.image.layers.is_empty());
-        let kept = self.cache.get(key).and_then(|kept| Some((load(&kept.code).ok()?, kept.shape)));
+        let load = |code: &[u8]| self.device.load(code, source.together, !sample.job.image.layers.is_empty());
+        let kept = self.cache.get(key).and_then(|kept| Some((load(&kept.code).ok()?, kept.block)));
         let was_kept = kept.is_some();
-        let (loaded, shape) = if let Some(kept) = kept {
+        let (loaded, block) = if let Some(kept) = kept {
             kept
         } else {
             let code =
                 compiler::compile_until_cancelled(&self.compiler, &source.text, self.device.architecture, cancel)
                     .map_err(|trouble| compiler::save_rejected_source(trouble, &source.text, self.cache.folder()))?;
             let loaded = load(&code)?;
-            let shape = self.tune_block_dim(&loaded, source, sample, cancel)?;
-            self.cache.put(key, &CachedKernel { code, shape });
-            (loaded, shape)
+            let block = self.tune_block_dim(&loaded, source, sample, cancel)?;
+            self.cache.put(key, &CachedKernel { code, block });
+            (loaded, block)
         };
-        let program = Arc::new(Kernel { loaded, shape: self.shape.unwrap_or(shape), known: Mutex::default() });
+        let program = Arc::new(Kernel { loaded, block: self.block.unwrap_or(block), known: Mutex::default() });
         let mut programs = lock(&self.programs);
         if programs.len() >= MAX_PROGRAMS {
             programs.clear();
@@ -247,7 +250,11 @@ impl CudaRenderer {
         if nodes > MAX_NODES {
             return Err(CudaError::TooLarge { nodes, most: MAX_NODES });
         }
-        let source = Arc::new(KernelSource::new(&still)?);
+        let source = match self.block {
+            Some(_) => KernelSource::with_samples_together(&still, 1),
+            None => KernelSource::new(&still),
+        };
+        let source = Arc::new(source?);
         Ok(recent::insert(&self.sources, key, source, MAX_SOURCES))
     }
 
@@ -319,21 +326,22 @@ impl CudaRenderer {
             (source.parameters.clone(), Cells::upload(&self.device, &program.loaded, source)?)
         };
         let (_, cells) = given.insert(current);
-        let layout = launches::lay_out(&rects, planes, program.shape).ordered(cost, image.samples);
+        let layout = launches::lay_out(&rects, planes, program.block).ordered(cost, image.samples);
         let laid_out = self.device.lay_out(&layout)?;
-        let wave = self.device.multiprocessors * (2048 / program.shape.threads());
-        let mut launches = Launches::new(layout.blocks, image.samples, wave);
+        let wave = self.device.multiprocessors * (2048 / program.loaded.threads(program.block));
+        let mut launches = Launches::new(layout.blocks, image.samples, wave, source.together);
         let mut flying: VecDeque<(device::LaunchRange, PendingLaunch)> = VecDeque::new();
         loop {
             let part = if cancel.is_cancelled() { None } else { launches.next(cost) };
             if let Some(part) = part {
-                let launched = self.device.launch(&program.loaded, program.shape, &laid_out, part, &mut buffer)?;
+                let launched = self.device.launch(&program.loaded, program.block, &laid_out, part, &mut buffer)?;
                 flying.push_back((part, launched));
             }
             // One launch runs while the next is queued.
             if flying.len() == 2 || part.is_none() {
                 let Some((part, launched)) = flying.pop_front() else { break };
                 let ms = launched.wait()?;
+                tracing::trace!(?part, ms, "rendered");
                 lock(&self.kernels).add(ms);
                 if let Some(cells) = cells
                     && cells.has_asked(&self.device)?

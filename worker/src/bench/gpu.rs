@@ -20,7 +20,7 @@ pub struct GpuReport {
     pub compile_ms: Option<f64>,
     /// Generating source and loading the cached kernel, in milliseconds.
     pub load_ms: f64,
-    /// Block dimensions: 16x8.
+    /// Layout of threads: `16x8`, or `16x8, 4 samples together`.
     pub block: String,
     /// Registers per thread.
     pub registers: u32,
@@ -80,7 +80,10 @@ pub fn render_on_gpu(job: &Job, gpu: &CudaRenderer, cpu: &CpuRenderer, runs: usi
         gpu: gpu.gpu().to_owned(),
         compile_ms: (!first.was_cached).then(|| ms(first.time)),
         load_ms: ms(again.time),
-        block: again.shape.to_string(),
+        block: match again.threads_of_pixel {
+            1 => again.block.to_string(),
+            together => format!("{}, {together} samples together", again.block),
+        },
         registers: again.resources.registers,
         local_bytes: again.resources.local_bytes,
         occupancy: again.resources.occupancy,

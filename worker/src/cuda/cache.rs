@@ -24,7 +24,7 @@ pub(super) struct Cache {
 pub(super) struct CachedKernel {
     pub(super) code: Vec<u8>,
     /// Fastest block dimensions found.
-    pub(super) shape: BlockDim,
+    pub(super) block: BlockDim,
 }
 
 /// Header size: the hash of the code, and the block's columns and rows.
@@ -63,7 +63,7 @@ impl Cache {
             return None;
         }
         let word = |at: usize| head[at..at + 4].try_into().map(u32::from_le_bytes).ok();
-        Some(CachedKernel { code: code.to_vec(), shape: BlockDim { columns: word(32)?, rows: word(36)? } })
+        Some(CachedKernel { code: code.to_vec(), block: BlockDim { columns: word(32)?, rows: word(36)? } })
     }
 
     /// Stores a kernel, atomically.
@@ -71,10 +71,10 @@ impl Cache {
         let Some(path) = self.path(key) else { return };
         let put = || {
             let mut file = tempfile::NamedTempFile::new_in(path.parent().unwrap_or(&path))?;
-            let shape = [kept.shape.columns.to_le_bytes(), kept.shape.rows.to_le_bytes()].concat();
-            let hash = blake3::Hasher::new().update(&shape).update(&kept.code).finalize();
+            let dimensions = [kept.block.columns.to_le_bytes(), kept.block.rows.to_le_bytes()].concat();
+            let hash = blake3::Hasher::new().update(&dimensions).update(&kept.code).finalize();
             file.write_all(hash.as_bytes())?;
-            file.write_all(&shape)?;
+            file.write_all(&dimensions)?;
             file.write_all(&kept.code)?;
             file.persist(&path).map_err(|error| error.error).map(drop)
         };
@@ -113,10 +113,10 @@ mod tests {
         let options = options(90);
         let key = Cache::entry_name("a", &options, "13.0");
         assert!(cache.get(key).is_none());
-        let shape = BlockDim { columns: 16, rows: 8 };
-        cache.put(key, &CachedKernel { code: vec![1, 2, 3], shape });
+        let block = BlockDim { columns: 16, rows: 8 };
+        cache.put(key, &CachedKernel { code: vec![1, 2, 3], block });
         let kept = cache.get(key).expect("it was stored");
-        assert_eq!((kept.code, kept.shape), (vec![1, 2, 3], shape));
+        assert_eq!((kept.code, kept.block), (vec![1, 2, 3], block));
         let path = cache.path(key).expect("there is a folder");
         let mut bytes = std::fs::read(&path).expect("it can be read");
         for damaged in [bytes[..20].to_vec(), {
@@ -134,7 +134,7 @@ mod tests {
         let cache = Cache::new(Some(&folder.path().join("below-a-file")));
         assert!(cache.folder().is_none());
         let key = Cache::entry_name("a", &options(90), "13.0");
-        cache.put(key, &CachedKernel { code: vec![1], shape: BlockDim { columns: 8, rows: 8 } });
+        cache.put(key, &CachedKernel { code: vec![1], block: BlockDim { columns: 8, rows: 8 } });
         assert!(cache.get(key).is_none());
     }
 }

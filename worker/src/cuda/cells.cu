@@ -26,7 +26,7 @@ struct Division {
 };
 
 // Operations that a thread reads together: a divisor of 32.
-#define TOGETHER 8u
+#define READ_TOGETHER 8u
 
 // Words of a cell that is to be divided, from its index on.
 enum Record { PLACE, AT_X, AT_Y, AT_Z, LEVEL, LIST, LENGTH, STALLS, RECORD_WORDS };
@@ -164,20 +164,20 @@ INLINE_FN float unscaled(float cutoff, float by) {
 // Some operations of a list, with the numbers of their joins. They are read together, because a thread that reads one
 // after another waits for memory most of the time.
 struct Operations {
-    unsigned leaf[TOGETHER], join[TOGETHER];
-    float number[TOGETHER];
+    unsigned leaf[READ_TOGETHER], join[READ_TOGETHER];
+    float number[READ_TOGETHER];
 };
 
 INLINE_FN Operations operations_at(const Division& d, const unsigned* list, unsigned first, unsigned operations) {
     Operations some;
-    UNROLL for (unsigned k = 0; k < TOGETHER; ++k) {
+    UNROLL for (unsigned k = 0; k < READ_TOGETHER; ++k) {
         const unsigned operation = first + k < operations ? first + k : operations - 1u;
         some.leaf[k] = list[2u * operation];
         some.join[k] = list[2u * operation + 1u];
     }
-    unsigned index[TOGETHER];
-    UNROLL for (unsigned k = 0; k < TOGETHER; ++k) index[k] = some.join[k] ? index_of_row(d, some.join[k]) : 0u;
-    UNROLL for (unsigned k = 0; k < TOGETHER; ++k) some.number[k] = d.joins[index[k]];
+    unsigned index[READ_TOGETHER];
+    UNROLL for (unsigned k = 0; k < READ_TOGETHER; ++k) index[k] = some.join[k] ? index_of_row(d, some.join[k]) : 0u;
+    UNROLL for (unsigned k = 0; k < READ_TOGETHER; ++k) some.number[k] = d.joins[index[k]];
     return some;
 }
 
@@ -186,18 +186,18 @@ INLINE_FN Interval list_interval(const Division& d, const unsigned* list, unsign
                                  const Scratch& scratch) {
     Interval waiting[LIST_DEPTH];
     unsigned count = 0;
-    for (unsigned first = 0; first < operations; first += TOGETHER) {
+    for (unsigned first = 0; first < operations; first += READ_TOGETHER) {
         const Operations some = operations_at(d, list, first, operations);
-        unsigned index[TOGETHER];
-        float factor[TOGETHER], distance[TOGETHER];
-        UNROLL for (unsigned k = 0; k < TOGETHER; ++k)
+        unsigned index[READ_TOGETHER];
+        float factor[READ_TOGETHER], distance[READ_TOGETHER];
+        UNROLL for (unsigned k = 0; k < READ_TOGETHER; ++k)
             index[k] = function_of(some.leaf[k]) != NO_LEAF ? index_of_row(d, some.leaf[k]) : 0u;
-        UNROLL for (unsigned k = 0; k < TOGETHER; ++k) {
+        UNROLL for (unsigned k = 0; k < READ_TOGETHER; ++k) {
             factor[k] = d.factors[index[k]];
             distance[k] = 0.0f;
             if (first + k < operations && function_of(some.leaf[k]) != NO_LEAF) distance[k] = scratch.distance(first + k);
         }
-        for (unsigned k = 0; k < TOGETHER && first + k < operations; ++k) {
+        for (unsigned k = 0; k < READ_TOGETHER && first + k < operations; ++k) {
             if (function_of(some.leaf[k]) != NO_LEAF)
                 waiting[count++] = factor[k] < INFINITE
                                        ? lipschitz_interval(factor[k], region, distance[k])
@@ -229,15 +229,15 @@ INLINE_FN void cut_off(const Division& d, const unsigned* list, unsigned operati
     float cutoff = INFINITE;
     bool matters = true;
     unsigned bits = 0;
-    for (unsigned first = (operations - 1u) / TOGETHER * TOGETHER;; first -= TOGETHER) {
+    for (unsigned first = (operations - 1u) / READ_TOGETHER * READ_TOGETHER;; first -= READ_TOGETHER) {
         const Operations some = operations_at(d, list, first, operations);
-        float operand[TOGETHER][4];
-        UNROLL for (unsigned k = 0; k < TOGETHER; ++k) {
+        float operand[READ_TOGETHER][4];
+        UNROLL for (unsigned k = 0; k < READ_TOGETHER; ++k) {
             const bool has_operands = first + k < operations && some.join[k] != 0u && !(some.join[k] & IS_UNARY);
             UNROLL for (unsigned part = 0; part < 4u; ++part)
                 operand[k][part] = has_operands ? scratch.operand(first + k, part) : 0.0f;
         }
-        for (unsigned k = operations - first < TOGETHER ? operations - first : TOGETHER; k-- > 0u;) {
+        for (unsigned k = operations - first < READ_TOGETHER ? operations - first : READ_TOGETHER; k-- > 0u;) {
             const unsigned operation = first + k;
             if (some.join[k] & IS_UNARY) {
                 cutoff = unscaled(cutoff, some.number[k]);
@@ -288,15 +288,15 @@ INLINE_FN Writer write_list(const unsigned* list, unsigned operations, const Scr
     // Whether the values that wait can matter, the last one in the lowest bit.
     unsigned long long can_matter = 0;
     unsigned bits = 0;
-    for (unsigned first = 0; first < operations; first += TOGETHER) {
-        unsigned leaves[TOGETHER], joins[TOGETHER];
-        UNROLL for (unsigned k = 0; k < TOGETHER; ++k) {
+    for (unsigned first = 0; first < operations; first += READ_TOGETHER) {
+        unsigned leaves[READ_TOGETHER], joins[READ_TOGETHER];
+        UNROLL for (unsigned k = 0; k < READ_TOGETHER; ++k) {
             const unsigned operation = first + k < operations ? first + k : first;
             leaves[k] = list[2u * operation] & ~IS_LAST;
             joins[k] = list[2u * operation + 1u];
         }
         if (first % 32u == 0u) bits = scratch.matters(first);
-        for (unsigned k = 0; k < TOGETHER && first + k < operations; ++k) {
+        for (unsigned k = 0; k < READ_TOGETHER && first + k < operations; ++k) {
             const unsigned leaf = leaves[k], join = joins[k];
             if (function_of(leaf) != NO_LEAF) {
                 const unsigned matters = bits >> (first + k) % 32u & 1u;

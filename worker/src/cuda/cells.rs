@@ -1,5 +1,7 @@
 //! Cells of a scene on a GPU. A kernel asks for those that its rays need, others divide them, and the kernel runs again.
 
+use std::time::Instant;
+
 use scene::real::Table;
 
 use super::device::{Device, LoadedModule, UploadedTable};
@@ -41,8 +43,9 @@ impl Cells {
         cancel: &CancelFlag,
     ) -> Result<bool, CudaError> {
         let go_on = || if cancel.is_cancelled() { Err(CudaError::Cancelled) } else { Ok(()) };
+        let start = Instant::now();
         let cells = device.divide_asked(loaded, &mut self.uploaded, &go_on)?;
-        tracing::debug!(cells, words = self.uploaded.used(), "made cells");
+        tracing::debug!(cells, words = self.uploaded.used(), took = ?start.elapsed(), "made cells");
         Ok(cells > 0)
     }
 }

@@ -10,14 +10,14 @@ use std::sync::{Arc, OnceLock};
 
 use cudarc::driver::sys::{self, CUdevice_attribute, CUevent_flags};
 use cudarc::driver::{
-    CudaContext, CudaEvent, CudaFunction, CudaModule, CudaSlice, CudaStream, DeviceRepr, LaunchConfig, PinnedHostSlice,
-    PushKernelArg, result,
+    CudaContext, CudaEvent, CudaFunction, CudaModule, CudaSlice, CudaStream, DevicePtr, DeviceRepr, LaunchConfig,
+    PinnedHostSlice, PushKernelArg, result,
 };
 use cudarc::nvrtc::Ptx;
 pub(super) use table::UploadedTable;
 
 use super::error::CudaError;
-use super::launches::{BLOCK_GROUP, LaunchLayout};
+use super::launches::LaunchLayout;
 
 /// Every driver function that is called through cudarc.
 const FUNCTIONS: [&str; 40] = [
@@ -63,27 +63,28 @@ const FUNCTIONS: [&str; 40] = [
     "cuMemGetInfo_v2",
 ];
 
-/// Block dimensions that are tried for each kernel.
+/// Block dimensions that are tried for each kernel: of few threads, because a block may need no more registers than a
+/// multiprocessor has.
 pub const BLOCK_DIMS: [BlockDim; 5] = [
     BlockDim { columns: 8, rows: 8 },
-    BlockDim { columns: 16, rows: 8 },
-    BlockDim { columns: 16, rows: 16 },
-    BlockDim { columns: 32, rows: 8 },
-    BlockDim { columns: 128, rows: 1 },
+    BlockDim { columns: 4, rows: 8 },
+    BlockDim { columns: 8, rows: 4 },
+    BlockDim { columns: 4, rows: 16 },
+    BlockDim { columns: 16, rows: 4 },
 ];
 
-/// Threads of a block: columns and rows.
+/// Pixels of a block: columns and rows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct BlockDim {
-    /// Threads in the horizontal direction.
+    /// Pixels in the horizontal direction.
     pub columns: u32,
-    /// Threads in the vertical direction.
+    /// Pixels in the vertical direction.
     pub rows: u32,
 }
 
 /// Error returned when a text is not block dimensions.
 #[derive(Debug, thiserror::Error)]
-#[error("write block dimensions as columns x rows of threads, such as 16x8, at most 1024 threads")]
+#[error("write block dimensions as columns x rows of pixels, such as 16x8, at most 1024 pixels")]
 pub struct ParseBlockDimError;
 
 impl std::str::FromStr for BlockDim {
@@ -94,7 +95,7 @@ impl std::str::FromStr for BlockDim {
         let number = |text: &str| text.parse().ok().filter(|number| (1..=1024).contains(number));
         let shape =
             Self { columns: number(columns).ok_or(ParseBlockDimError)?, rows: number(rows).ok_or(ParseBlockDimError)? };
-        if shape.threads() <= 1024 { Ok(shape) } else { Err(ParseBlockDimError) }
+        if shape.pixels() <= 1024 { Ok(shape) } else { Err(ParseBlockDimError) }
     }
 }
 
@@ -105,8 +106,8 @@ impl std::fmt::Display for BlockDim {
 }
 
 impl BlockDim {
-    /// Threads of the block.
-    pub fn threads(self) -> u32 {
+    /// Pixels of the block.
+    pub fn pixels(self) -> u32 {
         self.columns * self.rows
     }
 }
@@ -127,25 +128,24 @@ pub(super) struct DeviceTile {
 // SAFETY: it is plain integers, in C's order and with C's padding.
 unsafe impl DeviceRepr for DeviceTile {}
 
-/// Order in which launches process blocks; matches `kernel.cu`.
+/// Blocks of a launch; matches `kernel.cu`.
 #[derive(Clone, Copy, Debug)]
 #[repr(C)]
-struct BlockOrder {
+struct Blocks {
+    groups: u64,
     first: u32,
-    stride: u32,
-    groups: u32,
-    group_size: u32,
+    columns: u32,
+    rows: u32,
 }
 
 // SAFETY: as above.
-unsafe impl DeviceRepr for BlockOrder {}
+unsafe impl DeviceRepr for Blocks {}
 
 /// Layout whose tiles have been copied to the GPU.
 #[derive(Debug)]
 pub(super) struct UploadedLayout {
     tiles: CudaSlice<DeviceTile>,
-    stride: u32,
-    groups: u32,
+    groups: CudaSlice<u32>,
 }
 
 /// One GPU.
@@ -167,6 +167,8 @@ pub(super) struct Device {
 pub(super) struct LoadedModule {
     module: Arc<CudaModule>,
     render: CudaFunction,
+    /// Threads of `render` for each pixel.
+    together: u32,
     layers: Option<CudaFunction>,
 }
 
@@ -270,12 +272,17 @@ impl Device {
         open().map_err(CudaError::driver_error("open the GPU"))
     }
 
-    /// Loads machine code, of a kernel with or without layers.
-    pub(super) fn load(&self, code: &[u8], has_layers: bool) -> Result<LoadedModule, CudaError> {
+    /// Loads machine code, of a kernel with so many threads for each pixel, with or without layers.
+    pub(super) fn load(&self, code: &[u8], together: u32, has_layers: bool) -> Result<LoadedModule, CudaError> {
         let load = || {
             let module = self.context.load_module(Ptx::from_binary(code.to_vec()))?;
             let render = module.load_function("render")?;
-            Ok(LoadedModule { render, layers: has_layers.then(|| module.load_function("layers")).transpose()?, module })
+            Ok(LoadedModule {
+                render,
+                together,
+                layers: has_layers.then(|| module.load_function("layers")).transpose()?,
+                module,
+            })
         };
         load().map_err(CudaError::driver_error("load the scene's kernel"))
     }
@@ -314,46 +321,46 @@ impl Device {
 
     /// Copies the tiles of a layout to the GPU.
     pub(super) fn lay_out(&self, layout: &LaunchLayout) -> Result<UploadedLayout, CudaError> {
-        let tiles = self.compute.clone_htod(&layout.tiles).map_err(CudaError::driver_error("copy tiles to the GPU"))?;
-        Ok(UploadedLayout { tiles, stride: layout.stride, groups: layout.groups })
+        let copy = || {
+            let (tiles, groups) = (self.compute.clone_htod(&layout.tiles)?, self.compute.clone_htod(&layout.groups)?);
+            Ok(UploadedLayout { tiles, groups })
+        };
+        copy().map_err(CudaError::driver_error("copy tiles to the GPU"))
     }
 
     /// Starts one launch of a render; all pixels of the layout must fit into the buffer.
     pub(super) fn launch(
         &self,
         program: &LoadedModule,
-        shape: BlockDim,
+        block: BlockDim,
         layout: &UploadedLayout,
         part: LaunchRange,
         out: &mut Buffer,
     ) -> Result<PendingLaunch, CudaError> {
-        let config = LaunchConfig {
-            grid_dim: (part.blocks, 1, 1),
-            block_dim: (shape.columns, shape.rows, 1),
-            shared_mem_bytes: 0,
-        };
+        let config =
+            |threads| LaunchConfig { grid_dim: (part.blocks, 1, 1), block_dim: (threads, 1, 1), shared_mem_bytes: 0 };
         let (tiles, count) = (&layout.tiles, layout.tiles.len() as u32);
-        let order = BlockOrder {
+        let blocks = Blocks {
+            groups: layout.groups.device_ptr(&self.compute).0,
             first: part.first_block,
-            stride: layout.stride,
-            groups: layout.groups,
-            group_size: BLOCK_GROUP,
+            columns: block.columns,
+            rows: block.rows,
         };
         let (first, end, is_last) = (part.first_sample as f32, part.end_sample as f32, u32::from(part.is_last));
         let event = || self.compute.record_event(Some(CUevent_flags::CU_EVENT_DEFAULT));
         let mut launch = || {
             let start = event()?;
             let mut render = self.compute.launch_builder(&program.render);
-            render.arg(tiles).arg(&count).arg(&order);
+            render.arg(tiles).arg(&count).arg(&blocks);
             render.arg(&first).arg(&end).arg(&is_last).arg(&mut out.device);
             // SAFETY: the arguments match those of `render` in kernel.cu in number, order and type. It writes
             // only pixels of the tiles, which the caller placed inside the buffer.
-            unsafe { render.launch(config) }?;
+            unsafe { render.launch(config(program.threads(block))) }?;
             if let Some(layers) = program.layers.as_ref().filter(|_| part.is_last) {
                 let mut render = self.compute.launch_builder(layers);
-                render.arg(tiles).arg(&count).arg(&order).arg(&mut out.device);
+                render.arg(tiles).arg(&count).arg(&blocks).arg(&mut out.device);
                 // SAFETY: as above, for `layers`.
-                unsafe { render.launch(config) }?;
+                unsafe { render.launch(config(block.pixels())) }?;
             }
             Ok(PendingLaunch { start, end: event()? })
         };
@@ -379,9 +386,9 @@ impl Device {
     }
 
     /// Resources of a kernel, and its occupancy for a block shape.
-    pub(super) fn resources(&self, program: &LoadedModule, shape: BlockDim) -> Result<Resources, CudaError> {
+    pub(super) fn resources(&self, program: &LoadedModule, block: BlockDim) -> Result<Resources, CudaError> {
         let look = || {
-            let threads = shape.threads();
+            let threads = program.threads(block);
             let blocks = program.render.occupancy_max_active_blocks_per_multiprocessor(threads, 0, None)?;
             let most =
                 self.context.attribute(CUdevice_attribute::CU_DEVICE_ATTRIBUTE_MAX_THREADS_PER_MULTIPROCESSOR)?;
@@ -392,6 +399,13 @@ impl Device {
             })
         };
         look().map_err(CudaError::driver_error("query the scene's kernel on the GPU"))
+    }
+}
+
+impl LoadedModule {
+    /// Threads of a block of the kernel that renders.
+    pub(super) fn threads(&self, block: BlockDim) -> u32 {
+        block.pixels() * self.together
     }
 }
 

@@ -57,6 +57,8 @@ INLINE_FN float max_f(float a, float b) { return fmaxf(a, b); }
 INLINE_FN float abs_f(float x) { return fabsf(x); }
 INLINE_FN float floor_f(float x) { return floorf(x); }
 
+INLINE_FN float from_lane(float x, unsigned lane) { return __shfl_sync(~0u, x, lane); }
+
 #else
 
 #include <math.h>
@@ -90,6 +92,11 @@ INLINE_FN float min_f(float a, float b) { return b < a ? b : a; }
 INLINE_FN float max_f(float a, float b) { return a < b ? b : a; }
 INLINE_FN float abs_f(float x) { return fabsf(x); }
 INLINE_FN float floor_f(float x) { return floorf(x); }
+
+// A thread of the host has no warp: it renders all samples of its pixel.
+#undef TOGETHER
+#define TOGETHER 1u
+INLINE_FN float from_lane(float x, unsigned) { return x; }
 
 #endif
 
@@ -128,14 +135,17 @@ struct Pixel {
 
 // Each launch takes groups of blocks from all parts of the picture, so that launches cost about the same;
 // blocks of a group are neighbors and take similar branches.
-struct BlockOrder {
-    unsigned first, stride, groups, group_size;
+struct Blocks {
+    const unsigned* groups;
+    unsigned first;
+    // Pixels of a block.
+    unsigned columns, rows;
 };
 
-INLINE_FN Pixel pixel_of(const Tile* tiles, unsigned tile_count, BlockOrder order) {
-    const unsigned launch_index = order.first + blockIdx.x;
-    const unsigned group = (unsigned)((unsigned long long)(launch_index / order.group_size) * order.stride % order.groups);
-    const unsigned block = group * order.group_size + launch_index % order.group_size;
+// The pixel of a block's thread with this index.
+INLINE_FN Pixel pixel_of(const Tile* tiles, unsigned tile_count, const Blocks& blocks, unsigned index) {
+    const unsigned launch_index = blocks.first + blockIdx.x;
+    const unsigned block = blocks.groups[launch_index / BLOCK_GROUP] * BLOCK_GROUP + launch_index % BLOCK_GROUP;
     // The last tile that starts at this block or before it.
     unsigned low = 0, high = tile_count;
     while (high - low > 1) {
@@ -145,31 +155,46 @@ INLINE_FN Pixel pixel_of(const Tile* tiles, unsigned tile_count, BlockOrder orde
     }
     const Tile tile = tiles[low];
     const unsigned own = block - tile.first_block;
-    const unsigned column = own % tile.columns * blockDim.x + threadIdx.x;
-    const unsigned row = own / tile.columns * blockDim.y + threadIdx.y;
+    const unsigned column = own % tile.columns * blocks.columns + index % blocks.columns;
+    const unsigned row = own / tile.columns * blocks.rows + index / blocks.columns;
     Pixel pixel;
     pixel.x = (float)(tile.x + column);
     pixel.y = (float)(tile.y + row);
     pixel.stride = (unsigned long long)tile.width * tile.height;
     pixel.offset = tile.start + (unsigned long long)row * tile.width + column;
     // The last group may have blocks that are in no tile.
-    pixel.is_inside = column < tile.width && row < tile.height;
+    pixel.is_inside = column < tile.width && row < tile.height && index < blocks.columns * blocks.rows;
     return pixel;
 }
 
+INLINE_FN accumulate_result of_lane(const accumulate_result& x, unsigned lane) {
+    return { from_lane(x.f0, lane), from_lane(x.f1, lane), from_lane(x.f2, lane), from_lane(x.f3, lane) };
+}
+
 // Adds the samples from `first` until before `end` to the sums in `out` (0 if `first` is 0).
-extern "C" __global__ void render(const Tile* __restrict__ tiles, unsigned tile_count, BlockOrder order, float first,
+//
+// Neighboring threads render TOGETHER samples of a pixel, because these take similar branches: a power of two up to 32
+// that divides the number of samples. Each of them adds all samples in their order.
+extern "C" __global__ void render(const Tile* __restrict__ tiles, unsigned tile_count, Blocks blocks, float first,
                                   float end, unsigned is_last, float* __restrict__ out) {
-    const Pixel pixel = pixel_of(tiles, tile_count, order);
-    if (!pixel.is_inside) return;
+    const unsigned own = threadIdx.x % TOGETHER;
+    const Pixel pixel = pixel_of(tiles, tile_count, blocks, threadIdx.x / TOGETHER);
+    if (TOGETHER == 1u && !pixel.is_inside) return;
     float* red = out + pixel.offset;
     float* green = red + pixel.stride;
     float* blue = green + pixel.stride;
     float* alpha = blue + pixel.stride;
-    const bool is_first = first == 0.0f;
-    const accumulate_result sum =
-        step_accumulate(pixel.x, pixel.y, first, end, is_first ? 0.0f : *red, is_first ? 0.0f : *green,
-                        is_first ? 0.0f : *blue, is_first ? 0.0f : *alpha);
+    accumulate_result sum = { 0.0f, 0.0f, 0.0f, 0.0f };
+    if (first != 0.0f && pixel.is_inside) sum = { *red, *green, *blue, *alpha };
+    for (float sample = first + (float)own; sample < end; sample += (float)TOGETHER) {
+        accumulate_result some = { 0.0f, 0.0f, 0.0f, 0.0f };
+        if (pixel.is_inside) some = step_accumulate(pixel.x, pixel.y, sample, sample + 1.0f, 0.0f, 0.0f, 0.0f, 0.0f);
+        UNROLL for (unsigned k = 0; k < TOGETHER; ++k) {
+            const accumulate_result added = TOGETHER == 1u ? some : of_lane(some, threadIdx.x % 32u - own + k);
+            sum = { sum.f0 + added.f0, sum.f1 + added.f1, sum.f2 + added.f2, sum.f3 + added.f3 };
+        }
+    }
+    if (!pixel.is_inside || own != 0u) return;
     if (!is_last) {
         *red = sum.f0;
         *green = sum.f1;
@@ -187,9 +212,9 @@ extern "C" __global__ void render(const Tile* __restrict__ tiles, unsigned tile_
 
 #ifdef AOV_PLANES
 // Writes the layers' planes, after the color's.
-extern "C" __global__ void layers(const Tile* __restrict__ tiles, unsigned tile_count, BlockOrder order,
+extern "C" __global__ void layers(const Tile* __restrict__ tiles, unsigned tile_count, Blocks blocks,
                                   float* __restrict__ out) {
-    const Pixel pixel = pixel_of(tiles, tile_count, order);
+    const Pixel pixel = pixel_of(tiles, tile_count, blocks, threadIdx.x);
     if (!pixel.is_inside) return;
     const layers_result seen = step_layers(pixel.x, pixel.y);
     write_layers(seen, out + pixel.offset + 4 * pixel.stride, pixel.stride);

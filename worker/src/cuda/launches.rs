@@ -19,19 +19,18 @@ pub(super) struct LaunchLayout {
     pub(super) tiles: Vec<DeviceTile>,
     /// Number of blocks, rounded up to whole groups.
     pub(super) blocks: u32,
-    pub(super) groups: u32,
-    /// Stride between groups that are launched together, wrapping around. The groups are far apart, so that no
-    /// launch costs much more than another because of the part of the picture it renders.
-    pub(super) stride: u32,
+    /// Groups in the order in which they are launched.
+    pub(super) groups: Vec<u32>,
 }
 
-/// Divides tiles into blocks.
-pub(super) fn lay_out(rects: &[Rect], planes: usize, shape: BlockDim) -> LaunchLayout {
+/// Divides tiles into blocks. Groups that are launched together are far apart, so that no launch costs much more than
+/// another because of the part of the picture it renders.
+pub(super) fn lay_out(rects: &[Rect], planes: usize, block: BlockDim) -> LaunchLayout {
     let (mut first_block, mut start) = (0, 0);
     let tiles = rects
         .iter()
         .map(|rect| {
-            let columns = rect.width.div_ceil(shape.columns);
+            let columns = rect.width.div_ceil(block.columns);
             let tile = DeviceTile {
                 x: rect.x,
                 y: rect.y,
@@ -41,13 +40,13 @@ pub(super) fn lay_out(rects: &[Rect], planes: usize, shape: BlockDim) -> LaunchL
                 columns,
                 start,
             };
-            first_block += columns * rect.height.div_ceil(shape.rows);
+            first_block += columns * rect.height.div_ceil(block.rows);
             start += rect.pixels() * planes as u64;
             tile
         })
         .collect();
     let groups = first_block.div_ceil(BLOCK_GROUP);
-    LaunchLayout { tiles, blocks: groups * BLOCK_GROUP, groups, stride: stride(groups) }
+    LaunchLayout { tiles, blocks: groups * BLOCK_GROUP, groups: spread(groups) }
 }
 
 impl LaunchLayout {
@@ -57,13 +56,15 @@ impl LaunchLayout {
     }
 
     /// The order of rows.
-    pub(super) fn row_major(self) -> Self {
-        Self { stride: 1, ..self }
+    pub(super) fn row_major(mut self) -> Self {
+        self.groups.sort_unstable();
+        self
     }
 }
 
-/// Number near the golden section of `groups` that is coprime to it.
-fn stride(groups: u32) -> u32 {
+/// All numbers below a count, of which neighbors are far apart: multiples of a number near its golden section, wrapping
+/// around.
+fn spread(count: u32) -> Vec<u32> {
     const GOLDEN_SECTION: f64 = 0.618_034;
     let common = |a: u32, b: u32| {
         let (mut a, mut b) = (a, b);
@@ -72,8 +73,9 @@ fn stride(groups: u32) -> u32 {
         }
         a
     };
-    let near = ((f64::from(groups) * GOLDEN_SECTION) as u32).max(1);
-    (near..=groups).find(|&stride| common(stride, groups) == 1).unwrap_or(1)
+    let near = ((f64::from(count) * GOLDEN_SECTION) as u32).max(1);
+    let stride = (near..=count).find(|&stride| common(stride, count) == 1).unwrap_or(1);
+    (0..u64::from(count)).map(|turn| (turn * u64::from(stride) % u64::from(count)) as u32).collect()
 }
 
 /// Measured cost of rendering with a kernel on a GPU.
@@ -135,6 +137,8 @@ pub(super) struct Launches {
     first_block: u32,
     end_block: u32,
     sample: u32,
+    /// Samples of a pixel that are rendered together: the number of samples is a multiple.
+    together: u32,
 }
 
 impl LaunchRange {
@@ -144,8 +148,8 @@ impl LaunchRange {
 }
 
 impl Launches {
-    pub(super) fn new(blocks: u32, samples: u32, wave: u32) -> Self {
-        Self { blocks, samples, resident_blocks: wave.max(1), first_block: 0, end_block: 0, sample: 0 }
+    pub(super) fn new(blocks: u32, samples: u32, wave: u32, together: u32) -> Self {
+        Self { blocks, samples, resident_blocks: wave.max(1), first_block: 0, end_block: 0, sample: 0, together }
     }
 
     /// Begins again at a block, which has been launched before.
@@ -165,7 +169,8 @@ impl Launches {
         }
         let blocks = self.end_block - self.first_block;
         let fitting = (cost.next_size(self.resident_blocks) / f64::from(blocks)) as u32;
-        let end_sample = self.sample.saturating_add(fitting.max(1)).min(self.samples);
+        let fitting = (fitting / self.together).max(1).saturating_mul(self.together);
+        let end_sample = self.sample.saturating_add(fitting).min(self.samples);
         let is_last = end_sample == self.samples;
         let part =
             LaunchRange { first_block: self.first_block, blocks, first_sample: self.sample, end_sample, is_last };
@@ -183,12 +188,12 @@ mod tests {
 
     /// Simulates all launches on a GPU that takes `ms` for a sample of a block; returns the longest launch.
     fn longest_launch(blocks: u32, samples: u32, ms: impl Fn(u32) -> f64) -> f64 {
+        let together = (1 << samples.trailing_zeros()).min(4);
         let blocks = blocks.next_multiple_of(BLOCK_GROUP);
-        let (groups, stride) = (u64::from(blocks / BLOCK_GROUP), u64::from(stride(blocks / BLOCK_GROUP)));
-        let order =
-            |turn: u32| (u64::from(turn / BLOCK_GROUP) * stride % groups) as u32 * BLOCK_GROUP + turn % BLOCK_GROUP;
+        let groups = spread(blocks / BLOCK_GROUP);
+        let order = |turn: u32| groups[(turn / BLOCK_GROUP) as usize] * BLOCK_GROUP + turn % BLOCK_GROUP;
         let mut cost = CostModel::default();
-        let mut launches = Launches::new(blocks, samples, 1000);
+        let mut launches = Launches::new(blocks, samples, 1000, together);
         let mut rendered = vec![0; blocks as usize];
         let mut longest = 0.0_f64;
         while let Some(part) = launches.next(&cost) {
@@ -199,6 +204,7 @@ mod tests {
                 took += ms(block) * f64::from(part.end_sample - part.first_sample);
             }
             assert_eq!(part.is_last, part.end_sample == samples);
+            assert!((part.end_sample - part.first_sample).is_multiple_of(together));
             cost.observe(part, took);
             longest = longest.max(took);
         }
@@ -223,7 +229,7 @@ mod tests {
     fn a_kernel_of_known_cost_needs_one_launch() {
         let mut cost = CostModel::default();
         cost.observe(LaunchRange { first_block: 0, blocks: 8_100, first_sample: 0, end_sample: 4, is_last: true }, 1.0);
-        let part = Launches::new(8_100, 4, 1056).next(&cost).expect("there is work");
+        let part = Launches::new(8_100, 4, 1056, 4).next(&cost).expect("there is work");
         assert_eq!((part.blocks, part.end_sample, part.is_last), (8_100, 4, true));
     }
 

@@ -7,11 +7,14 @@ use scene::real::list::{IS_LAST, IS_UNARY, NO_LEAF, ROW_BITS, ROW_MASK};
 use scene::real::{INDEX_BITS, Table};
 use scene::{Image, JobAtFrame};
 
+use super::launches::BLOCK_GROUP;
 use crate::picture_tape::record_picture;
 use crate::tape::InvalidTape;
 
 const KERNEL_TEMPLATE: &str = include_str!("kernel.cu");
 const CELLS: &str = include_str!("cells.cu");
+/// Maximum number of samples of a pixel that neighboring threads render together.
+pub(super) const MAX_SAMPLES_TOGETHER: u32 = 4;
 const INSERTION_POINT: &str = "// ---- the picture ----\n";
 
 /// Input of a GPU render of a frame.
@@ -23,6 +26,8 @@ pub struct KernelSource {
     pub parameters: Vec<u32>,
     /// Words that the kernel reads by computed indices, if there are any. It asks for those that are missing.
     pub table: Option<Table>,
+    /// Samples of a pixel that neighboring threads render together.
+    pub(super) together: u32,
     /// Number of statements of the integrator's steps.
     pub statements: usize,
     /// Operations on numbers for one evaluation of the scene's distance; `None` if that varies.
@@ -32,6 +37,12 @@ pub struct KernelSource {
 impl KernelSource {
     /// Kernel source of a job's frame. Fails if its recorded formulas are invalid.
     pub fn new(still: &JobAtFrame<'_>) -> Result<Self, InvalidTape> {
+        Self::with_samples_together(still, samples_together(still.image().samples))
+    }
+
+    /// Kernel source in which neighboring threads render so many samples of a pixel together: a power of two that divides
+    /// the number of samples.
+    pub(super) fn with_samples_together(still: &JobAtFrame<'_>, together: u32) -> Result<Self, InvalidTape> {
         let image = still.image();
         let tape = record_picture(still);
         let steps = tape.to_c()?;
@@ -42,15 +53,22 @@ impl KernelSource {
         let (has_table, cells) = tape.table().and_then(|table| table.division()).map(cells).unwrap_or_default();
         Ok(Self {
             text: format!(
-                "#define UNIFORM_COUNT {numbers}\n{has_table}{has_layers}{before}{}{write_layers}{after}{cells}",
+                "#define UNIFORM_COUNT {numbers}\n#define TOGETHER {together}u\n#define BLOCK_GROUP {BLOCK_GROUP}u\n\
+                {has_table}{has_layers}{before}{}{write_layers}{after}{cells}",
                 steps.code
             ),
             parameters: tape.uniforms().to_vec(),
             table: tape.table().cloned(),
+            together,
             statements: steps.statements,
             distance_operations: tape.flops_per_call("distance"),
         })
     }
+}
+
+/// Samples of a pixel that are best rendered together, of so many.
+fn samples_together(samples: u32) -> u32 {
+    (1 << samples.trailing_zeros()).min(MAX_SAMPLES_TOGETHER)
 }
 
 /// Source before and after the steps if the scene has cells: the constants of their division, and its kernels.

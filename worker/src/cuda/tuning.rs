@@ -4,6 +4,7 @@ use proto::Rect;
 
 use super::cells::Cells;
 use super::device::{self, BLOCK_DIMS, BlockDim, Buffer, LoadedModule};
+use super::source::MAX_SAMPLES_TOGETHER;
 use super::{CudaError, CudaRenderer, KernelSource, launches};
 use crate::renderer::{CancelFlag, TileRequest};
 
@@ -43,12 +44,12 @@ impl CudaRenderer {
                 continue;
             }
             for _ in 0..ROUNDS {
-                for (best, shape) in best.iter_mut().zip(BLOCK_DIMS) {
+                for (best, block) in best.iter_mut().zip(BLOCK_DIMS) {
                     if cancel.is_cancelled() {
                         return Err(CudaError::Cancelled);
                     }
                     if total_ms < MAX_TOTAL_MS {
-                        let ms = self.time_block_dim(loaded, shape, piece, run, &mut buffer)?;
+                        let ms = self.time_block_dim(loaded, block, piece, run, &mut buffer)?;
                         total_ms += ms;
                         *best = best.min(ms);
                     }
@@ -64,16 +65,16 @@ impl CudaRenderer {
     fn time_block_dim(
         &self,
         loaded: &LoadedModule,
-        shape: BlockDim,
+        block: BlockDim,
         piece: Rect,
         run: &TileRequest<'_>,
         buffer: &mut Buffer,
     ) -> Result<f64, CudaError> {
-        let layout = launches::lay_out(&[piece], run.job.image.channels().len(), shape).row_major();
+        let layout = launches::lay_out(&[piece], run.job.image.channels().len(), block).row_major();
         let laid_out = self.device.lay_out(&layout)?;
-        let end_sample = run.job.image.samples.min(4);
+        let end_sample = run.job.image.samples.min(MAX_SAMPLES_TOGETHER);
         let part =
             device::LaunchRange { first_block: 0, blocks: layout.blocks, first_sample: 0, end_sample, is_last: true };
-        self.device.launch(loaded, shape, &laid_out, part, buffer)?.wait()
+        self.device.launch(loaded, block, &laid_out, part, buffer)?.wait()
     }
 }

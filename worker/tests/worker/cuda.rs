@@ -40,18 +40,56 @@ int main() {
     if (fread(&samples, 4, 1, stdin) != 1 || fread(&tile, sizeof tile, 1, stdin) != 1) return 1;
     size_t numbers = (size_t)tile.width * tile.height * planes;
     float* out = (float*)calloc(numbers, 4);
-    blockDim = {8, 4, 1};
-    unsigned blocks = tile.columns * ((tile.height + 3) / 4), middle = samples / 2;
+    const unsigned count = tile.columns * ((tile.height + 3) / 4);
+    unsigned* groups = (unsigned*)malloc(4 * (size_t)(count / BLOCK_GROUP + 1));
+    for (unsigned group = 0; group <= count / BLOCK_GROUP; ++group) groups[group] = group;
+    const Blocks blocks = {groups, 0, 8, 4};
+    unsigned middle = samples / 2;
     for (int part = middle == 0 ? 1 : 0; part < 2; ++part)
-        for (blockIdx.x = 0; blockIdx.x < blocks; ++blockIdx.x)
-            for (threadIdx.y = 0; threadIdx.y < 4; ++threadIdx.y)
-                for (threadIdx.x = 0; threadIdx.x < 8; ++threadIdx.x) {
-                    render(&tile, 1, {0, 1, blocks, 1}, part ? middle : 0, part ? samples : middle, part, out);
+        for (blockIdx.x = 0; blockIdx.x < count; ++blockIdx.x)
+            run_block([&] {
+                render(&tile, 1, blocks, part ? middle : 0, part ? samples : middle, part, out);
 #ifdef AOV_PLANES
-                    if (part) layers(&tile, 1, {0, 1, blocks, 1}, out);
+                if (part) layers(&tile, 1, blocks, out);
 #endif
-                }
+            });
     return fwrite(out, 4, numbers, stdout) == numbers ? 0 : 1;
+}
+";
+
+/// Runs the threads of a block one after another.
+const SERIAL_BLOCK: &str = r"
+template <typename Thread> static void run_block(Thread thread) {
+    for (threadIdx.x = 0; threadIdx.x < 32; ++threadIdx.x) thread();
+}
+";
+
+/// A warp of 32 threads of the host, which exchange numbers as those of a GPU do: instead of the host's lines.
+const HOST_WARP: &str = r"
+#include <pthread.h>
+#include <thread>
+#include <vector>
+static pthread_barrier_t barrier;
+static float numbers_of_lanes[32];
+INLINE_FN float from_lane(float x, unsigned lane) {
+    numbers_of_lanes[threadIdx.x % 32] = x;
+    pthread_barrier_wait(&barrier);
+    const float other = numbers_of_lanes[lane];
+    pthread_barrier_wait(&barrier);
+    return other;
+}
+";
+
+/// Runs the threads of a block, four for each pixel, in warps.
+const WARP_BLOCK: &str = r"
+template <typename Thread> static void run_block(Thread thread) {
+    for (unsigned first = 0; first < 128; first += 32) {
+        pthread_barrier_init(&barrier, nullptr, 32);
+        std::vector<std::thread> warp;
+        for (unsigned lane = 0; lane < 32; ++lane)
+            warp.emplace_back([=] { threadIdx = {first + lane, 0, 0}; thread(); });
+        for (std::thread& one : warp) one.join();
+    }
 }
 ";
 
@@ -67,7 +105,7 @@ pub(crate) fn compile_text(source: &str, folder: &Path) -> PathBuf {
     std::fs::write(&text, source).expect("a scratch folder can be written");
     let compiler = std::env::var("CXX").unwrap_or_else(|_| "c++".to_owned());
     let compiled = Command::new(&compiler)
-        .args(["-std=c++17", "-O1", "-ffp-contract=off", "-o"])
+        .args(["-std=c++17", "-O1", "-ffp-contract=off", "-pthread", "-o"])
         .args([&program, &text])
         .output()
         .expect("a C++ compiler is installed");
@@ -75,9 +113,26 @@ pub(crate) fn compile_text(source: &str, folder: &Path) -> PathBuf {
     program
 }
 
-fn render_on_host(job: &Job, folder: &Path) -> TilePixels {
+/// A program of the host from kernel source, whose threads run one after another.
+fn serial(text: &str) -> String {
+    format!("{text}{SERIAL_BLOCK}{HOST_MAIN}")
+}
+
+/// A program of the host from kernel source, whose blocks are warps.
+fn in_warps(text: &str) -> String {
+    let (before, rest) = text.split_once("// A thread of the host has no warp").expect("the host's part is marked");
+    let (_, after) = rest.split_once("#endif").expect("it ends");
+    let before = before.replace(
+        "static Index blockIdx, blockDim, threadIdx;",
+        "static Index blockIdx, blockDim; static thread_local Index threadIdx;",
+    );
+    assert!(before.contains("thread_local"));
+    format!("{before}{HOST_WARP}#endif{after}{WARP_BLOCK}{HOST_MAIN}")
+}
+
+fn render_on_host(job: &Job, folder: &Path, program_of: fn(&str) -> String) -> TilePixels {
     let source = KernelSource::new(&job.at(0).expect("a shipped scene is valid")).expect("a recorded tape is valid");
-    let program = compile_text(&format!("{}{HOST_MAIN}", source.text), folder);
+    let program = compile_text(&program_of(&source.text), folder);
     let planes = job.image.channels().len();
     let Image { width, height, samples, .. } = job.image;
     let mut input: Vec<u8> = source.parameters.iter().flat_map(|bits| bits.to_ne_bytes()).collect();
@@ -109,10 +164,10 @@ fn render_on_cpu(job: &Job) -> TilePixels {
 }
 
 /// Compares the host program's pixels of these jobs with the CPU renderer's, several jobs at a time.
-fn assert_same_on_host(jobs: &[(String, Job)]) {
+fn assert_same_on_host(jobs: &[(String, Job)], program_of: fn(&str) -> String) {
     let compare = |(name, job): &(String, Job)| {
         let folder = tempfile::tempdir().expect("a scratch folder");
-        let (got, want) = (render_on_host(job, folder.path()), render_on_cpu(job));
+        let (got, want) = (render_on_host(job, folder.path(), program_of), render_on_cpu(job));
         assert_eq!(got.planes.len(), want.planes.len());
         let channels = job.image.channels();
         let planes = channels.iter().zip(got.planes.iter().zip(&want.planes));
@@ -182,7 +237,7 @@ fn jobs_of_all_kinds() -> Vec<Job> {
 fn source_of_every_scene_part_is_bit_identical() {
     let jobs = jobs_of_all_kinds().into_iter().enumerate();
     let jobs: Vec<(String, Job)> = jobs.map(|(index, job)| (format!("job {index} of all kinds"), job)).collect();
-    assert_same_on_host(&jobs);
+    assert_same_on_host(&jobs, serial);
 }
 
 /// Scenes that together have every sort of light, material, medium, texture, camera and fractal.
@@ -195,13 +250,23 @@ fn few() -> Vec<Shipped> {
 
 #[test]
 fn source_compiled_by_the_host_is_bit_identical() {
-    assert_same_on_host(&in_small(&few()));
+    assert_same_on_host(&in_small(&few()), serial);
+}
+
+#[test]
+fn samples_that_a_warp_renders_together_are_bit_identical() {
+    let jobs = in_small(&few()[..2]).into_iter().map(|(name, job)| {
+        let image = Image { samples: 8, ..job.image.clone() };
+        (name, job.with_image(image))
+    });
+    let jobs: Vec<(String, Job)> = jobs.collect();
+    assert_same_on_host(&jobs, in_warps);
 }
 
 #[test]
 #[ignore = "long: compiles the source of every shipped scene with the host's compiler; 2 minutes"]
 fn every_scene_compiled_by_the_host_is_bit_identical() {
-    assert_same_on_host(&in_small(&shipped()));
+    assert_same_on_host(&in_small(&shipped()), serial);
 }
 
 #[test]
