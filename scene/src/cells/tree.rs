@@ -347,6 +347,14 @@ impl MakeWords for LazyBuilder {
         self.builder.divide_all(words);
     }
 
+    fn outermost(&self, words: &Words) -> Vec<u32> {
+        /// Words of a list that is not long.
+        const SHORT: u32 = 1 << 14;
+        let mut outermost = undivided(words, &[self.builder.root]);
+        outermost.retain(|&missing| Undivided::at(words, index_of(missing)).length > SHORT);
+        outermost
+    }
+
     fn division(&self) -> &Division {
         &self.division
     }

@@ -15,8 +15,8 @@ pub const INDEX_BITS: u32 = 30;
 /// not the formula's value: the missing word is to be made, and the formula computed again.
 pub const STAND_IN: u32 = 1;
 
-/// Place of the length of a list among the words that a missing one refers to. A GPU divides lists together, and needs
-/// memory for the longest.
+/// Place of the length of a list among the words that a missing one refers to. A GPU divides lists of about one length
+/// together, and needs memory for the longest.
 pub const LENGTH_PLACE: u32 = 6;
 
 /// Makes the words of a table that do not exist yet.
@@ -27,6 +27,9 @@ pub trait MakeWords: Send + Sync {
 
     /// Makes all words that formulas could ask for.
     fn make_all(&self, words: &Words);
+
+    /// Those words that say that the contents of the outermost cells do not exist, where making them takes long.
+    fn outermost(&self, words: &Words) -> Vec<u32>;
 
     /// How a GPU makes missing words.
     fn division(&self) -> &Division;
@@ -126,6 +129,11 @@ impl Words {
     /// The word in place of one that says that its contents do not exist.
     pub fn make(&self, missing: u32) -> u32 {
         self.maker.get().map_or(missing, |maker| maker.make(self, missing))
+    }
+
+    /// See [`MakeWords::outermost`].
+    pub fn outermost(&self) -> Vec<u32> {
+        self.maker.get().map(|maker| maker.outermost(self)).unwrap_or_default()
     }
 
     /// How a GPU makes missing words, if they can be made.

@@ -2,11 +2,15 @@
 
 use std::time::Instant;
 
+use rayon::prelude::*;
 use scene::real::Table;
 
 use super::device::{Device, LoadedModule, UploadedTable};
 use super::{CudaError, KernelSource};
 use crate::renderer::CancelFlag;
+
+/// Levels of cells that the host divides.
+const OUTERMOST_LEVELS: usize = 2;
 
 /// Cells that are divided as a kernel asks for them.
 #[derive(Debug)]
@@ -16,13 +20,22 @@ pub(super) struct Cells {
 }
 
 impl Cells {
-    /// Copies the cells of a source to the GPU, if it has any.
+    /// Copies the cells of a source to the GPU, if it has any: first only the outermost, whose long lists take a GPU long.
     pub(super) fn upload(
         device: &Device,
         loaded: &LoadedModule,
         source: &KernelSource,
     ) -> Result<Option<Self>, CudaError> {
-        let upload = |table: &Table| Ok(Self { table: table.clone(), uploaded: device.set_table(loaded, table)? });
+        let upload = |table: &Table| {
+            let start = Instant::now();
+            for _ in 0..OUTERMOST_LEVELS {
+                table.outermost().par_iter().for_each(|&missing| {
+                    table.make(missing);
+                });
+            }
+            tracing::debug!(took = ?start.elapsed(), words = table.used(), "made the outermost cells");
+            Ok(Self { table: table.clone(), uploaded: device.set_table(loaded, table)? })
+        };
         source.table.as_ref().map(upload).transpose()
     }
 
@@ -32,7 +45,7 @@ impl Cells {
 
     /// Whether launches that have ended asked for cells: their pixels are not those of the picture.
     pub(super) fn has_asked(&self, device: &Device) -> Result<bool, CudaError> {
-        Ok(device.asked(&self.uploaded)?.0 > 0)
+        Ok(device.asked(&self.uploaded)? > 0)
     }
 
     /// Divides the cells that the launches so far asked for; returns whether there were any.

@@ -23,7 +23,6 @@ INLINE_FN unsigned word_of_row(unsigned row, unsigned place) { return __ldg(tabl
 __device__ unsigned* asked;
 INLINE_FN unsigned fetch_or(unsigned* word, unsigned bits) { return atomicOr(word, bits); }
 INLINE_FN unsigned fetch_add(unsigned* word, unsigned by) { return atomicAdd(word, by); }
-INLINE_FN void raise_to(unsigned* word, unsigned least) { atomicMax(word, least); }
 // Copies of a loop's body cost more than the loop.
 #define LISTS_LOOP _Pragma("unroll 1")
 #define UNROLL _Pragma("unroll")
@@ -80,7 +79,6 @@ INLINE_FN unsigned word_of_row(unsigned row, unsigned place) { return table[row 
 static unsigned* asked;
 INLINE_FN unsigned fetch_or(unsigned* word, unsigned bits) { const unsigned old = *word; *word |= bits; return old; }
 INLINE_FN unsigned fetch_add(unsigned* word, unsigned by) { const unsigned old = *word; *word += by; return old; }
-INLINE_FN void raise_to(unsigned* word, unsigned least) { if (*word < least) *word = least; }
 #define LISTS_LOOP
 #define UNROLL
 INLINE_FN unsigned bits_of(float x) { unsigned bits; memcpy(&bits, &x, 4); return bits; }
@@ -101,16 +99,18 @@ INLINE_FN float from_lane(float x, unsigned) { return x; }
 #endif
 
 // Asks the host for the cell of a missing word, and returns a word in place of it. Without memory for that, no word is
-// missing. The memory: the number of cells that were asked for, the length of their longest list, the number of cells that
-// it holds, their indices, and a bit for each word of the table that tells whether its cell is among them.
+// missing. The memory: the number of cells that were asked for, the number of cells that it holds, their indices, the
+// lengths of their lists, and a bit for each word of the table that tells whether its cell is among them.
 NOINLINE_FN unsigned made_word(unsigned missing, unsigned index_mask, unsigned length_place, unsigned stand_in) {
     if (!asked) return missing;
-    const unsigned index = missing & index_mask, bit = 1u << index % 32, room = asked[2];
-    unsigned* bits = asked + 3 + room + index / 32;
+    const unsigned index = missing & index_mask, bit = 1u << index % 32, room = asked[1];
+    unsigned* bits = asked + 2 + 2 * room + index / 32;
     if (!(*(volatile unsigned*)bits & bit) && !(fetch_or(bits, bit) & bit)) {
-        raise_to(asked + 1, table[index + length_place]);
         const unsigned turn = fetch_add(asked, 1u);
-        if (turn < room) asked[3 + turn] = index;
+        if (turn < room) {
+            asked[2 + turn] = index;
+            asked[2 + room + turn] = table[index + length_place];
+        }
     }
     return stand_in;
 }

@@ -17,10 +17,12 @@ const MIN_WORDS: usize = 1 << 20;
 const BLOCK_WORDS: usize = BLOCK_CELLS as usize + 1;
 /// Threads of a block of the kernels that divide cells.
 const THREADS: u32 = 128;
-/// Words of `asked` before the indices: their number, the length of the longest list, and the room for them.
-const ASKED_HEAD: usize = 3;
+/// Words of `asked` before the indices: their number, and the room for them.
+const ASKED_HEAD: usize = 2;
 /// Maximum number of cells that kernels may ask for at a time. Those beyond are asked for again.
 const MAX_ASKED: usize = 1 << 18;
+/// Words of `asked` before the bits.
+const BITS: usize = ASKED_HEAD + 2 * MAX_ASKED;
 /// Numbers of scratch memory, unless a single list needs more.
 const SCRATCH_NUMBERS: usize = 1 << 28;
 
@@ -134,8 +136,8 @@ impl Device {
 
     /// Memory for what kernels ask for, in a table with this much room.
     fn new_asked(&self, room: usize) -> Result<CudaSlice<u32>, cudarc::driver::DriverError> {
-        let mut asked = self.compute.alloc_zeros(ASKED_HEAD + MAX_ASKED + room.div_ceil(32))?;
-        self.compute.memcpy_htod(&[0, 0, MAX_ASKED as u32], &mut asked.slice_mut(..ASKED_HEAD))?;
+        let mut asked = self.compute.alloc_zeros(BITS + room.div_ceil(32))?;
+        self.compute.memcpy_htod(&[0, MAX_ASKED as u32], &mut asked.slice_mut(..ASKED_HEAD))?;
         Ok(asked)
     }
 
@@ -180,15 +182,40 @@ impl Device {
         })
     }
 
-    /// Number of cells that launches that have ended asked for, and the number of words of their longest list.
-    pub(in crate::cuda) fn asked(&self, table: &UploadedTable) -> Result<(usize, usize), CudaError> {
-        let look = || {
-            let mut head = [0, 0];
-            self.copies.memcpy_dtoh(&table.asked.slice(..2), &mut head[..])?;
-            self.copies.synchronize()?;
-            Ok((head[0] as usize, head[1] as usize))
+    /// Number of cells that launches that have ended asked for.
+    pub(in crate::cuda) fn asked(&self, table: &UploadedTable) -> Result<usize, CudaError> {
+        let mut count = [0];
+        self.read_asked(table, 0, &mut count)?;
+        Ok(count[0] as usize)
+    }
+
+    /// Reads words of `asked`.
+    fn read_asked(&self, table: &UploadedTable, first: usize, words: &mut [u32]) -> Result<(), CudaError> {
+        let mut read = || {
+            self.copies.memcpy_dtoh(&table.asked.slice(first..first + words.len()), words)?;
+            self.copies.synchronize()
         };
-        look().map_err(CudaError::driver_error("read from the GPU which cells it needs"))
+        read().map_err(CudaError::driver_error("read from the GPU which cells it needs"))
+    }
+
+    /// Sorts the cells that were asked for, those with the longest lists first; returns the numbers of operations of the
+    /// lists.
+    fn sort_asked(&self, table: &mut UploadedTable) -> Result<Vec<usize>, CudaError> {
+        let count = self.asked(table)?.min(MAX_ASKED);
+        let (mut indices, mut lengths) = (vec![0; count], vec![0; count]);
+        if count > 0 {
+            self.read_asked(table, ASKED_HEAD, &mut indices)?;
+            self.read_asked(table, ASKED_HEAD + MAX_ASKED, &mut lengths)?;
+        }
+        let mut cells: Vec<(u32, u32)> = lengths.into_iter().zip(indices).collect();
+        cells.sort_unstable_by(|a, b| b.cmp(a));
+        let indices: Vec<u32> = cells.iter().map(|cell| cell.1).collect();
+        if count > 0 {
+            self.compute
+                .memcpy_htod(&indices, &mut table.asked.slice_mut(ASKED_HEAD..ASKED_HEAD + count))
+                .map_err(CudaError::driver_error("sort the cells that a GPU needs"))?;
+        }
+        Ok(cells.iter().map(|cell| (cell.0 / OPERATION_WORDS) as usize).collect())
     }
 
     /// Divides the cells that all launches so far asked for, some at a time, while `go_on` allows it. Returns their
@@ -200,13 +227,12 @@ impl Device {
         go_on: &dyn Fn() -> Result<(), CudaError>,
     ) -> Result<usize, CudaError> {
         self.compute.synchronize().map_err(CudaError::driver_error("render on the GPU"))?;
-        let (asked, longest) = self.asked(table)?;
-        let (count, longest) = (asked.min(MAX_ASKED), longest / OPERATION_WORDS as usize);
-        let together = (SCRATCH_NUMBERS / scratch_of(longest).max(1)).clamp(1, count.max(1));
-        let mut first = 0;
+        let operations = self.sort_asked(table)?;
+        let (mut first, count) = (0, operations.len());
         while first < count {
             go_on()?;
-            let cells = together.min(count - first);
+            let longest = operations[first];
+            let cells = (SCRATCH_NUMBERS / scratch_of(longest).max(1)).clamp(1, count - first);
             if self.divide_some(program, table, first, cells, longest)? {
                 first += cells;
             } else {
@@ -216,12 +242,12 @@ impl Device {
         if count > 0 {
             let mut renew = || {
                 let room = table.words.len();
-                if table.asked.len() < ASKED_HEAD + MAX_ASKED + room.div_ceil(32) {
+                if table.asked.len() < BITS + room.div_ceil(32) {
                     table.asked = self.new_asked(room)?;
                     return Ok(());
                 }
-                self.compute.memset_zeros(&mut table.asked.slice_mut(..2))?;
-                self.compute.memset_zeros(&mut table.asked.slice_mut(ASKED_HEAD + MAX_ASKED..))
+                self.compute.memset_zeros(&mut table.asked.slice_mut(..1))?;
+                self.compute.memset_zeros(&mut table.asked.slice_mut(BITS..))
             };
             renew().map_err(copy_error(table.words.len() / 8))?;
             self.set_pointers(program, table)?;
