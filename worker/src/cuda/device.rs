@@ -272,7 +272,7 @@ impl Device {
         open().map_err(CudaError::driver_error("open the GPU"))
     }
 
-    /// Loads machine code, of a kernel with so many threads for each pixel, with or without layers.
+    /// Loads machine code, of a kernel with `together` threads for each pixel, with or without layers.
     pub(super) fn load(&self, code: &[u8], together: u32, has_layers: bool) -> Result<LoadedModule, CudaError> {
         let load = || {
             let module = self.context.load_module(Ptx::from_binary(code.to_vec()))?;

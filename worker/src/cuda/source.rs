@@ -40,8 +40,8 @@ impl KernelSource {
         Self::with_samples_together(still, samples_together(still.image().samples))
     }
 
-    /// Kernel source in which neighboring threads render so many samples of a pixel together: a power of two that divides
-    /// the number of samples.
+    /// Kernel source in which neighboring threads render `together` samples of a pixel: a power of two that divides the
+    /// number of samples.
     pub(super) fn with_samples_together(still: &JobAtFrame<'_>, together: u32) -> Result<Self, InvalidTape> {
         let image = still.image();
         let tape = record_picture(still);
@@ -66,7 +66,7 @@ impl KernelSource {
     }
 }
 
-/// Samples of a pixel that are best rendered together, of so many.
+/// How many of a pixel's samples are best rendered together.
 fn samples_together(samples: u32) -> u32 {
     (1 << samples.trailing_zeros()).min(MAX_SAMPLES_TOGETHER)
 }
