@@ -104,8 +104,8 @@ pub(crate) struct RendererArguments {
 /// Settings of a GPU renderer.
 #[derive(Clone, Debug, Args)]
 pub(crate) struct CudaArguments {
-    /// Block dimensions on a GPU, such as 16x8 [default: the fastest for each scene]; every choice gives the same
-    /// picture.
+    /// Block dimensions on a GPU in pixels, such as 16x8, with a thread for each [default: the fastest layout for each
+    /// scene]; every choice gives the same picture.
     #[arg(long, value_name = "COLUMNSxROWS", env = "SDFARM_BLOCK")]
     block: Option<BlockDim>,
     /// Folder for compiled GPU kernels [default: in the user's cache].

@@ -1,5 +1,5 @@
-//! Renders on an NVIDIA GPU: the picture's formulas as CUDA C, compiled at run time. The
-//! pixels are bit-identical to every other renderer's.
+//! Renders on an NVIDIA GPU: the picture's formulas as CUDA C, compiled at run time. The pixels are bit-identical to
+//! every other renderer's.
 //!
 //! Only `cuda/device.rs`, `cuda/device/table.rs` and `cuda/compiler.rs` are unsafe; this module has no formula of a
 //! picture.
@@ -323,7 +323,7 @@ impl CudaRenderer {
         } else {
             self.device.set_uniforms(&program.loaded, &source.parameters)?;
             // The launches before read the table that is replaced: its memory is freed after them.
-            (source.parameters.clone(), Cells::upload(&self.device, &program.loaded, source)?)
+            (source.parameters.clone(), Cells::upload(&self.device, &program.loaded, source, cancel)?)
         };
         let (_, cells) = given.insert(current);
         let layout = launches::lay_out(&rects, planes, program.block).ordered(cost, image.samples);

@@ -28,7 +28,8 @@ pub trait MakeWords: Send + Sync {
     /// Makes all words that formulas could ask for.
     fn make_all(&self, words: &Words);
 
-    /// Those words that say that the contents of the outermost cells do not exist, where making them takes long.
+    /// Missing words whose contents take long to make: of the outermost cell, or once that exists, of those right inside
+    /// it. Each can be passed to [`MakeWords::make`].
     fn outermost(&self, words: &Words) -> Vec<u32>;
 
     /// How a GPU makes missing words.

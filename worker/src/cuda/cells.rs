@@ -7,10 +7,7 @@ use scene::real::Table;
 
 use super::device::{Device, LoadedModule, UploadedTable};
 use super::{CudaError, KernelSource};
-use crate::renderer::CancelFlag;
-
-/// Levels of cells that the host divides.
-const OUTERMOST_LEVELS: usize = 2;
+use crate::renderer::{CancelFlag, RenderError};
 
 /// Cells that are divided as a kernel asks for them.
 #[derive(Debug)]
@@ -19,19 +16,34 @@ pub(super) struct Cells {
     uploaded: UploadedTable,
 }
 
+fn go_on(cancel: &CancelFlag) -> Result<(), CudaError> {
+    if cancel.is_cancelled() { Err(CudaError::Cancelled) } else { Ok(()) }
+}
+
 impl Cells {
-    /// Copies the cells of a source to the GPU, if it has any: first only the outermost, whose long lists take a GPU long.
+    /// Copies the cells of a source to the GPU, if it has any: only the outermost, whose long lists take a GPU long. They
+    /// are made first, unless that is cancelled.
     pub(super) fn upload(
         device: &Device,
         loaded: &LoadedModule,
         source: &KernelSource,
+        cancel: &CancelFlag,
     ) -> Result<Option<Self>, CudaError> {
         let upload = |table: &Table| {
             let start = Instant::now();
-            for _ in 0..OUTERMOST_LEVELS {
-                table.outermost().par_iter().for_each(|&missing| {
-                    table.make(missing);
-                });
+            loop {
+                let outermost = table.outermost();
+                if outermost.is_empty() {
+                    break;
+                }
+                outermost.par_iter().try_for_each(|&missing| {
+                    go_on(cancel).map(|()| {
+                        table.make(missing);
+                    })
+                })?;
+            }
+            if table.is_full() {
+                return Err(RenderError::ManyCells { bytes: table.capacity() * size_of::<u32>() }.into());
             }
             tracing::debug!(took = ?start.elapsed(), words = table.used(), "made the outermost cells");
             Ok(Self { table: table.clone(), uploaded: device.set_table(loaded, table)? })
@@ -55,9 +67,8 @@ impl Cells {
         loaded: &LoadedModule,
         cancel: &CancelFlag,
     ) -> Result<bool, CudaError> {
-        let go_on = || if cancel.is_cancelled() { Err(CudaError::Cancelled) } else { Ok(()) };
         let start = Instant::now();
-        let cells = device.divide_asked(loaded, &mut self.uploaded, &go_on)?;
+        let cells = device.divide_asked(loaded, &mut self.uploaded, &|| go_on(cancel))?;
         tracing::debug!(cells, words = self.uploaded.used(), took = ?start.elapsed(), "made cells");
         Ok(cells > 0)
     }

@@ -23,7 +23,7 @@ impl CudaRenderer {
         const ROUNDS: usize = 3;
         let mut total_ms = 0.0;
         self.device.set_uniforms(loaded, &source.parameters)?;
-        let mut table = Cells::upload(&self.device, loaded, source)?;
+        let mut table = Cells::upload(&self.device, loaded, source, cancel)?;
         let mut best = [f64::INFINITY; BLOCK_DIMS.len()];
         let mut edge = 128;
         loop {

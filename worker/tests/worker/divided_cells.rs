@@ -140,3 +140,33 @@ fn a_gpu_divides_the_cells_that_a_cpu_divides() {
         assert_eq!(by_gpu, checksum(table, division.root), "the cells of {name} differ");
     }
 }
+
+/// The source of a picture of this many overlapping balls.
+fn of_balls(count: usize) -> KernelSource {
+    let place = |index: usize| [index % 20, index / 20 % 20, index / 400];
+    let balls: Vec<Value> = (0..count)
+        .map(|index| json!({ "translate": { "by": place(index), "child": { "sphere": { "radius": 0.6 } } } }))
+        .collect();
+    let scene = json!({ "camera": { "position": [0, 1, 60], "look_at": [0, 0, 0] },
+        "objects": [{ "shape": { "union": { "smooth": 0.2, "of": balls } } }] });
+    let text = json!({ "scene": scene, "image": { "width": 8, "height": 8 } }).to_string();
+    let job = scene::parse(text.as_bytes()).expect("a valid job");
+    KernelSource::new(&job.at(0).expect("a valid frame")).expect("a valid tape")
+}
+
+#[test]
+fn only_the_outermost_cells_with_long_lists_are_made_before_a_gpu_asks() {
+    let few = of_balls(1000);
+    assert!(few.table.expect("a scene with cells").outermost().is_empty(), "its list is short");
+    let many = of_balls(9000);
+    let table = many.table.expect("a scene with cells");
+    let [outermost] = table.outermost()[..] else { panic!("one cell has all balls") };
+    assert_ne!(table.make(outermost), outermost, "it is divided");
+    let used = table.used();
+    for missing in table.outermost() {
+        assert_ne!(missing, outermost);
+        table.make(missing);
+    }
+    assert!(table.outermost().is_empty(), "cells further inside are made when a GPU asks for them");
+    assert!(table.used() < 10 * used, "few cells were made");
+}

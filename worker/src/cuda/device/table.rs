@@ -202,19 +202,18 @@ impl Device {
     /// lists.
     fn sort_asked(&self, table: &mut UploadedTable) -> Result<Vec<usize>, CudaError> {
         let count = self.asked(table)?.min(MAX_ASKED);
-        let (mut indices, mut lengths) = (vec![0; count], vec![0; count]);
-        if count > 0 {
-            self.read_asked(table, ASKED_HEAD, &mut indices)?;
-            self.read_asked(table, ASKED_HEAD + MAX_ASKED, &mut lengths)?;
+        if count == 0 {
+            return Ok(Vec::new());
         }
+        let (mut indices, mut lengths) = (vec![0; count], vec![0; count]);
+        self.read_asked(table, ASKED_HEAD, &mut indices)?;
+        self.read_asked(table, ASKED_HEAD + MAX_ASKED, &mut lengths)?;
         let mut cells: Vec<(u32, u32)> = lengths.into_iter().zip(indices).collect();
         cells.sort_unstable_by(|a, b| b.cmp(a));
         let indices: Vec<u32> = cells.iter().map(|cell| cell.1).collect();
-        if count > 0 {
-            self.compute
-                .memcpy_htod(&indices, &mut table.asked.slice_mut(ASKED_HEAD..ASKED_HEAD + count))
-                .map_err(CudaError::driver_error("sort the cells that a GPU needs"))?;
-        }
+        self.compute
+            .memcpy_htod(&indices, &mut table.asked.slice_mut(ASKED_HEAD..ASKED_HEAD + count))
+            .map_err(CudaError::driver_error("sort the cells that a GPU needs"))?;
         Ok(cells.iter().map(|cell| (cell.0 / OPERATION_WORDS) as usize).collect())
     }
 
