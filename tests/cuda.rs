@@ -372,6 +372,23 @@ fn smaller_tiles_fit_into_less_memory() {
 }
 
 #[test]
+fn cells_that_do_not_fit_are_made_again() {
+    let job = jobs::as_exr(&of_cells());
+    let want = render_on_cpu(&job);
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("picture.exr");
+    let mut command = with_gpu(&[&ON_GPU[..], &["--cell-memory", "150KB"]].concat());
+    command.arg("-o").arg(&path).env("SDFARM_LOG", "worker=debug");
+    let output = finish(command, job.to_string().as_bytes());
+    let told = told(&output);
+    assert!(told.contains("the cells had no room"), "{told}");
+    assert!(output.status.success(), "{told}");
+    assert!(fs::read(path).expect("a picture") == want, "the pixels differ");
+    let little = with_gpu(&[&ON_GPU[..], &["--cell-memory", "10KB"]].concat());
+    assert_fails(little, &job, &["do not fit into 0.", "--cell-memory"]);
+}
+
+#[test]
 fn interrupted_gpu_render_stops_between_two_launches() {
     /// More launches than the self-test and the search for the best blocks need.
     const LAUNCHES: usize = 100;

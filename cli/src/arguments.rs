@@ -10,6 +10,7 @@ use proto::{Client, ClientAuth, ClientError, Secret};
 use worker::cuda::{BlockDim, CudaRenderer};
 use worker::{CpuRenderer, RenderError, Renderer, Simd};
 
+use crate::size::Size;
 use crate::terminal::print_note;
 
 /// Default of `--server`.
@@ -97,6 +98,10 @@ pub(crate) struct RendererArguments {
     /// Vector instructions of a CPU renderer; every choice gives the same picture.
     #[arg(long, env = "SDFARM_SIMD", default_value = "auto", value_parser = simd_parser())]
     pub(crate) simd: Simd,
+    /// Maximum memory for the cells of a frame with many shapes, such as 500MB or 2GiB [default: up to 4GiB]; less is
+    /// slower, and every choice gives the same picture.
+    #[arg(long, value_name = "SIZE", env = "SDFARM_CELL_MEMORY")]
+    pub(crate) cell_memory: Option<Size>,
     #[command(flatten)]
     pub(crate) cuda: CudaArguments,
 }
@@ -139,20 +144,26 @@ impl CudaArguments {
 impl RendererArguments {
     /// Starts the renderer. Without a requested device it tries a GPU first.
     pub(crate) fn renderer(&self) -> Result<Arc<dyn Renderer>, RenderError> {
+        let cell_bytes =
+            self.cell_memory.map_or(usize::MAX, |Size(bytes)| usize::try_from(bytes).unwrap_or(usize::MAX));
         let ordinal = match self.device {
             DeviceChoice::Cpu => None,
             DeviceChoice::Cuda(ordinal) => Some(ordinal.unwrap_or(0)),
             DeviceChoice::Auto(ordinal) => worker::cuda::devices().is_ok().then_some(ordinal.unwrap_or(0)),
         };
         match ordinal.map(|ordinal| self.cuda.renderer(ordinal)) {
-            Some(Ok(gpu)) => return Ok(Arc::new(gpu.with_encoders(self.threads.map(|threads| threads as usize)))),
+            Some(Ok(gpu)) => {
+                let gpu = gpu.with_encoders(self.threads.map(|threads| threads as usize));
+                return Ok(Arc::new(gpu.with_cell_memory(cell_bytes)));
+            }
             Some(Err(error)) if matches!(self.device, DeviceChoice::Auto(_)) => {
                 print_note(&format!("rendering on the CPU: {error}"));
             }
             Some(Err(error)) => return Err(error),
             None => {}
         }
-        Ok(Arc::new(CpuRenderer::new(self.threads.map(|threads| threads as usize), self.simd)?))
+        let cpu = CpuRenderer::new(self.threads.map(|threads| threads as usize), self.simd)?;
+        Ok(Arc::new(cpu.with_cell_memory(cell_bytes)))
     }
 }
 

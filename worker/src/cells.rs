@@ -17,7 +17,20 @@ const LIST: &str = "value_of_list";
 
 /// Builds cells with the fastest evaluator of this CPU.
 #[derive(Clone, Copy, Debug)]
-pub struct FastBuilder;
+pub(crate) struct FastBuilder {
+    /// Maximum number of words of the cells.
+    max_words: usize,
+}
+
+impl FastBuilder {
+    /// Builds as many cells as a scene may have.
+    pub(crate) const UNLIMITED: Self = Self { max_words: usize::MAX };
+
+    /// Builds cells of at most this many bytes.
+    pub(crate) fn with_memory(bytes: usize) -> Self {
+        Self { max_words: bytes / size_of::<u32>() }
+    }
+}
 
 /// An evaluator of lists of one leaf each.
 struct Leaves {
@@ -58,6 +71,10 @@ impl CellBuilder for FastBuilder {
         let evaluator = Evaluator::fastest(&tape).expect("a recorded tape is valid");
         let (inputs, frames, instructions) = (evaluator.inputs(&tape), Mutex::default(), Instructions::available());
         Distances::Kept(Arc::new(Leaves { evaluator, inputs, first, frames, instructions }))
+    }
+
+    fn max_words(&self) -> usize {
+        self.max_words
     }
 }
 

@@ -8,13 +8,14 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 use rayon::{ThreadPool, ThreadPoolBuilder};
-use scene::{Job, JobAtFrame};
+use scene::{Integrator, Job, JobAtFrame};
 
-use crate::picture_tape::{EVALUATIONS, integrator, record_evaluations};
+use crate::cells::FastBuilder;
+use crate::picture_tape::{EVALUATIONS, record_evaluations};
 use crate::simd::Simd;
 use crate::{CancelFlag, RenderError, Renderer, TilePixels, TileRequest};
 use kernels::{Kernel, KernelCache};
-use packets::{Band, SAMPLES_PER_RUN, block};
+use packets::{Band, Progress, SAMPLES_PER_RUN, block};
 
 pub(crate) use evaluator::{Evaluator, Frame, Inputs};
 
@@ -23,6 +24,7 @@ pub(crate) use evaluator::{Evaluator, Frame, Inputs};
 pub struct CpuRenderer {
     threads: Arc<ThreadPool>,
     simd: Simd,
+    cells: FastBuilder,
     kernels: Arc<KernelCache>,
 }
 
@@ -35,20 +37,23 @@ impl CpuRenderer {
             .thread_name(|index| format!("render-{index}"))
             .build()
             .map_err(RenderError::Threads)?;
-        Ok(Self { threads: Arc::new(threads), simd, kernels: Arc::default() })
+        Ok(Self { threads: Arc::new(threads), simd, cells: FastBuilder::UNLIMITED, kernels: Arc::default() })
+    }
+
+    /// Limits the cells of a frame to this many bytes. Those that do not fit are made again when they are needed, so the
+    /// picture is the same.
+    pub fn with_cell_memory(self, bytes: usize) -> Self {
+        Self { cells: FastBuilder::with_memory(bytes), kernels: Arc::default(), ..self }
     }
 
     /// A renderer with this many threads of its own, which shares compiled scenes and cells with this one.
     pub fn sharing(&self, threads: usize) -> Result<Self, RenderError> {
-        Ok(Self { kernels: self.kernels.clone(), ..Self::new(Some(threads), self.simd)? })
+        Ok(Self { cells: self.cells, kernels: self.kernels.clone(), ..Self::new(Some(threads), self.simd)? })
     }
 
     /// Compiles a frame, if that has not been done; returns whether it has cells, which are made as rays enter them.
     pub fn has_cells(&self, job: &Job, frame: u32) -> Result<bool, RenderError> {
-        Ok(match self.kernel(&job.at(frame)?)? {
-            Kernel::Reference(..) => false,
-            Kernel::Prepared(prepared) => prepared.inputs.has_cells(),
-        })
+        Ok(self.kernel(&job.at(frame)?)?.table().is_some())
     }
 
     /// Number of threads.
@@ -80,13 +85,51 @@ impl CpuRenderer {
             sum
         };
         let rows = run.rect.y..run.rect.y + run.rect.height;
-        Ok(self.threads.install(|| rows.into_par_iter().map(of_row).sum()))
+        let sum = self.threads.install(|| rows.into_par_iter().map(of_row).sum());
+        match inputs.table() {
+            Some(table) if table.is_full() => Err(RenderError::many_cells(table)),
+            _ => Ok(sum),
+        }
+    }
+
+    /// Renders bands. When the cells have no room, those that are left begin with none: all together, and one after
+    /// another once not even one of them had room so.
+    fn render_bands<'a>(
+        &self,
+        still: &'a JobAtFrame<'_>,
+        mut kernel: Kernel<'a>,
+        mut bands: Vec<Band<'_, '_>>,
+        cancel: &CancelFlag,
+    ) -> Result<(), RenderError> {
+        let mut is_parallel = true;
+        loop {
+            let count = bands.len();
+            bands = self.threads.install(|| {
+                if is_parallel {
+                    bands.into_par_iter().filter_map(|band| band.render(&kernel)).collect()
+                } else {
+                    bands.into_iter().filter_map(|band| band.render(&kernel)).collect()
+                }
+            });
+            if cancel.is_cancelled() {
+                return Err(RenderError::Cancelled);
+            }
+            let Some(table) = kernel.table().filter(|_| !bands.is_empty()) else { return Ok(()) };
+            if bands.len() == count && !std::mem::take(&mut is_parallel) {
+                return Err(RenderError::many_cells(table));
+            }
+            tracing::debug!(rendered = count - bands.len(), left = bands.len(), "the cells had no room: drop them");
+            if let Kernel::Prepared(prepared) = &kernel {
+                self.kernels.forget_cells(prepared);
+            }
+            kernel = self.kernel(still)?;
+        }
     }
 
     fn kernel<'a>(&self, still: &'a JobAtFrame<'_>) -> Result<Kernel<'a>, RenderError> {
         Ok(match self.simd {
-            Simd::Scalar => Kernel::Reference(Box::new(integrator(still)), still.image()),
-            simd => Kernel::Prepared(self.kernels.prepare(still, simd)?),
+            Simd::Scalar => Kernel::Reference(Box::new(Integrator::of_picture(still, &self.cells)), still.image()),
+            simd => Kernel::Prepared(self.kernels.prepare(still, simd, self.cells)?),
         })
     }
 }
@@ -111,16 +154,13 @@ impl Renderer for CpuRenderer {
         let (image, left, width) = (&run.job.image, run.rect.x, run.rect.width as usize);
         let mut pixels = TilePixels::zeroed(run.rect, image.channels().len());
         let height = block(kernel.lanes()).1;
-        self.threads.install(|| {
-            bands(&mut pixels.planes, width * height).into_par_iter().enumerate().for_each(|(index, planes)| {
-                let top = run.rect.y + (index * height) as u32;
-                Band { image, left, top, width, planes, progress, cancel: cancel.flag() }.render(&kernel);
-            });
-        });
-        if let Kernel::Prepared(prepared) = &kernel {
-            prepared.inputs.check_cells()?;
-        }
-        if cancel.is_cancelled() { Err(RenderError::Cancelled) } else { Ok(pixels) }
+        let band = |(index, planes)| {
+            let top = run.rect.y + (index * height) as u32;
+            Band { image, left, top, width, planes, progress: Progress::new(progress), cancel: cancel.flag() }
+        };
+        let bands = bands(&mut pixels.planes, width * height).into_iter().enumerate().map(band).collect();
+        self.render_bands(&still, kernel, bands, cancel)?;
+        Ok(pixels)
     }
 }
 
@@ -135,3 +175,6 @@ fn bands(planes: &mut [Vec<f32>], length: usize) -> Vec<Vec<&mut [f32]>> {
     }
     bands
 }
+
+#[cfg(test)]
+mod tests;

@@ -10,26 +10,25 @@ mod compiler;
 mod device;
 mod error;
 mod launches;
+mod render;
 mod source;
 mod tuning;
 
-use std::collections::{HashMap, VecDeque};
+use std::collections::HashMap;
 use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use proto::Rect;
-use rayon::prelude::*;
-use scene::Image;
-use scene::real::Table;
 
+use crate::cells::FastBuilder;
 use crate::recent::{self, Recent};
 use crate::renderer::{CancelFlag, RenderError, Renderer, TilePixels, TileRequest};
 use crate::{CpuRenderer, Simd};
 use cache::{Cache, CachedKernel};
 use cells::Cells;
-use device::{Buffer, Device, LoadedModule, PendingLaunch};
-use launches::{CostModel, Launches};
+use device::{Buffer, Device, LoadedModule};
+use launches::CostModel;
 
 pub use cache::default_cache_folder;
 pub use compiler::Compiler;
@@ -40,8 +39,6 @@ pub use source::KernelSource;
 
 /// Maximum number of nodes whose formulas a kernel has, see [`scene::Job::compiled_nodes`].
 pub const MAX_NODES: u32 = 500;
-/// Maximum size of pixel buffers on the GPU or being copied, in numbers.
-const BUFFER_FLOATS: usize = 64 << 20;
 /// Maximum memory of freed planes kept for reuse, in numbers.
 const MAX_SPARE_FLOATS: usize = 128 << 20;
 /// Maximum number of kernels loaded on the GPU.
@@ -67,6 +64,8 @@ pub struct CudaRenderer {
     cache: Cache,
     /// Block dimensions for all kernels, whose threads render a pixel each; `None` means the fastest for each.
     block: Option<BlockDim>,
+    /// How many cells a frame may have.
+    cell_builder: FastBuilder,
     programs: Mutex<HashMap<blake3::Hash, Arc<Kernel>>>,
     sources: Recent<blake3::Hash, KernelSource>,
     /// Locked while a frame's launches are created, because they share the kernels' constants.
@@ -94,12 +93,6 @@ struct KernelState {
     cost: CostModel,
     /// Current uniforms of the kernel, and its cells.
     numbers: Option<(Vec<u32>, Option<Cells>)>,
-}
-
-/// Tiles whose pixels are being copied to the host.
-struct InFlight {
-    rects: Vec<Rect>,
-    buffer: Buffer,
 }
 
 /// Compiled kernel and its figures.
@@ -132,6 +125,7 @@ impl CudaRenderer {
             compiler,
             cache: Cache::new(cache),
             block,
+            cell_builder: FastBuilder::UNLIMITED,
             programs: Mutex::default(),
             sources: Mutex::default(),
             launching: Mutex::default(),
@@ -149,6 +143,11 @@ impl CudaRenderer {
     /// Limits encoding to this many threads; `None` means all cores.
     pub fn with_encoders(self, encoders: Option<usize>) -> Self {
         Self { encoders, ..self }
+    }
+
+    /// Limits the cells of a frame to this many bytes, see [`CpuRenderer::with_cell_memory`].
+    pub fn with_cell_memory(self, bytes: usize) -> Self {
+        Self { cell_builder: FastBuilder::with_memory(bytes), ..self }
     }
 
     /// Product name of the GPU.
@@ -250,171 +249,9 @@ impl CudaRenderer {
         if nodes > MAX_NODES {
             return Err(CudaError::TooLarge { nodes, most: MAX_NODES });
         }
-        let source = match self.block {
-            Some(_) => KernelSource::with_samples_together(&still, 1),
-            None => KernelSource::new(&still),
-        };
-        let source = Arc::new(source?);
+        let together = self.block.map_or(source::samples_together(run.job.image.samples), |_| 1);
+        let source = Arc::new(KernelSource::build(&still, together, self.cell_builder)?);
         Ok(recent::insert(&self.sources, key, source, MAX_SOURCES))
-    }
-
-    /// Renders tiles, as many at a time as the buffers hold; one group is copied while the next renders.
-    fn render_groups(
-        &self,
-        runs: &[TileRequest<'_>],
-        cancel: &CancelFlag,
-        progress: &(dyn Fn(u64) + Sync),
-        finished: &mut Vec<TilePixels>,
-    ) -> Result<(), CudaError> {
-        let Some(first) = runs.first() else { return Ok(()) };
-        let source = self.source(first)?;
-        let planes = first.job.image.channels().len();
-        let numbers = |run: &TileRequest<'_>| run.rect.pixels() as usize * planes;
-        let mut underway: Option<InFlight> = None;
-        let mut rest = runs;
-        let mut most = BUFFER_FLOATS;
-        while !rest.is_empty() {
-            let mut total = 0;
-            let fitting = rest.iter().take_while(|run| {
-                total += numbers(run);
-                total <= most
-            });
-            let (group, others) = rest.split_at(fitting.count().max(1));
-            let next = self.enqueue(&source, group, cancel);
-            if let Some(before) = underway.take() {
-                finished.extend(self.collect(before, &first.job.image, progress)?);
-            }
-            if group.len() > 1 && matches!(next, Err(CudaError::OutOfMemory { .. })) {
-                // Tiles that do not fit in memory together may fit one after another.
-                most = group.iter().map(numbers).sum::<usize>() / 2;
-                continue;
-            }
-            underway = Some(next?);
-            rest = others;
-        }
-        if let Some(last) = underway {
-            finished.extend(self.collect(last, &first.job.image, progress)?);
-        }
-        Ok(())
-    }
-
-    /// Launches the render of some tiles and the copy of their pixels.
-    fn enqueue(
-        &self,
-        source: &KernelSource,
-        runs: &[TileRequest<'_>],
-        cancel: &CancelFlag,
-    ) -> Result<InFlight, CudaError> {
-        let image = &runs[0].job.image;
-        let rects: Vec<Rect> = runs.iter().map(|run| run.rect).collect();
-        let planes = image.channels().len();
-        let numbers = rects.iter().map(|rect| rect.pixels() as usize).sum::<usize>() * planes;
-        let _launching = lock(&self.launching);
-        let (program, _) = self.program(source, &runs[runs.len() / 2], cancel)?;
-        let mut buffer = self.take_buffer(numbers)?;
-        let mut known = lock(&program.known);
-        let KernelState { cost, numbers: given } = &mut *known;
-        let is_given = |(numbers, cells): &(_, Option<Cells>)| {
-            *numbers == source.parameters
-                && cells.as_ref().map(Cells::table).map(Table::as_ptr) == source.table.as_ref().map(Table::as_ptr)
-        };
-        let current = if let Some(kept) = given.take().filter(is_given) {
-            kept
-        } else {
-            self.device.set_uniforms(&program.loaded, &source.parameters)?;
-            // The launches before read the table that is replaced: its memory is freed after them.
-            (source.parameters.clone(), Cells::upload(&self.device, &program.loaded, source, cancel)?)
-        };
-        let (_, cells) = given.insert(current);
-        let layout = launches::lay_out(&rects, planes, program.block).ordered(cost, image.samples);
-        let laid_out = self.device.lay_out(&layout)?;
-        let wave = self.device.multiprocessors * (2048 / program.loaded.threads(program.block));
-        let mut launches = Launches::new(layout.blocks, image.samples, wave, source.together);
-        let mut flying: VecDeque<(device::LaunchRange, PendingLaunch)> = VecDeque::new();
-        loop {
-            let part = if cancel.is_cancelled() { None } else { launches.next(cost) };
-            if let Some(part) = part {
-                let launched = self.device.launch(&program.loaded, program.block, &laid_out, part, &mut buffer)?;
-                flying.push_back((part, launched));
-            }
-            // One launch runs while the next is queued.
-            if flying.len() == 2 || part.is_none() {
-                let Some((part, launched)) = flying.pop_front() else { break };
-                let ms = launched.wait()?;
-                tracing::trace!(?part, ms, "rendered");
-                lock(&self.kernels).add(ms);
-                if let Some(cells) = cells
-                    && cells.has_asked(&self.device)?
-                {
-                    for (_, launched) in flying.drain(..) {
-                        lock(&self.kernels).add(launched.wait()?);
-                    }
-                    cells.make_asked(&self.device, &program.loaded, cancel)?;
-                    launches.restart(part.first_block);
-                } else {
-                    cost.observe(part, ms);
-                }
-            }
-        }
-        if cancel.is_cancelled() {
-            lock(&self.buffers).push(buffer);
-            return Err(CudaError::Cancelled);
-        }
-        self.device.start_copy(&mut buffer, numbers)?;
-        Ok(InFlight { rects, buffer })
-    }
-
-    /// Waits for pixels and returns them.
-    fn collect(
-        &self,
-        underway: InFlight,
-        image: &Image,
-        progress: &(dyn Fn(u64) + Sync),
-    ) -> Result<Vec<TilePixels>, CudaError> {
-        let InFlight { rects, buffer } = underway;
-        let planes = image.channels().len();
-        let mut rest = self.device.wait_copy(&buffer)?;
-        let parts: Vec<(Rect, &[f32])> = rects
-            .into_iter()
-            .map(|rect| {
-                let (own, others) = rest.split_at(rect.pixels() as usize * planes);
-                rest = others;
-                (rect, own)
-            })
-            .collect();
-        let finished = parts
-            .into_par_iter()
-            .map(|(rect, numbers)| {
-                let planes = numbers.par_chunks(rect.pixels() as usize).map(|plane| self.copy_plane(plane)).collect();
-                progress(rect.pixels() * u64::from(image.samples));
-                TilePixels { rect, planes }
-            })
-            .collect();
-        lock(&self.buffers).push(buffer);
-        Ok(finished)
-    }
-
-    /// Returns a buffer that is large enough; smaller ones are freed.
-    fn take_buffer(&self, numbers: usize) -> Result<Buffer, CudaError> {
-        let mut buffers = lock(&self.buffers);
-        buffers.retain(|buffer| buffer.floats() >= numbers);
-        match buffers.pop() {
-            Some(buffer) => Ok(buffer),
-            None => self.device.buffer(numbers),
-        }
-    }
-
-    /// Copies a plane, into reused memory if possible, because new memory costs more than the copy.
-    fn copy_plane(&self, plane: &[f32]) -> Vec<f32> {
-        let spare = {
-            let mut spare = lock(&self.spare);
-            let place = spare.iter().position(|old| old.capacity() >= plane.len());
-            place.map(|place| spare.swap_remove(place))
-        };
-        let mut copy = spare.unwrap_or_default();
-        copy.clear();
-        copy.extend_from_slice(plane);
-        copy
     }
 
     /// Records a lost GPU; returns the CUDA error as a render error.

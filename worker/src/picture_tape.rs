@@ -20,14 +20,9 @@ pub(crate) const EVALUATIONS: &str = "evaluations";
 /// The scene's distance at a point. Not "distance": that is the name of a step of the scene.
 pub(crate) const DISTANCE: &str = "distance_at_point";
 
-/// The integrator of a picture.
-pub(crate) fn integrator<'a>(still: &'a JobAtFrame<'_>) -> Integrator<'a> {
-    Integrator::of_picture(still, &FastBuilder)
-}
-
 /// Records the entries [`ACCUMULATE`], [`MEAN`] and, if the job requests layers, [`LAYERS`].
-pub(crate) fn record_picture(still: &JobAtFrame<'_>) -> Tape {
-    let (program, image) = (integrator(still), still.image());
+pub(crate) fn record_picture(still: &JobAtFrame<'_>, cells: FastBuilder) -> Tape {
+    let (program, image) = (Integrator::of_picture(still, &cells), still.image());
     let sum = |[r, g, b, alpha]: [Expr; 4]| Radiance { color: vec3(r, g, b), alpha, evaluations: alpha.constant(0.0) };
     record(|recording| {
         recording.entry(ACCUMULATE, |[x, y, first, end, r, g, b, alpha]| {
@@ -42,7 +37,7 @@ pub(crate) fn record_picture(still: &JobAtFrame<'_>) -> Tape {
 
 /// Records the entry [`EVALUATIONS`].
 pub(crate) fn record_evaluations(still: &JobAtFrame<'_>) -> Tape {
-    let program = integrator(still);
+    let program = Integrator::of_picture(still, &FastBuilder::UNLIMITED);
     let nothing = |x: Expr| {
         let zero = x.constant(0.0);
         Radiance { color: vec3(zero, zero, zero), alpha: zero, evaluations: zero }
@@ -56,7 +51,7 @@ pub(crate) fn record_evaluations(still: &JobAtFrame<'_>) -> Tape {
 
 /// Records the entry [`DISTANCE`].
 pub(crate) fn record_distance(still: &JobAtFrame<'_>) -> Tape {
-    let program = integrator(still);
+    let program = Integrator::of_picture(still, &FastBuilder::UNLIMITED);
     record(|recording| recording.entry(DISTANCE, |[x, y, z]| vec![program.distance(vec3(x, y, z))]))
 }
 

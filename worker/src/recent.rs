@@ -16,6 +16,11 @@ pub(crate) fn find<K, V>(values: &Recent<K, V>, is_wanted: impl Fn(&K) -> bool) 
     Some(value)
 }
 
+/// Forgets a value, if it is still kept.
+pub(crate) fn forget<K, V>(values: &Recent<K, V>, value: &Arc<V>) {
+    values.lock().unwrap_or_else(PoisonError::into_inner).retain(|(_, kept)| !Arc::ptr_eq(kept, value));
+}
+
 /// Keeps a value, and at most `limit` in all.
 pub(crate) fn insert<K, V>(values: &Recent<K, V>, key: K, value: Arc<V>, limit: usize) -> Arc<V> {
     let mut values = values.lock().unwrap_or_else(PoisonError::into_inner);

@@ -7,6 +7,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use proto::Rect;
+use scene::real::Words;
 
 use crate::tape::InvalidTape;
 
@@ -158,8 +159,9 @@ pub enum RenderError {
     InvalidTape(#[from] InvalidTape),
     /// The cells of the scene need more memory than they may have.
     #[error(
-        "the cells of the scene need more than {} MiB: use fewer shapes, or shapes that overlap less",
-        bytes >> 20
+        "the cells that a few rows of pixels need do not fit into {:.1} MB: allow more (--cell-memory), or use fewer \
+         shapes, or shapes that overlap less",
+        *bytes as f64 / 1e6
     )]
     ManyCells {
         /// Memory that they may have, in bytes.
@@ -173,4 +175,11 @@ pub enum RenderError {
         /// Message.
         reason: String,
     },
+}
+
+impl RenderError {
+    /// The cells of this table need more memory.
+    pub(crate) fn many_cells(table: &Words) -> Self {
+        Self::ManyCells { bytes: table.capacity() * size_of::<u32>() }
+    }
 }

@@ -48,6 +48,9 @@ pub(crate) struct Arguments {
     /// Threads that CPU workers share [default: one for each core].
     #[arg(long, value_name = "N", env = "SDFARM_THREADS", value_parser = clap::value_parser!(u32).range(1..=i64::from(MAX_THREADS)))]
     threads: Option<u32>,
+    /// Maximum memory for the cells of a frame with many shapes, in each worker, such as 500MB or 2GiB [default: up to 4GiB].
+    #[arg(long, value_name = "SIZE", env = "SDFARM_CELL_MEMORY")]
+    cell_memory: Option<Size>,
     /// Edge of a tile, in pixels [default: about a second of work].
     #[arg(long, value_name = "PIXELS", env = "SDFARM_TILE", value_parser = clap::value_parser!(u32).range(1..))]
     tile: Option<u32>,
@@ -113,6 +116,8 @@ pub(crate) struct Arguments {
 
 impl Arguments {
     fn config(self) -> anyhow::Result<Config> {
+        let mut worker_env = crate::logs::child_env();
+        worker_env.extend(self.cell_memory.map(|Size(bytes)| ("SDFARM_CELL_MEMORY".to_owned(), bytes.to_string())));
         Ok(Config {
             listen: self.listen,
             data: self.data,
@@ -143,7 +148,7 @@ impl Arguments {
             allowed_webhook_ranges: self.allow_webhook_to,
             webhook_secret: self.webhook_secret,
             worker_program: current_executable()?,
-            worker_env: crate::logs::child_env(),
+            worker_env,
             ..Config::default()
         })
     }

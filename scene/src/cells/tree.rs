@@ -77,6 +77,11 @@ pub(super) struct CellFrame {
 pub trait CellBuilder {
     /// Distances of a program's leaves.
     fn distances<'a>(&self, program: &'a Program<'_>) -> Distances<'a>;
+
+    /// Maximum number of words that the cells may take, beyond those of the whole scene.
+    fn max_words(&self) -> usize {
+        usize::MAX
+    }
 }
 
 /// Distances of leaves, for a cell that is divided when it is needed, or for all at once.
@@ -174,8 +179,9 @@ impl CellTree {
         let frame = CellFrame::new(program, reach);
         let rows = program.rows();
         let lists = program.list().len() + OPERATION_WORDS as usize * program.leaf_count();
-        let capacity = rows.len() + lists + MIN_WORDS.max(WORDS_PER_LEAF * program.leaf_count());
-        let words = Words::with_capacity(capacity.min(1 << KIND_SHIFT));
+        let of_scene = rows.len() + lists + 2 + Undivided::WORDS;
+        let of_cells = MIN_WORDS.max(WORDS_PER_LEAF * program.leaf_count()).min(how.max_words());
+        let words = Words::with_capacity((of_scene + of_cells).min(1 << KIND_SHIFT));
         let append = |part: &[u32]| words.append(part).expect("there is room for the rows and the first list");
         append(rows);
         let (root, whole) = (append(&[ROOT]), append(program.list()));
@@ -403,8 +409,9 @@ impl<'a, D: Deref<Target = dyn LeafDistances + 'a> + Sync> Builder<D> {
         if word >> KIND_SHIFT != UNDIVIDED {
             return word;
         }
-        // Without room, the list serves the whole cell; then `Words::is_full` tells.
-        let word = self.block(words, &undivided).unwrap_or(LIST << KIND_SHIFT | undivided.list);
+        // Without room, the cell passes for an empty one, so that rays soon end: `Words::is_full` tells that what was
+        // computed is meaningless.
+        let word = self.block(words, &undivided).unwrap_or(empty(self.frame.unit));
         words.set(undivided.place, word);
         word
     }

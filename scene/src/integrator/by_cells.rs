@@ -4,6 +4,7 @@ use super::shading::MaterialTable;
 use super::{Integrator, shrink, surfaces_of};
 use crate::animation::JobAtFrame;
 use crate::cells::{CellBuilder, Cells, Program};
+use crate::real::Table;
 
 /// Minimum number of leaves: below, straight code costs less than finding the cell of each point (measured on CPUs with
 /// the shipped scenes, the largest of which has 88).
@@ -30,6 +31,11 @@ impl<'a> Integrator<'a> {
             Cells::new(program, reach, how)
         });
         Self { cells, ..own }
+    }
+
+    /// The table of the scene's cells, if it has any.
+    pub fn table(&self) -> Option<&Table> {
+        self.cells.as_ref().map(|cells| cells.tree().words())
     }
 }
 

@@ -28,26 +28,13 @@ pub(crate) enum Inputs {
 }
 
 impl Inputs {
-    /// Fails if the cells of the scene had no room.
-    pub(crate) fn check_cells(&self) -> Result<(), RenderError> {
-        match self.table() {
-            Some(table) if table.is_full() => {
-                Err(RenderError::ManyCells { bytes: table.capacity() * size_of::<u32>() })
-            }
-            _ => Ok(()),
-        }
-    }
-
-    /// Whether there are cells.
-    pub(crate) fn has_cells(&self) -> bool {
-        self.table().is_some_and(|table| table.capacity() > 1)
-    }
-
-    fn table(&self) -> Option<&Table> {
-        match self {
+    /// The cells of the scene, if it has any.
+    pub(crate) fn table(&self) -> Option<&Table> {
+        let table = match self {
             Self::X86(uniforms) => uniforms.table(),
             Self::Portable(_, table) => Some(table),
-        }
+        };
+        table.filter(|table| table.capacity() > 1)
     }
 }
 
@@ -166,4 +153,4 @@ fn warn_of_refusal(error: &std::io::Error) {
 }
 
 #[cfg(test)]
-mod tests;
+pub(super) mod tests;

@@ -5,10 +5,11 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
 use scene::integrator::Radiance;
-use scene::real::{Real, vec3};
+use scene::real::{Real, Table, vec3};
 use scene::{Image, Integrator, JobAtFrame};
 
 use super::evaluator::{Evaluator, Frame, Inputs};
+use crate::cells::FastBuilder;
 use crate::picture_tape::{ACCUMULATE, LAYERS, MEAN, channels, layer_channels, record_picture};
 use crate::recent::{self, Recent};
 use crate::tape::Tape;
@@ -35,12 +36,17 @@ pub(super) struct KernelCache {
 
 impl KernelCache {
     /// Evaluator and inputs of a frame.
-    pub(super) fn prepare(&self, still: &JobAtFrame<'_>, simd: Simd) -> Result<Arc<Prepared>, RenderError> {
+    pub(super) fn prepare(
+        &self,
+        still: &JobAtFrame<'_>,
+        simd: Simd,
+        cells: FastBuilder,
+    ) -> Result<Arc<Prepared>, RenderError> {
         let key = still.pixels_cache_key();
         if let Some(known) = recent::find(&self.by_pixels, |other| *other == key) {
             return Ok(known);
         }
-        let tape = record_picture(still);
+        let tape = record_picture(still, cells);
         let known = recent::find(&self.by_tape, |other| other.has_same_code(&tape));
         let evaluator = match known {
             Some(known) => known,
@@ -53,6 +59,11 @@ impl KernelCache {
         };
         let inputs = evaluator.inputs(&tape);
         Ok(recent::insert(&self.by_pixels, key, Arc::new(Prepared { evaluator, inputs }), MAX_FRAMES))
+    }
+
+    /// Forgets the cells of a frame: the next [`KernelCache::prepare`] begins with none.
+    pub(super) fn forget_cells(&self, prepared: &Arc<Prepared>) {
+        recent::forget(&self.by_pixels, prepared);
     }
 }
 
@@ -77,6 +88,14 @@ impl Kernel<'_> {
         match self {
             Self::Reference(..) => 1,
             Self::Prepared(prepared) => prepared.evaluator.lanes(),
+        }
+    }
+
+    /// The cells of the scene, if it has any.
+    pub(super) fn table(&self) -> Option<&Table> {
+        match self {
+            Self::Reference(program, _) => program.table(),
+            Self::Prepared(prepared) => prepared.inputs.table(),
         }
     }
 

@@ -1,6 +1,6 @@
 //! Packets: a block of neighboring pixels rendered together, one per lane.
 
-use std::sync::atomic::AtomicBool;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use scene::Image;
 
@@ -25,22 +25,49 @@ pub(super) struct Band<'a, 'b> {
     pub(super) top: u32,
     pub(super) width: usize,
     pub(super) planes: Vec<&'b mut [f32]>,
-    pub(super) progress: &'a (dyn Fn(u64) + Sync),
+    pub(super) progress: Progress<'a>,
     pub(super) cancel: &'a AtomicBool,
 }
 
+/// Counts finished rays, and reports each once, even if a band is rendered again.
+pub(super) struct Progress<'a> {
+    report: &'a (dyn Fn(u64) + Sync),
+    finished: u64,
+    reported: u64,
+}
+
+impl<'a> Progress<'a> {
+    pub(super) fn new(report: &'a (dyn Fn(u64) + Sync)) -> Self {
+        Self { report, finished: 0, reported: 0 }
+    }
+
+    fn add(&mut self, rays: u64) {
+        self.finished += rays;
+        if self.finished > self.reported {
+            (self.report)(self.finished - self.reported);
+            self.reported = self.finished;
+        }
+    }
+}
+
 impl Band<'_, '_> {
-    /// Renders the band, or a part of it if the render is cancelled. `progress` receives the number of newly finished
-    /// rays.
-    pub(super) fn render(&mut self, kernel: &Kernel<'_>) {
+    /// Renders the band. Returns it if its pixels are not those of the picture: because the render is cancelled, or cells
+    /// had no room.
+    pub(super) fn render(mut self, kernel: &Kernel<'_>) -> Option<Self> {
         let lanes = kernel.lanes();
         let mut thread = kernel.thread();
+        let table = kernel.table();
+        self.progress.finished = 0;
         for column in (0..self.width).step_by(block(lanes).0) {
-            if self.cancel.load(std::sync::atomic::Ordering::Relaxed) {
-                return;
+            if self.cancel.load(Ordering::Relaxed) {
+                return Some(self);
             }
             self.packet(&mut thread, lanes, column);
+            if table.is_some_and(|table| table.is_full()) {
+                return Some(self);
+            }
         }
+        None
     }
 
     /// Renders the block that starts in `column` of the band.
@@ -67,7 +94,14 @@ impl Band<'_, '_> {
     }
 
     /// The color of a packet's pixels. Their samples are summed in runs, which does not change the sum.
-    fn radiance(&self, thread: &mut Thread<'_>, lanes: usize, column: usize, arguments: &mut [f32], color: &mut [f32]) {
+    fn radiance(
+        &mut self,
+        thread: &mut Thread<'_>,
+        lanes: usize,
+        column: usize,
+        arguments: &mut [f32],
+        color: &mut [f32],
+    ) {
         let pixels = block(lanes).0.min(self.width - column) * self.rows();
         let samples = self.image.samples;
         for first in (0..samples).step_by(SAMPLES_PER_RUN as usize) {
@@ -76,7 +110,7 @@ impl Band<'_, '_> {
             arguments[3 * lanes..4 * lanes].fill((first + run) as f32);
             thread.run(ACCUMULATE, self.cancel, arguments, color);
             arguments[4 * lanes..].copy_from_slice(color);
-            (self.progress)(pixels as u64 * u64::from(run));
+            self.progress.add(pixels as u64 * u64::from(run));
         }
         thread.run(MEAN, self.cancel, &arguments[4 * lanes..], color);
     }

@@ -16,6 +16,17 @@ pub(super) struct Cells {
     uploaded: UploadedTable,
 }
 
+/// Result of dividing the cells that kernels asked for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Made {
+    /// They asked for none.
+    Nothing,
+    /// All were divided.
+    All,
+    /// Not all had room.
+    NotAll,
+}
+
 fn go_on(cancel: &CancelFlag) -> Result<(), CudaError> {
     if cancel.is_cancelled() { Err(CudaError::Cancelled) } else { Ok(()) }
 }
@@ -43,7 +54,7 @@ impl Cells {
                 })?;
             }
             if table.is_full() {
-                return Err(RenderError::ManyCells { bytes: table.capacity() * size_of::<u32>() }.into());
+                return Err(RenderError::many_cells(table).into());
             }
             tracing::debug!(took = ?start.elapsed(), words = table.used(), "made the outermost cells");
             Ok(Self { table: table.clone(), uploaded: device.set_table(loaded, table)? })
@@ -60,16 +71,16 @@ impl Cells {
         Ok(device.asked(&self.uploaded)? > 0)
     }
 
-    /// Divides the cells that the launches so far asked for; returns whether there were any.
+    /// Divides the cells that the launches so far asked for.
     pub(super) fn make_asked(
         &mut self,
         device: &Device,
         loaded: &LoadedModule,
         cancel: &CancelFlag,
-    ) -> Result<bool, CudaError> {
+    ) -> Result<Made, CudaError> {
         let start = Instant::now();
-        let cells = device.divide_asked(loaded, &mut self.uploaded, &|| go_on(cancel))?;
-        tracing::debug!(cells, words = self.uploaded.used(), took = ?start.elapsed(), "made cells");
-        Ok(cells > 0)
+        let made = device.divide_asked(loaded, &mut self.uploaded, &|| go_on(cancel))?;
+        tracing::debug!(?made, words = self.uploaded.used(), took = ?start.elapsed(), "made cells");
+        Ok(made)
     }
 }

@@ -137,6 +137,8 @@ pub(super) struct Launches {
     first_block: u32,
     end_block: u32,
     sample: u32,
+    /// Maximum number of blocks of a launch.
+    max_blocks: u32,
     /// Samples of a pixel that are rendered together: the number of samples is a multiple.
     together: u32,
 }
@@ -149,12 +151,26 @@ impl LaunchRange {
 
 impl Launches {
     pub(super) fn new(blocks: u32, samples: u32, wave: u32, together: u32) -> Self {
-        Self { blocks, samples, resident_blocks: wave.max(1), first_block: 0, end_block: 0, sample: 0, together }
+        Self {
+            blocks,
+            samples,
+            resident_blocks: wave.max(1),
+            first_block: 0,
+            end_block: 0,
+            sample: 0,
+            max_blocks: blocks,
+            together,
+        }
     }
 
     /// Begins again at a block, which has been launched before.
     pub(super) fn restart(&mut self, first_block: u32) {
         (self.first_block, self.sample) = (first_block, 0);
+    }
+
+    /// Limits all further launches to this many blocks.
+    pub(super) fn limit(&mut self, blocks: u32) {
+        self.max_blocks = blocks;
     }
 
     /// Next launch, if any is left.
@@ -165,7 +181,8 @@ impl Launches {
             }
             // Otherwise all samples of some blocks, at least as many as fill the GPU.
             let fitting = (cost.next_size(self.resident_blocks) / f64::from(self.samples)) as u32;
-            self.end_block = self.first_block.saturating_add(fitting.max(self.resident_blocks)).min(self.blocks);
+            let count = fitting.max(self.resident_blocks).min(self.max_blocks);
+            self.end_block = self.first_block.saturating_add(count).min(self.blocks);
         }
         let blocks = self.end_block - self.first_block;
         let fitting = (cost.next_size(self.resident_blocks) / f64::from(blocks)) as u32;

@@ -8,6 +8,7 @@ use scene::real::{INDEX_BITS, Table};
 use scene::{Image, JobAtFrame};
 
 use super::launches::BLOCK_GROUP;
+use crate::cells::FastBuilder;
 use crate::picture_tape::record_picture;
 use crate::tape::InvalidTape;
 
@@ -37,14 +38,14 @@ pub struct KernelSource {
 impl KernelSource {
     /// Kernel source of a job's frame. Fails if its recorded formulas are invalid.
     pub fn new(still: &JobAtFrame<'_>) -> Result<Self, InvalidTape> {
-        Self::with_samples_together(still, samples_together(still.image().samples))
+        Self::build(still, samples_together(still.image().samples), FastBuilder::UNLIMITED)
     }
 
     /// Kernel source in which neighboring threads render `together` samples of a pixel: a power of two that divides the
     /// number of samples.
-    pub(super) fn with_samples_together(still: &JobAtFrame<'_>, together: u32) -> Result<Self, InvalidTape> {
+    pub(super) fn build(still: &JobAtFrame<'_>, together: u32, builder: FastBuilder) -> Result<Self, InvalidTape> {
         let image = still.image();
-        let tape = record_picture(still);
+        let tape = record_picture(still, builder);
         let steps = tape.to_c()?;
         let (before, after) =
             KERNEL_TEMPLATE.split_once(INSERTION_POINT).expect("kernel.cu has a place for the picture");
@@ -67,7 +68,7 @@ impl KernelSource {
 }
 
 /// How many of a pixel's samples are best rendered together.
-fn samples_together(samples: u32) -> u32 {
+pub(super) fn samples_together(samples: u32) -> u32 {
     (1 << samples.trailing_zeros()).min(MAX_SAMPLES_TOGETHER)
 }
 

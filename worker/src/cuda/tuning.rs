@@ -2,7 +2,7 @@
 
 use proto::Rect;
 
-use super::cells::Cells;
+use super::cells::{Cells, Made};
 use super::device::{self, BLOCK_DIMS, BlockDim, Buffer, LoadedModule};
 use super::source::MAX_SAMPLES_TOGETHER;
 use super::{CudaError, CudaRenderer, KernelSource, launches};
@@ -34,8 +34,11 @@ impl CudaRenderer {
             // The first run warms up, and shows whether the part is large enough.
             let mut ms = self.time_block_dim(loaded, BLOCK_DIMS[0], piece, run, &mut buffer)?;
             while let Some(cells) = &mut table
-                && cells.make_asked(&self.device, loaded, cancel)?
+                && cells.has_asked(&self.device)?
             {
+                if cells.make_asked(&self.device, loaded, cancel)? == Made::NotAll {
+                    return Ok(BLOCK_DIMS[0]);
+                }
                 ms = self.time_block_dim(loaded, BLOCK_DIMS[0], piece, run, &mut buffer)?;
             }
             total_ms += ms;

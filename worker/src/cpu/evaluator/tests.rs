@@ -7,7 +7,7 @@ use crate::random_formula::{Generator, TABLE, fold, index_of, random_formula};
 use crate::tape::{Expr, record};
 
 mod c_text;
-mod cells;
+pub(in crate::cpu) mod cells;
 
 pub(super) const ENTRY: &str = "entry";
 
@@ -112,7 +112,10 @@ fn the_machine_code_of_every_shipped_scene_is_small() {
         }
         let job = scene::parse(&std::fs::read(&path).expect("a job file")).expect("a valid job");
         let start = std::time::Instant::now();
-        let tape = crate::picture_tape::record_picture(&job.at(0).expect("a valid frame"));
+        let tape = crate::picture_tape::record_picture(
+            &job.at(0).expect("a valid frame"),
+            crate::cells::FastBuilder::UNLIMITED,
+        );
         let recorded = start.elapsed();
         for isa in [&AVX512, &AVX2].into_iter().filter(|isa| isa.is_available()) {
             let start = std::time::Instant::now();

@@ -8,8 +8,8 @@ use scene::real::Words;
 use scene::real::list::OPERATION_WORDS;
 
 use super::{Device, LoadedModule};
-use crate::RenderError;
 use crate::cuda::CudaError;
+use crate::cuda::cells::Made;
 
 /// Least room for words, so that few tables are copied because they have grown.
 const MIN_WORDS: usize = 1 << 20;
@@ -115,7 +115,7 @@ impl Device {
     /// its memory is freed after the launches before its end.
     pub(in crate::cuda) fn set_table(&self, program: &LoadedModule, table: &Words) -> Result<UploadedTable, CudaError> {
         let present = table.after(0);
-        let room = (present.len() + present.len() / 2).max(MIN_WORDS);
+        let room = (present.len() + present.len() / 2).max(MIN_WORDS).min(table.capacity());
         let copy = || {
             // SAFETY: kernels read no words beyond those that are copied here, or that they have written.
             let mut words = unsafe { self.compute.alloc::<u32>(room) }?;
@@ -217,14 +217,13 @@ impl Device {
         Ok(cells.iter().map(|cell| (cell.0 / OPERATION_WORDS) as usize).collect())
     }
 
-    /// Divides the cells that all launches so far asked for, some at a time, while `go_on` allows it. Returns their
-    /// number.
+    /// Divides the cells that all launches so far asked for, some at a time, while `go_on` allows it.
     pub(in crate::cuda) fn divide_asked(
         &self,
         program: &LoadedModule,
         table: &mut UploadedTable,
         go_on: &dyn Fn() -> Result<(), CudaError>,
-    ) -> Result<usize, CudaError> {
+    ) -> Result<Made, CudaError> {
         self.compute.synchronize().map_err(CudaError::driver_error("render on the GPU"))?;
         let operations = self.sort_asked(table)?;
         let (mut first, count) = (0, operations.len());
@@ -234,8 +233,8 @@ impl Device {
             let cells = (SCRATCH_NUMBERS / scratch_of(longest).max(1)).clamp(1, count - first);
             if self.divide_some(program, table, first, cells, longest)? {
                 first += cells;
-            } else {
-                self.grow(table)?;
+            } else if !self.grow(table)? {
+                return Ok(Made::NotAll);
             }
         }
         if count > 0 {
@@ -251,7 +250,7 @@ impl Device {
             renew().map_err(copy_error(table.words.len() / 8))?;
             self.set_pointers(program, table)?;
         }
-        Ok(count)
+        Ok(if count > 0 { Made::All } else { Made::Nothing })
     }
 
     /// Divides some of the cells that were asked for; returns whether there was room.
@@ -321,19 +320,22 @@ impl Device {
         Ok(is_full == 0)
     }
 
-    /// Doubles the room of a table.
-    fn grow(&self, table: &mut UploadedTable) -> Result<(), CudaError> {
+    /// Doubles the room of a table; returns whether there is memory for that.
+    fn grow(&self, table: &mut UploadedTable) -> Result<bool, CudaError> {
         let room = (2 * table.words.len()).min(table.limit);
         if room <= table.words.len() {
-            return Err(RenderError::ManyCells { bytes: table.limit * size_of::<u32>() }.into());
+            return Ok(false);
         }
         let mut copy = || {
             // SAFETY: as in `set_table`.
             let mut words = unsafe { self.compute.alloc::<u32>(room) }?;
             self.compute.memcpy_dtod(&table.words.slice(..table.used), &mut words.slice_mut(..table.used))?;
             table.words = words;
-            Ok(())
+            Ok(true)
         };
-        copy().map_err(copy_error(room * size_of::<u32>()))
+        match copy().map_err(copy_error(room * size_of::<u32>())) {
+            Err(CudaError::OutOfMemory { .. }) => Ok(false),
+            copied => copied,
+        }
     }
 }

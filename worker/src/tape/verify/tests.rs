@@ -5,6 +5,7 @@ use std::mem::discriminant;
 use scene::real::Real;
 
 use super::*;
+use crate::cells::FastBuilder;
 use crate::picture_tape::record_picture;
 use crate::tape::{Expr, record};
 
@@ -147,7 +148,7 @@ fn pictures_of_all_shipped_scenes_are_valid() {
         let path = entry.expect("a folder can be read").path();
         if path.extension().is_some_and(|extension| extension == "json") {
             let job = scene::parse(&std::fs::read(&path).expect("a job file")).expect("a valid job");
-            let tape = record_picture(&job.at(0).expect("a valid frame"));
+            let tape = record_picture(&job.at(0).expect("a valid frame"), FastBuilder::UNLIMITED);
             let start = std::time::Instant::now();
             let found = tape.verify().err();
             let (time, values) = (start.elapsed(), tape.instructions.len());

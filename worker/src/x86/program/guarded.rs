@@ -132,6 +132,7 @@ mod tests {
     use scene::{Image, Layer};
 
     use super::{Edge, Pages};
+    use crate::cells::FastBuilder;
     use crate::picture_tape::{ACCUMULATE, LAYERS, MEAN, record_picture};
     use crate::random_formula::{Generator, random_formula};
     use crate::tape::{Expr, LinearTape, Tape, record};
@@ -183,7 +184,7 @@ mod tests {
             let image = Image { samples: 2, layers: ALL_LAYERS.to_vec(), ..job.image.clone() };
             let (x, y) = (image.width as f32 / 2.0, image.height as f32 / 2.0);
             let job = job.with_image(image);
-            let tape = record_picture(&job.at(0).expect("a valid frame"));
+            let tape = record_picture(&job.at(0).expect("a valid frame"), FastBuilder::UNLIMITED);
             let name = path.display().to_string();
             let layers = ALL_LAYERS.iter().map(|layer| layer.channels().len()).sum();
             assert_inside(&name, &tape, ACCUMULATE, &[x, y, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0], 4);

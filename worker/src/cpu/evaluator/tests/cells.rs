@@ -25,7 +25,7 @@ fn formula_of(name: &str, cells: &'static Cells<'static>) -> Formula {
 }
 
 /// A job of one smooth union of many balls and boxes.
-fn many(count: u32) -> String {
+pub(in crate::cpu) fn many(count: u32) -> String {
     let shape = |index: u32| {
         let place = |salt: u32| (index * salt % 1009) as f32 / 252.0 - 2.0;
         let solid = if index.is_multiple_of(3) {
@@ -55,7 +55,7 @@ fn cells_of_every_shipped_scene_give_the_reference_bits() {
     for entry in std::fs::read_dir(folder).expect("the scenes are there") {
         let path = entry.expect("a folder can be read").path();
         if path.extension().is_some_and(|extension| extension == "json")
-            && let Some(cells) = cells_of(&std::fs::read(&path).expect("a job file"), &FastBuilder)
+            && let Some(cells) = cells_of(&std::fs::read(&path).expect("a job file"), &FastBuilder::UNLIMITED)
         {
             compare_packets(&formula_of(&path.display().to_string(), cells), 2);
         }
@@ -75,7 +75,7 @@ fn every_node_can_be_a_leaf() {
                  {{ "scale": {{ "by": 0.5, "child": {0} }} }} ] }} }} }} ] }}, "image": {{ "width": 8, "height": 8 }} }}"#,
             example.node
         );
-        if let Some(cells) = cells_of(text.as_bytes(), &FastBuilder) {
+        if let Some(cells) = cells_of(text.as_bytes(), &FastBuilder::UNLIMITED) {
             cut += 1;
             compare_packets(&formula_of(example.kind, cells), 1);
         }
@@ -85,8 +85,8 @@ fn every_node_can_be_a_leaf() {
 
 #[test]
 fn the_text_of_many_shapes_is_that_of_few() {
-    let [few, many] =
-        [40, 400].map(|count| formula_of("shapes", cells_of(many(count).as_bytes(), &FastBuilder).expect("cells")));
+    let [few, many] = [40, 400]
+        .map(|count| formula_of("shapes", cells_of(many(count).as_bytes(), &FastBuilder::UNLIMITED).expect("cells")));
     assert!(few.tape.has_same_code(&many.tape), "the tape of 400 shapes differs from that of 40");
     compare_packets(&many, 4);
 }
@@ -94,7 +94,8 @@ fn the_text_of_many_shapes_is_that_of_few() {
 #[test]
 fn machine_code_and_the_reference_build_the_same_cells() {
     let job = many(500);
-    let [fast, scalar] = [&FastBuilder as &dyn CellBuilder, &ScalarBuilder].map(|how| cells_of(job.as_bytes(), how));
+    let [fast, scalar] =
+        [&FastBuilder::UNLIMITED as &dyn CellBuilder, &ScalarBuilder].map(|how| cells_of(job.as_bytes(), how));
     let [fast, scalar] = [fast, scalar].map(|cells| {
         let tree = cells.expect("cells").tree();
         tree.words().make_all();
@@ -113,7 +114,7 @@ fn place<R: Real>([x, y, _]: [R; 3]) -> (R, R) {
 fn pixels_by_cells_give_the_reference_bits() {
     let job = Box::leak(Box::new(scene::parse(many(200).as_bytes()).expect("a valid job")));
     let still = Box::leak(Box::new(job.at(0).expect("a valid frame")));
-    let [by_cells, without] = [Integrator::of_picture(still, &FastBuilder), Integrator::new(still)];
+    let [by_cells, without] = [Integrator::of_picture(still, &FastBuilder::UNLIMITED), Integrator::new(still)];
     let (by_cells, without) = (&*Box::leak(Box::new(by_cells)), &*Box::leak(Box::new(without)));
     let light = |all: [Expr; 3]| by_cells.pixel(place(all).0, place(all).1).color.x;
     compare_packets(&Formula::new("light", light, |all| by_cells.pixel(place(all).0, place(all).1).color.x), 4);

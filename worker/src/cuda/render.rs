@@ -1,0 +1,195 @@
+//! The launches that render some tiles, and the copies of their pixels.
+
+use std::collections::VecDeque;
+
+use proto::Rect;
+use rayon::prelude::*;
+use scene::Image;
+use scene::real::Table;
+
+use super::cells::{Cells, Made};
+use super::device::{self, Buffer, PendingLaunch};
+use super::launches::{self, Launches};
+use super::{CudaError, CudaRenderer, KernelSource, KernelState, lock};
+use crate::renderer::{CancelFlag, RenderError, TilePixels, TileRequest};
+
+/// Maximum size of pixel buffers on the GPU or being copied, in numbers.
+const BUFFER_FLOATS: usize = 64 << 20;
+
+/// Tiles whose pixels are being copied to the host.
+struct InFlight {
+    rects: Vec<Rect>,
+    buffer: Buffer,
+}
+
+impl CudaRenderer {
+    /// Renders tiles, as many at a time as the buffers hold; one group is copied while the next renders.
+    pub(super) fn render_groups(
+        &self,
+        runs: &[TileRequest<'_>],
+        cancel: &CancelFlag,
+        progress: &(dyn Fn(u64) + Sync),
+        finished: &mut Vec<TilePixels>,
+    ) -> Result<(), CudaError> {
+        let Some(first) = runs.first() else { return Ok(()) };
+        let source = self.source(first)?;
+        let planes = first.job.image.channels().len();
+        let numbers = |run: &TileRequest<'_>| run.rect.pixels() as usize * planes;
+        let mut underway: Option<InFlight> = None;
+        let mut rest = runs;
+        let mut most = BUFFER_FLOATS;
+        while !rest.is_empty() {
+            let mut total = 0;
+            let fitting = rest.iter().take_while(|run| {
+                total += numbers(run);
+                total <= most
+            });
+            let (group, others) = rest.split_at(fitting.count().max(1));
+            let next = self.enqueue(&source, group, cancel);
+            if let Some(before) = underway.take() {
+                finished.extend(self.collect(before, &first.job.image, progress)?);
+            }
+            if group.len() > 1 && matches!(next, Err(CudaError::OutOfMemory { .. })) {
+                // Tiles that do not fit in memory together may fit one after another.
+                most = group.iter().map(numbers).sum::<usize>() / 2;
+                continue;
+            }
+            underway = Some(next?);
+            rest = others;
+        }
+        if let Some(last) = underway {
+            finished.extend(self.collect(last, &first.job.image, progress)?);
+        }
+        Ok(())
+    }
+
+    /// Launches the render of some tiles and the copy of their pixels.
+    fn enqueue(
+        &self,
+        source: &KernelSource,
+        runs: &[TileRequest<'_>],
+        cancel: &CancelFlag,
+    ) -> Result<InFlight, CudaError> {
+        let image = &runs[0].job.image;
+        let rects: Vec<Rect> = runs.iter().map(|run| run.rect).collect();
+        let planes = image.channels().len();
+        let numbers = rects.iter().map(|rect| rect.pixels() as usize).sum::<usize>() * planes;
+        let _launching = lock(&self.launching);
+        let (program, _) = self.program(source, &runs[runs.len() / 2], cancel)?;
+        let mut buffer = self.take_buffer(numbers)?;
+        let mut known = lock(&program.known);
+        let KernelState { cost, numbers: given } = &mut *known;
+        let is_given = |(numbers, cells): &(_, Option<Cells>)| {
+            *numbers == source.parameters
+                && cells.as_ref().map(Cells::table).map(Table::as_ptr) == source.table.as_ref().map(Table::as_ptr)
+        };
+        let current = if let Some(kept) = given.take().filter(is_given) {
+            kept
+        } else {
+            self.device.set_uniforms(&program.loaded, &source.parameters)?;
+            // The launches before read the table that is replaced: its memory is freed after them.
+            (source.parameters.clone(), Cells::upload(&self.device, &program.loaded, source, cancel)?)
+        };
+        let (_, cells) = given.insert(current);
+        let layout = launches::lay_out(&rects, planes, program.block).ordered(cost, image.samples);
+        let laid_out = self.device.lay_out(&layout)?;
+        let wave = self.device.multiprocessors * (2048 / program.loaded.threads(program.block));
+        let mut launches = Launches::new(layout.blocks, image.samples, wave, source.together);
+        // First block of the launches for which the cells were made from the start.
+        let mut cells_from = None;
+        let mut flying: VecDeque<(device::LaunchRange, PendingLaunch)> = VecDeque::new();
+        loop {
+            let part = if cancel.is_cancelled() { None } else { launches.next(cost) };
+            if let Some(part) = part {
+                let launched = self.device.launch(&program.loaded, program.block, &laid_out, part, &mut buffer)?;
+                flying.push_back((part, launched));
+            }
+            // One launch runs while the next is queued.
+            if flying.len() == 2 || part.is_none() {
+                let Some((part, launched)) = flying.pop_front() else { break };
+                let ms = launched.wait()?;
+                tracing::trace!(?part, ms, "rendered");
+                lock(&self.kernels).add(ms);
+                let has_asked = cells.as_ref().map(|cells| cells.has_asked(&self.device)).transpose()?;
+                let Some(asking) = cells.as_mut().filter(|_| has_asked == Some(true)) else {
+                    cost.observe(part, ms);
+                    continue;
+                };
+                for (_, launched) in flying.drain(..) {
+                    lock(&self.kernels).add(launched.wait()?);
+                }
+                launches.restart(part.first_block);
+                if asking.make_asked(&self.device, &program.loaded, cancel)? == Made::NotAll {
+                    // Without those of the launches before, there may be room; if not, for fewer blocks.
+                    if cells_from.replace(part.first_block) == Some(part.first_block) {
+                        if part.blocks == 1 {
+                            return Err(RenderError::many_cells(asking.table()).into());
+                        }
+                        launches.limit(part.blocks / 2);
+                    }
+                    tracing::debug!(?part, "the cells had no room: drop them");
+                    *cells = Cells::upload(&self.device, &program.loaded, source, cancel)?;
+                }
+            }
+        }
+        if cancel.is_cancelled() {
+            lock(&self.buffers).push(buffer);
+            return Err(CudaError::Cancelled);
+        }
+        self.device.start_copy(&mut buffer, numbers)?;
+        Ok(InFlight { rects, buffer })
+    }
+
+    /// Waits for pixels and returns them.
+    fn collect(
+        &self,
+        underway: InFlight,
+        image: &Image,
+        progress: &(dyn Fn(u64) + Sync),
+    ) -> Result<Vec<TilePixels>, CudaError> {
+        let InFlight { rects, buffer } = underway;
+        let planes = image.channels().len();
+        let mut rest = self.device.wait_copy(&buffer)?;
+        let parts: Vec<(Rect, &[f32])> = rects
+            .into_iter()
+            .map(|rect| {
+                let (own, others) = rest.split_at(rect.pixels() as usize * planes);
+                rest = others;
+                (rect, own)
+            })
+            .collect();
+        let finished = parts
+            .into_par_iter()
+            .map(|(rect, numbers)| {
+                let planes = numbers.par_chunks(rect.pixels() as usize).map(|plane| self.copy_plane(plane)).collect();
+                progress(rect.pixels() * u64::from(image.samples));
+                TilePixels { rect, planes }
+            })
+            .collect();
+        lock(&self.buffers).push(buffer);
+        Ok(finished)
+    }
+
+    /// Returns a buffer that is large enough; smaller ones are freed.
+    fn take_buffer(&self, numbers: usize) -> Result<Buffer, CudaError> {
+        let mut buffers = lock(&self.buffers);
+        buffers.retain(|buffer| buffer.floats() >= numbers);
+        match buffers.pop() {
+            Some(buffer) => Ok(buffer),
+            None => self.device.buffer(numbers),
+        }
+    }
+
+    /// Copies a plane, into reused memory if possible, because new memory costs more than the copy.
+    fn copy_plane(&self, plane: &[f32]) -> Vec<f32> {
+        let spare = {
+            let mut spare = lock(&self.spare);
+            let place = spare.iter().position(|old| old.capacity() >= plane.len());
+            place.map(|place| spare.swap_remove(place))
+        };
+        let mut copy = spare.unwrap_or_default();
+        copy.clear();
+        copy.extend_from_slice(plane);
+        copy
+    }
+}
