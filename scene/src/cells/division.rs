@@ -20,8 +20,8 @@ pub struct Division {
     pub unit: f32,
     /// Depth of the tree.
     pub levels: u32,
-    /// Number of its outermost levels in which a cell may have all shapes.
-    pub outer_levels: u32,
+    /// Level up to which a cell may have all shapes, and is divided nonetheless.
+    pub coarse_levels: u32,
     /// Index of the word of the outermost cell.
     pub root: u32,
     /// Index of the list that is the first leaf alone; those of the others follow.
@@ -66,7 +66,7 @@ impl Division {
             center: frame.center,
             unit: frame.unit,
             levels: frame.levels,
-            outer_levels: frame.outer_levels,
+            coarse_levels: frame.coarse_levels,
             root,
             leaf_lists,
             short_list: SHORT_LIST as u32,

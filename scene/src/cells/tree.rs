@@ -28,6 +28,11 @@ pub(super) const SHORTER: f32 = 0.75;
 /// not make shorter lists.
 pub(super) const MAX_STALLS: u32 = 2;
 
+/// Size of a cell that has room for many shapes, in sizes of a shape.
+const MANY_SHAPES: f32 = 8.0;
+/// Largest size of the smallest cells, in sizes of a shape, if the depth of the tree allows it.
+const SMALL_CELL: f32 = 0.25;
+
 /// Bits of a cell's word that are not its kind. A cell of kind 0 has no surface.
 pub(super) const KIND_SHIFT: u32 = INDEX_BITS;
 /// Kind of a cell that may have a surface: the index of its list.
@@ -69,8 +74,8 @@ pub(super) struct CellFrame {
     pub(super) unit: f32,
     /// Depth of the tree.
     pub(super) levels: u32,
-    /// Number of its outermost levels, whose innermost cells touch at the center of the shapes.
-    pub(super) outer_levels: u32,
+    /// Cells up to this level may have all shapes because these are small, or far away: smaller cells will have fewer.
+    pub(super) coarse_levels: u32,
 }
 
 /// A way to build cells: all at once by the scalar reference here, or by machine code when they are needed.
@@ -307,34 +312,46 @@ impl CellFrame {
     /// with cells that are small enough.
     fn new(program: &Program<'_>, reach: Bounds) -> Self {
         let finite = program.leaves().iter().map(super::program::Leaf::bounds).filter(|bounds| bounds.is_finite());
+        let largest = |bounds: Bounds| (bounds.max - bounds.min).max_element();
+        let mut sizes: Vec<f32> = finite.clone().map(largest).collect();
         let inner =
             finite.reduce(Bounds::union).unwrap_or(Bounds { min: vec3(-1.0, -1.0, -1.0), max: vec3(1.0, 1.0, 1.0) });
         // Without outer cells, if the points are not much farther away than the shapes.
-        let largest = |bounds: Bounds| (bounds.max - bounds.min).max_element();
         let inner = if largest(reach) <= 2.0 * largest(inner) { reach } else { inner };
         let center = (inner.min + inner.max) * 0.5;
         let size = (inner.max - inner.min).max_element().clamp(1e-4, 1e6);
         // A little larger, so that rounding leaves every point inside.
         let edge = size * (1.0 + 64.0 * f32::EPSILON);
-        let inner_levels: u32 = match program.leaf_count() {
+        let few_levels: u32 = match program.leaf_count() {
             0..=64 => 4,
             65..=20_000 => 5,
             _ => 6,
         };
-        let unit = edge / BLOCK_EDGE.pow(inner_levels) as f32;
+        // Among large or distant shapes, the others may be small.
+        let middle = sizes.len() / 2;
+        let typical = if sizes.is_empty() { edge } else { *sizes.select_nth_unstable_by(middle, f32::total_cmp).1 };
         let far = |low: f32, high: f32, center: f32| (center - low).max(high - center);
         let distance = far(reach.min.x, reach.max.x, center.x).max(far(reach.min.y, reach.max.y, center.y)).max(far(
             reach.min.z,
             reach.max.z,
             center.z,
         ));
-        let mut levels = inner_levels;
-        let mut half = 0.5 * edge;
-        while half < distance && levels < MAX_LEVELS {
+        let (mut outer_levels, mut half) = (0, 0.5 * edge);
+        while half < distance && outer_levels + few_levels < MAX_LEVELS {
             half *= BLOCK_EDGE as f32;
-            levels += 1;
+            outer_levels += 1;
         }
-        Self { center, unit, levels, outer_levels: levels - inner_levels }
+        let mut inner_levels = few_levels;
+        while edge / BLOCK_EDGE.pow(inner_levels) as f32 > SMALL_CELL * typical
+            && outer_levels + inner_levels < MAX_LEVELS
+        {
+            inner_levels += 1;
+        }
+        let levels = outer_levels + inner_levels;
+        let unit = edge / BLOCK_EDGE.pow(inner_levels) as f32;
+        let is_coarse = |level: &u32| BLOCK_EDGE.pow(levels - level) as f32 * unit > MANY_SHAPES * typical;
+        let coarse_levels = (0..=levels).take_while(is_coarse).count() as u32;
+        Self { center, unit, levels, coarse_levels: coarse_levels.max(outer_levels + 2) - 1 }
     }
 }
 
@@ -459,9 +476,8 @@ impl<'a, D: Deref<Target = dyn LeafDistances + 'a> + Sync> Builder<D> {
         let index = if length == parent.length { parent.list } else { self.list(words, list)? };
         // A ray enters the inside of shapes only through a surface, or from a camera there.
         let has_surface = value.high >= 0.0;
-        // In the outer part of the tree, one cell may have all shapes.
-        let is_outer = cell.level <= self.frame.outer_levels + 1;
-        let is_shorter = is_outer || leaves as f32 <= SHORTER * leaves_of_parent as f32;
+        let is_coarse = cell.level <= self.frame.coarse_levels;
+        let is_shorter = is_coarse || leaves as f32 <= SHORTER * leaves_of_parent as f32;
         let stalls = if is_shorter { 0 } else { parent.stalls + 1 };
         if has_surface && leaves > SHORT_LIST && stalls < MAX_STALLS && cell.level < self.frame.levels {
             let undivided = Undivided { place, cell, list: index, length, stalls };

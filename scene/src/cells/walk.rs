@@ -5,7 +5,7 @@ use super::tree::{BLOCK_CELLS, BLOCK_EDGE, KIND_SHIFT, LIST, MAX_LEVELS};
 use super::{Cells, Program};
 use crate::camera::Ray;
 use crate::march::Part;
-use crate::real::list::{ListFunctions, is_set};
+use crate::real::list::{IS_LAST, ListFunctions, OPERATION_WORDS, is_set};
 use crate::real::{F32Bits, Real, Vec3, bundle, vec3};
 
 /// Maximum number of cells that a ray meets between two evaluations of a list.
@@ -140,6 +140,13 @@ impl<R: Real> Located<R> {
 }
 
 impl Cells<'_> {
+    /// Number of operations in the list of a point's cell; 0 if no surface is in the cell.
+    pub fn list_length(&self, p: Vec3<f32>) -> usize {
+        let (words, cell) = (self.tree.words(), self.locate(p));
+        let mut starts = (cell.own_list().0..).step_by(OPERATION_WORDS as usize);
+        if cell.has_list() { 1 + starts.position(|start| words.get(start) & IS_LAST != 0).unwrap_or(0) } else { 0 }
+    }
+
     /// Coordinates of the smallest cell of a point, from the center, and whether it is outside of all cells.
     fn units<R: Real>(&self, p: Vec3<R>) -> (Vec3<R>, R::Mask) {
         let frame = self.tree.frame();

@@ -33,11 +33,11 @@ fn around(reach: f32) -> Bounds {
     Bounds::symmetric(reach, reach, reach)
 }
 
-/// Spheres that fill a ball, in the order of chance, in a smooth union.
-fn ball_of_spheres(count: u32) -> Job {
+/// Spheres that fill a ball, in the order of chance, in a smooth union with other shapes.
+fn ball_of_spheres(count: u32, others: &[&str]) -> Job {
     let mut random = Random(5);
-    let mut spheres = Vec::new();
-    while spheres.len() < count as usize {
+    let mut spheres: Vec<String> = others.iter().map(ToString::to_string).collect();
+    while spheres.len() < others.len() + count as usize {
         let Vec3 { x, y, z } = random.point(1.0);
         if x * x + y * y + z * z < 1.0 {
             let child = format!(r#"{{ "sphere": {{ "radius": {} }} }}"#, random.between(0.06, 0.09));
@@ -55,7 +55,7 @@ fn ball_of_spheres(count: u32) -> Job {
 /// Shapes in a group of eight are anywhere, so that the group's nearest one may be distant.
 #[test]
 fn shapes_that_matter_only_in_their_groups_are_left_out() {
-    let job = ball_of_spheres(600);
+    let job = ball_of_spheres(600, &[]);
     let still = job.at(0).expect("the first frame");
     let program = Program::new(&[(0, &still.scene().objects[0], None)]).expect("few families");
     let cells = Cells::new(program, around(1.2), &ScalarBuilder);
@@ -63,6 +63,24 @@ fn shapes_that_matter_only_in_their_groups_are_left_out() {
     println!("{words} words");
     // They are 918,000; without cutoffs that pass through joins, 1,486,000.
     assert!(words < 1_000_000, "lists are long: {words} words");
+}
+
+/// A floor that is a thousand times as large as the other shapes, or one of them far away, must not make their lists long.
+#[test]
+fn small_shapes_among_large_and_distant_ones_have_short_lists() {
+    let floor = r#"{ "translate": { "by": [0, -2, 0], "child": { "box": { "size": [2000, 0.2, 2000] } } } }"#;
+    let moon = r#"{ "translate": { "by": [0, 0, -3000], "child": { "sphere": { "radius": 0.1 } } } }"#;
+    for (others, reach) in [(&[][..], 1.2), (&[floor][..], 1000.0), (&[moon][..], 3001.0), (&[floor, moon][..], 3001.0)]
+    {
+        let job = ball_of_spheres(600, others);
+        let still = job.at(0).expect("the first frame");
+        let program = Program::new(&[(0, &still.scene().objects[0], None)]).expect("few families");
+        let cells = Cells::new(program, around(reach), &ScalarBuilder);
+        let mut random = Random(8);
+        let longest = (0..2000).map(|_| cells.list_length(random.point(1.0))).max();
+        println!("{longest:?} operations with {others:?}");
+        assert!(longest < Some(120), "with {others:?}, a list has {longest:?} operations of 600");
+    }
 }
 
 /// Compares cells with the whole program at random points, and on the faces of cells.

@@ -5,7 +5,7 @@
 // Rules of a scene, as in division.rs.
 struct Rules {
     float center_x, center_y, center_z, unit, shorter;
-    unsigned levels, outer_levels, leaf_lists, short_list, max_stalls;
+    unsigned levels, coarse_levels, leaf_lists, short_list, max_stalls;
 };
 
 // The scene's numbers, as in division.rs, and where to write.
@@ -338,7 +338,7 @@ INLINE_FN unsigned word_of_cell(const Division& d, unsigned thread) {
     for (unsigned operation = 0; operation < operations; ++operation)
         leaves += function_of(list[2u * operation]) != NO_LEAF;
     const bool has_surface = value.high >= 0.0f, is_whole = kept.operations == operations;
-    const bool is_shorter = level <= d.rules.outer_levels + 1u || (float)kept.leaves <= d.rules.shorter * (float)leaves;
+    const bool is_shorter = level <= d.rules.coarse_levels || (float)kept.leaves <= d.rules.shorter * (float)leaves;
     const unsigned stalls = is_shorter ? 0u : record[STALLS] + 1u;
     const bool is_divided =
         has_surface && kept.leaves > d.rules.short_list && stalls < d.rules.max_stalls && level < d.rules.levels;

@@ -90,11 +90,11 @@ fn jobs() -> [(&'static str, Value); 3] {
 }
 
 fn bytes_of(division: &Division) -> Vec<u8> {
-    let Division { center, unit, levels, outer_levels, root, leaf_lists, short_list, shorter, max_stalls, .. } =
+    let Division { center, unit, levels, coarse_levels, root, leaf_lists, short_list, shorter, max_stalls, .. } =
         division;
     let Division { depth: _, factors, first_boxes, boxes, joins, .. } = division;
     let rules = [center.x, center.y, center.z, *unit, *shorter].map(f32::to_bits);
-    let rules = rules.into_iter().chain([*levels, *outer_levels, *leaf_lists, *short_list, *max_stalls]);
+    let rules = rules.into_iter().chain([*levels, *coarse_levels, *leaf_lists, *short_list, *max_stalls]);
     let mut words: Vec<u32> = std::iter::once(*root).chain(rules).collect();
     for numbers in [factors, boxes, joins] {
         words.push(numbers.len() as u32);

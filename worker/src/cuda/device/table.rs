@@ -89,7 +89,7 @@ struct Rules {
     unit: f32,
     shorter: f32,
     levels: u32,
-    outer_levels: u32,
+    coarse_levels: u32,
     leaf_lists: u32,
     short_list: u32,
     max_stalls: u32,
@@ -153,7 +153,7 @@ impl Device {
         program: &LoadedModule,
         division: &Division,
     ) -> Result<UploadedDivision, cudarc::driver::DriverError> {
-        let Division { center, unit, levels, outer_levels, leaf_lists, short_list, shorter, max_stalls, .. } =
+        let Division { center, unit, levels, coarse_levels, leaf_lists, short_list, shorter, max_stalls, .. } =
             *division;
         let Division { factors, first_boxes, boxes, joins, .. } = division;
         // Memory of no bytes has no address.
@@ -165,7 +165,7 @@ impl Device {
                 unit,
                 shorter,
                 levels,
-                outer_levels,
+                coarse_levels,
                 leaf_lists,
                 short_list,
                 max_stalls,
