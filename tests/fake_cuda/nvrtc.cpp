@@ -42,6 +42,14 @@ static void run_all(void (*kernel)(Types...), void** arguments, const unsigned* 
 }
 
 extern "C" {
+#ifdef DIVIDES_CELLS
+void run_divide(void** arguments, const unsigned* grid, const unsigned* block) {
+    run_all(divide, arguments, grid, block);
+}
+void run_publish(void** arguments, const unsigned* grid, const unsigned* block) {
+    run_all(publish, arguments, grid, block);
+}
+#else
 void run_render(void** arguments, const unsigned* grid, const unsigned* block) {
     run_all(render, arguments, grid, block);
 }
@@ -54,12 +62,6 @@ void run_layers(void** arguments, const unsigned* grid, const unsigned* block) {
 void run_measure(void** arguments, const unsigned* grid, const unsigned* block) {
     run_all(measure, arguments, grid, block);
 }
-void run_divide(void** arguments, const unsigned* grid, const unsigned* block) {
-    run_all(divide, arguments, grid, block);
-}
-void run_publish(void** arguments, const unsigned* grid, const unsigned* block) {
-    run_all(publish, arguments, grid, block);
-}
 #endif
 void* place_of_uniforms = uniforms;
 size_t size_of_uniforms = sizeof uniforms;
@@ -67,6 +69,7 @@ void* place_of_table = &table;
 size_t size_of_table = sizeof table;
 void* place_of_asked = &asked;
 size_t size_of_asked = sizeof asked;
+#endif
 }
 )";
 

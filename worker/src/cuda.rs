@@ -27,7 +27,7 @@ use crate::renderer::{CancelFlag, RenderError, Renderer, TilePixels, TileRequest
 use crate::{CpuRenderer, Simd};
 use cache::{Cache, CachedKernel};
 use cells::Cells;
-use device::{Buffer, Device, LoadedModule};
+use device::{Buffer, Device, DivisionKernels, LoadedModule};
 use launches::CostModel;
 
 pub use cache::default_cache_folder;
@@ -35,7 +35,7 @@ pub use compiler::Compiler;
 pub use device::{BLOCK_DIMS, BlockDim, Resources};
 pub use error::CudaError;
 pub use launches::KernelTimes;
-pub use source::KernelSource;
+pub use source::{DIVISION_POINT, KernelSource};
 
 /// Maximum number of nodes whose formulas a kernel has, see [`scene::Job::compiled_nodes`].
 pub const MAX_NODES: u32 = 500;
@@ -67,6 +67,8 @@ pub struct CudaRenderer {
     /// How many cells a frame may have.
     cell_builder: FastBuilder,
     programs: Mutex<HashMap<blake3::Hash, Arc<Kernel>>>,
+    /// Kernels that divide cells, by their texts.
+    divisions: Mutex<HashMap<blake3::Hash, Arc<DivisionKernels>>>,
     sources: Recent<blake3::Hash, KernelSource>,
     /// Locked while a frame's launches are created, because they share the kernels' constants.
     launching: Mutex<()>,
@@ -127,6 +129,7 @@ impl CudaRenderer {
             block,
             cell_builder: FastBuilder::UNLIMITED,
             programs: Mutex::default(),
+            divisions: Mutex::default(),
             sources: Mutex::default(),
             launching: Mutex::default(),
             buffers: Mutex::default(),
@@ -182,6 +185,7 @@ impl CudaRenderer {
     /// Unloads the kernels from the GPU; those on disk remain.
     pub fn clear_kernels(&self) {
         lock(&self.programs).clear();
+        lock(&self.divisions).clear();
     }
 
     /// Renders the self-test and compares it with the CPU's.
@@ -211,16 +215,16 @@ impl CudaRenderer {
             return Ok((program.clone(), true));
         }
         let start = Instant::now();
+        let division = source.division.as_ref().map(|text| self.division_kernels(text, cancel)).transpose()?;
         // A cached kernel that cannot be loaded, for example by another driver, is compiled again.
-        let load = |code: &[u8]| self.device.load(code, source.together, !sample.job.image.layers.is_empty());
+        let has_layers = !sample.job.image.layers.is_empty();
+        let load = |code: &[u8]| self.device.load(code, source.together, has_layers, division.clone());
         let kept = self.cache.get(key).and_then(|kept| Some((load(&kept.code).ok()?, kept.block)));
         let was_kept = kept.is_some();
         let (loaded, block) = if let Some(kept) = kept {
             kept
         } else {
-            let code =
-                compiler::compile_until_cancelled(&self.compiler, &source.text, self.device.architecture, cancel)
-                    .map_err(|trouble| compiler::save_rejected_source(trouble, &source.text, self.cache.folder()))?;
+            let code = self.compile_text(&source.text, cancel)?;
             let loaded = load(&code)?;
             let block = self.tune_block_dim(&loaded, source, sample, cancel)?;
             self.cache.put(key, &CachedKernel { code, block });
@@ -234,6 +238,32 @@ impl CudaRenderer {
         programs.insert(key, program.clone());
         *lock(&self.setup_time) += start.elapsed();
         Ok((program, was_kept))
+    }
+
+    /// Kernels that divide cells, compiled if necessary. They are the same for most scenes.
+    fn division_kernels(&self, text: &str, cancel: &CancelFlag) -> Result<Arc<DivisionKernels>, CudaError> {
+        let key = Cache::entry_name(text, &compiler::options(self.device.architecture), &self.compiler.version);
+        let mut known = lock(&self.divisions);
+        if let Some(kernels) = known.get(&key) {
+            return Ok(kernels.clone());
+        }
+        let kept = self.cache.get(key).and_then(|kept| self.device.load_division(&kept.code).ok());
+        let kernels = if let Some(kept) = kept {
+            kept
+        } else {
+            let code = self.compile_text(text, cancel)?;
+            let kernels = self.device.load_division(&code)?;
+            self.cache.put(key, &CachedKernel { code, block: BLOCK_DIMS[0] });
+            kernels
+        };
+        let kernels = Arc::new(kernels);
+        known.insert(key, kernels.clone());
+        Ok(kernels)
+    }
+
+    fn compile_text(&self, text: &str, cancel: &CancelFlag) -> Result<Vec<u8>, CudaError> {
+        compiler::compile_until_cancelled(&self.compiler, text, self.device.architecture, cancel)
+            .map_err(|trouble| compiler::save_rejected_source(trouble, text, self.cache.folder()))
     }
 
     /// Kernel source of a frame, with its cells; that of the last frames is kept.

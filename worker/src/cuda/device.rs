@@ -14,7 +14,7 @@ use cudarc::driver::{
     PinnedHostSlice, PushKernelArg, result,
 };
 use cudarc::nvrtc::Ptx;
-pub(super) use table::UploadedTable;
+pub(super) use table::{DivisionKernels, UploadedTable};
 
 use super::error::CudaError;
 use super::launches::LaunchLayout;
@@ -170,6 +170,8 @@ pub(super) struct LoadedModule {
     /// Threads of `render` for each pixel.
     together: u32,
     layers: Option<CudaFunction>,
+    /// Kernels that divide the scene's cells, if it has any.
+    division: Option<Arc<DivisionKernels>>,
 }
 
 /// Resources of a compiled kernel.
@@ -273,7 +275,13 @@ impl Device {
     }
 
     /// Loads machine code, of a kernel with `together` threads for each pixel, with or without layers.
-    pub(super) fn load(&self, code: &[u8], together: u32, has_layers: bool) -> Result<LoadedModule, CudaError> {
+    pub(super) fn load(
+        &self,
+        code: &[u8],
+        together: u32,
+        has_layers: bool,
+        division: Option<Arc<DivisionKernels>>,
+    ) -> Result<LoadedModule, CudaError> {
         let load = || {
             let module = self.context.load_module(Ptx::from_binary(code.to_vec()))?;
             let render = module.load_function("render")?;
@@ -281,6 +289,7 @@ impl Device {
                 render,
                 together,
                 layers: has_layers.then(|| module.load_function("layers")).transpose()?,
+                division: division.clone(),
                 module,
             })
         };

@@ -14,6 +14,10 @@ use crate::tape::InvalidTape;
 
 const KERNEL_TEMPLATE: &str = include_str!("kernel.cu");
 const CELLS: &str = include_str!("cells.cu");
+const MEASURE: &str = include_str!("measure.cu");
+const DIVIDE: &str = include_str!("divide.cu");
+/// Line before the kernels of [`KernelSource::division`] that divide cells.
+pub const DIVISION_POINT: &str = "// ---- the division of cells ----\n";
 /// Maximum number of samples of a pixel that neighboring threads render together.
 pub(super) const MAX_SAMPLES_TOGETHER: u32 = 4;
 const INSERTION_POINT: &str = "// ---- the picture ----\n";
@@ -25,6 +29,8 @@ pub struct KernelSource {
     pub text: String,
     /// Values of the scene's numbers at the frame, which the kernel calls `uniforms`, as bits.
     pub parameters: Vec<u32>,
+    /// Source of the kernels that divide the scene's cells, if it has any; the same for most scenes.
+    pub division: Option<String>,
     /// Words that the kernel reads by computed indices, if there are any. It asks for those that are missing.
     pub table: Option<Table>,
     /// Samples of a pixel that neighboring threads render together.
@@ -51,14 +57,16 @@ impl KernelSource {
             KERNEL_TEMPLATE.split_once(INSERTION_POINT).expect("kernel.cu has a place for the picture");
         let numbers = tape.uniforms().len().max(1);
         let (has_layers, write_layers) = layers(image);
-        let (has_table, cells) = tape.table().and_then(|table| table.division()).map(cells).unwrap_or_default();
+        let division = tape.table().and_then(|table| table.division());
+        let (has_table, measure) = division.map(|_| (cell_constants(), [CELLS, MEASURE].concat())).unwrap_or_default();
         Ok(Self {
             text: format!(
                 "#define UNIFORM_COUNT {numbers}\n#define TOGETHER {together}u\n#define BLOCK_GROUP {BLOCK_GROUP}u\n\
-                {has_table}{has_layers}{before}{}{write_layers}{after}{cells}",
+                {has_table}{has_layers}{before}{}{write_layers}{after}{measure}",
                 steps.code
             ),
             parameters: tape.uniforms().to_vec(),
+            division: division.map(|division| division_source(before, division)),
             table: tape.table().cloned(),
             together,
             statements: steps.statements,
@@ -72,8 +80,19 @@ pub(super) fn samples_together(samples: u32) -> u32 {
     (1 << samples.trailing_zeros()).min(MAX_SAMPLES_TOGETHER)
 }
 
-/// Source before and after the steps if the scene has cells: the constants of their division, and its kernels.
-fn cells(division: &Division) -> (String, &'static str) {
+/// Source of the kernels that divide cells, after the arithmetic.
+fn division_source(arithmetic: &str, division: &Division) -> String {
+    // Powers of two, so that few programs serve all scenes.
+    let depth = division.depth.next_power_of_two().max(8);
+    let constants = cell_constants();
+    format!(
+        "#define DIVIDES_CELLS\n#define UNIFORM_COUNT 1\n{constants}{arithmetic}{CELLS}{DIVISION_POINT}\
+        #define LIST_DEPTH {depth}u\n{DIVIDE}"
+    )
+}
+
+/// The constants of cells.
+fn cell_constants() -> String {
     let numbers = [("EPSILON", f32::EPSILON), ("MIN_POSITIVE", f32::MIN_POSITIVE), ("INFINITE", f32::INFINITY)];
     let numbers = numbers.into_iter().chain([("ROUNDING", ROUNDING)]);
     let words = [
@@ -86,7 +105,6 @@ fn cells(division: &Division) -> (String, &'static str) {
         ("KIND_SHIFT", INDEX_BITS),
         ("BOX_LEVELS", BOX_LEVELS),
         ("BOX_NUMBERS", BOX_NUMBERS as u32),
-        ("LIST_DEPTH", division.depth.max(1)),
     ];
     let mut defines = "#define HAS_TABLE\n".to_owned();
     for (name, number) in numbers {
@@ -95,7 +113,7 @@ fn cells(division: &Division) -> (String, &'static str) {
     for (name, word) in words {
         let _ = writeln!(defines, "#define {name} {word}u");
     }
-    (defines, CELLS)
+    defines
 }
 
 /// Source before and after the steps if the job requests layers: the define that enables them, and the function

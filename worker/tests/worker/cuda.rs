@@ -199,6 +199,11 @@ fn assert_compiled(scenes: &[Shipped]) {
             let code = compiler.compile(&source.text, architecture);
             let code = code.unwrap_or_else(|trouble| panic!("{} for sm_{architecture}: {trouble}", shipped.name));
             assert!(code.starts_with(b"\x7fELF"), "machine code is an ELF file");
+            if let Some(division) = &source.division {
+                compiler
+                    .compile(division, architecture)
+                    .unwrap_or_else(|trouble| panic!("{}: {trouble}", shipped.name));
+            }
         }
     }
 }

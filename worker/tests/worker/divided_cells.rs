@@ -6,7 +6,7 @@ use std::process::{Command, Stdio};
 use scene::cells::{BLOCK_CELLS, Division, checksum};
 use scene::real::Words;
 use serde_json::{Value, json};
-use worker::cuda::KernelSource;
+use worker::cuda::{DIVISION_POINT, KernelSource};
 
 /// Divides all cells, level by level: reads `uniforms`, the rules, the scene's numbers and the table; writes the table.
 const HOST_MAIN: &str = r"
@@ -108,8 +108,10 @@ fn bytes_of(division: &Division) -> Vec<u8> {
 /// The table of a job, all of whose cells were divided by the source of its kernels.
 fn divided(source: &KernelSource, division: &Division, table: &Words) -> Words {
     let folder = tempfile::tempdir().expect("a scratch folder");
+    let program = source.division.as_ref().expect("a scene with cells");
+    let (_, kernels) = program.split_once(DIVISION_POINT).expect("the kernels are marked");
     let main = HOST_MAIN.replace("CAPACITY", &format!("{CAPACITY}u"));
-    let program = crate::cuda::compile_text(&format!("{}{main}", source.text), folder.path());
+    let program = crate::cuda::compile_text(&format!("{}{kernels}{main}", source.text), folder.path());
     let present = table.after(0);
     let mut input: Vec<u8> = source.parameters.iter().flat_map(|bits| bits.to_ne_bytes()).collect();
     input.extend(bytes_of(division));

@@ -2,7 +2,10 @@
 
 #![expect(unsafe_code, reason = "kernels see raw memory")]
 
+use std::sync::Arc;
+
 use cudarc::driver::{CudaFunction, CudaSlice, DevicePtr, DeviceRepr, LaunchConfig, PushKernelArg, sys};
+use cudarc::nvrtc::Ptx;
 use scene::cells::{BLOCK_CELLS, Division};
 use scene::real::Words;
 use scene::real::list::OPERATION_WORDS;
@@ -58,6 +61,12 @@ struct UploadedDivision {
     state: CudaSlice<u32>,
     scratch: CudaSlice<f32>,
     measure: CudaFunction,
+    kernels: Arc<DivisionKernels>,
+}
+
+/// Kernels of divide.cu.
+#[derive(Debug)]
+pub(in crate::cuda) struct DivisionKernels {
     divide: CudaFunction,
     publish: CudaFunction,
 }
@@ -120,7 +129,9 @@ impl Device {
             // SAFETY: kernels read no words beyond those that are copied here, or that they have written.
             let mut words = unsafe { self.compute.alloc::<u32>(room) }?;
             self.compute.memcpy_htod(&present, &mut words.slice_mut(..present.len()))?;
-            let division = table.division().map(|division| self.upload_division(program, division)).transpose()?;
+            let division = table.division().zip(program.division.clone());
+            let division =
+                division.map(|(division, kernels)| self.upload_division(program, division, kernels)).transpose()?;
             Ok(UploadedTable {
                 words,
                 used: present.len(),
@@ -132,6 +143,15 @@ impl Device {
         let uploaded = copy().map_err(copy_error(room * size_of::<u32>()))?;
         self.set_pointers(program, &uploaded)?;
         Ok(uploaded)
+    }
+
+    /// Loads the kernels that divide cells.
+    pub(in crate::cuda) fn load_division(&self, code: &[u8]) -> Result<DivisionKernels, CudaError> {
+        let load = || {
+            let module = self.context.load_module(Ptx::from_binary(code.to_vec()))?;
+            Ok(DivisionKernels { divide: module.load_function("divide")?, publish: module.load_function("publish")? })
+        };
+        load().map_err(CudaError::driver_error("load the kernels that divide cells"))
     }
 
     /// Memory for what kernels ask for, in a table with this much room.
@@ -152,6 +172,7 @@ impl Device {
         &self,
         program: &LoadedModule,
         division: &Division,
+        kernels: Arc<DivisionKernels>,
     ) -> Result<UploadedDivision, cudarc::driver::DriverError> {
         let Division { center, unit, levels, coarse_levels, leaf_lists, short_list, shorter, max_stalls, .. } =
             *division;
@@ -177,8 +198,7 @@ impl Device {
             state: self.compute.alloc_zeros(2)?,
             scratch: self.compute.alloc_zeros(1)?,
             measure: program.module.load_function("measure")?,
-            divide: program.module.load_function("divide")?,
-            publish: program.module.load_function("publish")?,
+            kernels,
         })
     }
 
@@ -294,9 +314,10 @@ impl Device {
                 capacity: table.words.len() as u32,
                 rules: *rules,
             };
-            let UploadedDivision { measure, divide, publish, .. } = division;
+            let UploadedDivision { measure, kernels, .. } = division;
+            let DivisionKernels { divide, publish } = &**kernels;
             let of_blocks = cells * BLOCK_CELLS as usize;
-            for (function, threads) in [(measure, longest * of_blocks), (divide, of_blocks), (publish, cells)] {
+            for (function, threads) in [(&*measure, longest * of_blocks), (divide, of_blocks), (publish, cells)] {
                 let config = LaunchConfig {
                     grid_dim: (threads.div_ceil(THREADS as usize) as u32, 1, 1),
                     block_dim: (THREADS, 1, 1),
@@ -304,7 +325,7 @@ impl Device {
                 };
                 let mut launch = self.compute.launch_builder(function);
                 launch.arg(&arguments);
-                // SAFETY: the argument matches that of the kernels in cells.cu. They write only inside of the words
+                // SAFETY: the argument matches that of the kernels in measure.cu and divide.cu. They write only inside of the words
                 // beyond `used`, of the scratch memory, and the words of the divided cells.
                 unsafe { launch.launch(config) }?;
             }
