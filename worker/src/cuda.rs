@@ -218,7 +218,7 @@ impl CudaRenderer {
         let division = source.division.as_ref().map(|text| self.division_kernels(text, cancel)).transpose()?;
         // A cached kernel that cannot be loaded, for example by another driver, is compiled again.
         let has_layers = !sample.job.image.layers.is_empty();
-        let load = |code: &[u8]| self.device.load(code, source.together, has_layers, division.clone());
+        let load = |code: &[u8]| self.device.load(code, source.together, has_layers, division.as_ref());
         let kept = self.cache.get(key).and_then(|kept| Some((load(&kept.code).ok()?, kept.block)));
         let was_kept = kept.is_some();
         let (loaded, block) = if let Some(kept) = kept {

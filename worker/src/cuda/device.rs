@@ -280,7 +280,7 @@ impl Device {
         code: &[u8],
         together: u32,
         has_layers: bool,
-        division: Option<Arc<DivisionKernels>>,
+        division: Option<&Arc<DivisionKernels>>,
     ) -> Result<LoadedModule, CudaError> {
         let load = || {
             let module = self.context.load_module(Ptx::from_binary(code.to_vec()))?;
@@ -289,7 +289,7 @@ impl Device {
                 render,
                 together,
                 layers: has_layers.then(|| module.load_function("layers")).transpose()?,
-                division: division.clone(),
+                division: division.cloned(),
                 module,
             })
         };
