@@ -79,6 +79,11 @@ impl JobAtFrame<'_> {
         })
     }
 
+    /// Hash of everything that decides the distances of the frame's shapes: frames with the same one may share cells.
+    pub fn shapes_cache_key(&self) -> blake3::Hash {
+        hash(&(PICTURE_VERSION, self.is_animated(), &self.scene().objects))
+    }
+
     /// Hash of everything that decides the bytes of the frame's picture.
     pub fn cache_key(&self) -> blake3::Hash {
         let image = self.image();

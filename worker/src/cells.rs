@@ -3,6 +3,7 @@
 use std::sync::atomic::AtomicBool;
 use std::sync::{Arc, Mutex, PoisonError};
 
+use scene::JobAtFrame;
 use scene::cells::{
     BLOCK_CELLS, CellBuilder, DistanceLists, Distances, LeafDistances, Program, Pruned, SLAB_CELLS, SLABS, Unpruned,
 };
@@ -10,6 +11,7 @@ use scene::real::{Real, Table, Vec3, Words, vec3};
 
 use crate::cpu::{Evaluator, Frame, Inputs};
 use crate::portable::Instructions;
+use crate::recent::{self, Recent};
 use crate::tape::{Expr, record};
 
 /// Entry of the tape: the value of a list at a point, from the point and the bits of the list's index.
@@ -29,6 +31,34 @@ impl FastBuilder {
     /// Builds cells of at most this many bytes.
     pub(crate) fn with_memory(bytes: usize) -> Self {
         Self { max_words: bytes / size_of::<u32>() }
+    }
+}
+
+/// Cells of frames that were rendered last, which frames with the same shapes share.
+#[derive(Debug, Default)]
+pub(crate) struct KnownCells(Recent<blake3::Hash, Words>);
+
+impl KnownCells {
+    /// Maximum number of tables.
+    const MOST: usize = 4;
+
+    /// A table with the cells of a frame: a known one, or else this one, which is new.
+    pub(crate) fn share(&self, still: &JobAtFrame<'_>, table: &Table) -> Table {
+        // A still has no other frame, so its shapes need no key.
+        let Some(division) = table.division().filter(|_| still.is_animated()) else { return table.clone() };
+        let key = still.shapes_cache_key();
+        let known = recent::find(&self.0, |other| *other == key);
+        // Where the cells are depends on the camera, too.
+        let is_same = |known: &Table| known.division() == Some(division) && known.capacity() == table.capacity();
+        match known.filter(|known| is_same(known) && !known.is_full()) {
+            Some(known) => known,
+            None => recent::insert(&self.0, key, table.clone(), Self::MOST),
+        }
+    }
+
+    /// Forgets a table, if it is known.
+    pub(crate) fn forget(&self, table: &Table) {
+        recent::forget(&self.0, table);
     }
 }
 

@@ -21,7 +21,7 @@ use std::time::{Duration, Instant};
 
 use proto::Rect;
 
-use crate::cells::FastBuilder;
+use crate::cells::{FastBuilder, KnownCells};
 use crate::recent::{self, Recent};
 use crate::renderer::{CancelFlag, RenderError, Renderer, TilePixels, TileRequest};
 use crate::{CpuRenderer, Simd};
@@ -70,6 +70,7 @@ pub struct CudaRenderer {
     /// Kernels that divide cells, by their texts.
     divisions: Mutex<HashMap<blake3::Hash, Arc<DivisionKernels>>>,
     sources: Recent<blake3::Hash, KernelSource>,
+    known_cells: KnownCells,
     /// Locked while a frame's launches are created, because they share the kernels' constants.
     launching: Mutex<()>,
     buffers: Mutex<Vec<Buffer>>,
@@ -93,8 +94,10 @@ struct Kernel {
 #[derive(Debug, Default)]
 struct KernelState {
     cost: CostModel,
-    /// Current uniforms of the kernel, and its cells.
-    numbers: Option<(Vec<u32>, Option<Cells>)>,
+    /// Current uniforms of the kernel.
+    parameters: Option<Vec<u32>>,
+    /// Its current cells.
+    cells: Option<Cells>,
 }
 
 /// Compiled kernel and its figures.
@@ -131,6 +134,7 @@ impl CudaRenderer {
             programs: Mutex::default(),
             divisions: Mutex::default(),
             sources: Mutex::default(),
+            known_cells: KnownCells::default(),
             launching: Mutex::default(),
             buffers: Mutex::default(),
             lost_reason: Mutex::default(),
@@ -280,8 +284,9 @@ impl CudaRenderer {
             return Err(CudaError::TooLarge { nodes, most: MAX_NODES });
         }
         let together = self.block.map_or(source::samples_together(run.job.image.samples), |_| 1);
-        let source = Arc::new(KernelSource::build(&still, together, self.cell_builder)?);
-        Ok(recent::insert(&self.sources, key, source, MAX_SOURCES))
+        let mut source = KernelSource::build(&still, together, self.cell_builder)?;
+        source.table = source.table.map(|table| self.known_cells.share(&still, &table));
+        Ok(recent::insert(&self.sources, key, Arc::new(source), MAX_SOURCES))
     }
 
     /// Records a lost GPU; returns the CUDA error as a render error.

@@ -332,6 +332,11 @@ impl Tape {
             && table.is_some() == other.table.is_some()
     }
 
+    /// The same code, with this table.
+    pub(crate) fn with_table(self, table: Table) -> Self {
+        Self { table: Some(table), ..self }
+    }
+
     /// The same code, with an empty table.
     pub(crate) fn without_table(&self) -> Self {
         Self { table: self.table.as_ref().map(|_| Table::default()), ..self.clone() }

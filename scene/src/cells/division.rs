@@ -12,7 +12,7 @@ pub const BOX_LEVELS: u32 = LEVELS;
 
 /// The rules by which cells are divided, and the scene's numbers for them. A division has the same cells and lists
 /// wherever it is computed.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Division {
     /// Center of the outermost cell.
     pub center: Vec3<f32>,

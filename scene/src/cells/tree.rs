@@ -316,12 +316,19 @@ impl CellFrame {
         let mut sizes: Vec<f32> = finite.clone().map(largest).collect();
         let inner =
             finite.reduce(Bounds::union).unwrap_or(Bounds { min: vec3(-1.0, -1.0, -1.0), max: vec3(1.0, 1.0, 1.0) });
-        // Without outer cells, if the points are not much farther away than the shapes.
-        let inner = if largest(reach) <= 2.0 * largest(inner) { reach } else { inner };
         let center = (inner.min + inner.max) * 0.5;
-        let size = (inner.max - inner.min).max_element().clamp(1e-4, 1e6);
+        let size = largest(inner).clamp(1e-4, 1e6);
+        let far = |low: f32, high: f32, center: f32| (center - low).max(high - center);
+        let distance = far(reach.min.x, reach.max.x, center.x).max(far(reach.min.y, reach.max.y, center.y)).max(far(
+            reach.min.z,
+            reach.max.z,
+            center.z,
+        ));
+        // Without outer cells, if the points are not much farther away than the shapes. The size is one of few, so that the
+        // cells of two frames are the same although their cameras differ.
+        let steps = if distance <= size { (16.0 * distance / size).ceil().max(8.0) } else { 8.0 };
         // A little larger, so that rounding leaves every point inside.
-        let edge = size * (1.0 + 64.0 * f32::EPSILON);
+        let edge = size * (steps / 8.0) * (1.0 + 64.0 * f32::EPSILON);
         let few_levels: u32 = match program.leaf_count() {
             0..=64 => 4,
             65..=20_000 => 5,
@@ -330,12 +337,6 @@ impl CellFrame {
         // Among large or distant shapes, the others may be small.
         let middle = sizes.len() / 2;
         let typical = if sizes.is_empty() { edge } else { *sizes.select_nth_unstable_by(middle, f32::total_cmp).1 };
-        let far = |low: f32, high: f32, center: f32| (center - low).max(high - center);
-        let distance = far(reach.min.x, reach.max.x, center.x).max(far(reach.min.y, reach.max.y, center.y)).max(far(
-            reach.min.z,
-            reach.max.z,
-            center.z,
-        ));
         let (mut outer_levels, mut half) = (0, 0.5 * edge);
         while half < distance && outer_levels + few_levels < MAX_LEVELS {
             half *= BLOCK_EDGE as f32;

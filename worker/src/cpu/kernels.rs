@@ -9,7 +9,7 @@ use scene::real::{Real, Table, vec3};
 use scene::{Image, Integrator, JobAtFrame};
 
 use super::evaluator::{Evaluator, Frame, Inputs};
-use crate::cells::FastBuilder;
+use crate::cells::{FastBuilder, KnownCells};
 use crate::picture_tape::{ACCUMULATE, LAYERS, MEAN, channels, layer_channels, record_picture};
 use crate::recent::{self, Recent};
 use crate::tape::Tape;
@@ -32,6 +32,7 @@ pub(super) struct Prepared {
 pub(super) struct KernelCache {
     by_tape: Recent<Tape, Evaluator>,
     by_pixels: Recent<blake3::Hash, Prepared>,
+    cells: KnownCells,
 }
 
 impl KernelCache {
@@ -47,6 +48,11 @@ impl KernelCache {
             return Ok(known);
         }
         let tape = record_picture(still, cells);
+        let table = tape.table().map(|table| self.cells.share(still, table));
+        let tape = match table {
+            Some(table) => tape.with_table(table),
+            None => tape,
+        };
         let known = recent::find(&self.by_tape, |other| other.has_same_code(&tape));
         let evaluator = match known {
             Some(known) => known,
@@ -64,6 +70,9 @@ impl KernelCache {
     /// Forgets the cells of a frame: the next [`KernelCache::prepare`] begins with none.
     pub(super) fn forget_cells(&self, prepared: &Arc<Prepared>) {
         recent::forget(&self.by_pixels, prepared);
+        if let Some(table) = prepared.inputs.table() {
+            self.cells.forget(table);
+        }
     }
 }
 

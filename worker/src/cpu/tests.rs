@@ -38,3 +38,35 @@ fn cells_that_do_not_fit_are_made_again() {
         assert!(refused.contains("--cell-memory"), "{refused}");
     }
 }
+
+/// Job of shapes with cells and a camera that turns, in three frames, with this text in place of the first shape.
+fn turning(first: &str) -> Job {
+    let shapes = many(300).replacen(r#""of": ["#, &format!(r#""of": [{first}, "#), 1);
+    let shapes = shapes.replacen(r#""look_at": [0, 0, 0]"#, r#""look_at": [0, 0, 0], "turntable": { "turns": 1 }"#, 1);
+    let mut job: serde_json::Value = serde_json::from_str(&shapes).expect("JSON");
+    job["frames"] = serde_json::json!({ "count": 3, "fps": 10 });
+    job["image"] = serde_json::json!({ "width": 32, "height": 32 });
+    scene::parse(job.to_string().as_bytes()).unwrap_or_else(|errors| panic!("{errors}"))
+}
+
+#[test]
+fn frames_share_cells_while_no_shape_moves() {
+    let still = r#"{ "sphere": { "radius": 0.5 } }"#;
+    let moving = r#"{ "sphere": { "radius": { "keys": [[0, 0.5], [0.3, 0.9]] } } }"#;
+    for (first, is_shared) in [(still, true), (moving, false)] {
+        let (job, kept) = (turning(first), CpuRenderer::new(Some(2), Simd::Auto).expect("threads"));
+        let table = |frame: u32| {
+            let still = job.at(frame).expect("a valid frame");
+            Arc::as_ptr(kept.kernel(&still).expect("a valid tape").table().expect("cells"))
+        };
+        let first_table = table(0);
+        for frame in 0..3 {
+            let run = TileRequest { job: &job, frame, rect: Rect::full(32, 32) };
+            let render =
+                |renderer: &CpuRenderer| renderer.render(&run, &CancelFlag::new(), &|_| ()).expect("it renders");
+            let alone = render(&CpuRenderer::new(Some(2), Simd::Auto).expect("threads"));
+            assert!(render(&kept) == alone, "frame {frame} differs");
+            assert_eq!(table(frame) == first_table, is_shared || frame == 0, "in frame {frame} with {first}");
+        }
+    }
+}

@@ -78,19 +78,18 @@ impl CudaRenderer {
         let (program, _) = self.program(source, &runs[runs.len() / 2], cancel)?;
         let mut buffer = self.take_buffer(numbers)?;
         let mut known = lock(&program.known);
-        let KernelState { cost, numbers: given } = &mut *known;
-        let is_given = |(numbers, cells): &(_, Option<Cells>)| {
-            *numbers == source.parameters
-                && cells.as_ref().map(Cells::table).map(Table::as_ptr) == source.table.as_ref().map(Table::as_ptr)
-        };
-        let current = if let Some(kept) = given.take().filter(is_given) {
-            kept
-        } else {
+        let KernelState { cost, parameters, cells } = &mut *known;
+        if parameters.take().is_none_or(|given| given != source.parameters) {
             self.device.set_uniforms(&program.loaded, &source.parameters)?;
+        }
+        *parameters = Some(source.parameters.clone());
+        let of_source = source.table.as_ref().map(Table::as_ptr);
+        // Frames whose shapes do not move share cells.
+        if cells.as_ref().map(|cells| Table::as_ptr(cells.table())) != of_source {
             // The launches before read the table that is replaced: its memory is freed after them.
-            (source.parameters.clone(), Cells::upload(&self.device, &program.loaded, source, cancel)?)
-        };
-        let (_, cells) = given.insert(current);
+            *cells = None;
+            *cells = Cells::upload(&self.device, &program.loaded, source, cancel)?;
+        }
         let layout = launches::lay_out(&rects, planes, program.block).ordered(cost, image.samples);
         let laid_out = self.device.lay_out(&layout)?;
         let wave = self.device.multiprocessors * (2048 / program.loaded.threads(program.block));
