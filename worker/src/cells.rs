@@ -58,7 +58,7 @@ impl KnownCells {
 
     /// Forgets a table, if it is known.
     pub(crate) fn forget(&self, table: &Table) {
-        recent::forget(&self.0, table);
+        recent::forget(&self.0, |known| Arc::ptr_eq(known, table));
     }
 }
 

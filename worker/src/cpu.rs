@@ -119,9 +119,7 @@ impl CpuRenderer {
                 return Err(RenderError::many_cells(table));
             }
             tracing::debug!(rendered = count - bands.len(), left = bands.len(), "the cells had no room: drop them");
-            if let Kernel::Prepared(prepared) = &kernel {
-                self.kernels.forget_cells(prepared);
-            }
+            self.kernels.forget_cells(table);
             kernel = self.kernel(still)?;
         }
     }

@@ -16,9 +16,9 @@ pub(crate) fn find<K, V>(values: &Recent<K, V>, is_wanted: impl Fn(&K) -> bool) 
     Some(value)
 }
 
-/// Forgets a value, if it is still kept.
-pub(crate) fn forget<K, V>(values: &Recent<K, V>, value: &Arc<V>) {
-    values.lock().unwrap_or_else(PoisonError::into_inner).retain(|(_, kept)| !Arc::ptr_eq(kept, value));
+/// Forgets values.
+pub(crate) fn forget<K, V>(values: &Recent<K, V>, is_forgotten: impl Fn(&Arc<V>) -> bool) {
+    values.lock().unwrap_or_else(PoisonError::into_inner).retain(|(_, value)| !is_forgotten(value));
 }
 
 /// Keeps a value, and at most `limit` in all.

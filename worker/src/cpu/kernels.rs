@@ -67,12 +67,11 @@ impl KernelCache {
         Ok(recent::insert(&self.by_pixels, key, Arc::new(Prepared { evaluator, inputs }), MAX_FRAMES))
     }
 
-    /// Forgets the cells of a frame: the next [`KernelCache::prepare`] begins with none.
-    pub(super) fn forget_cells(&self, prepared: &Arc<Prepared>) {
-        recent::forget(&self.by_pixels, prepared);
-        if let Some(table) = prepared.inputs.table() {
-            self.cells.forget(table);
-        }
+    /// Forgets a table of cells: the next [`KernelCache::prepare`] of its frames begins with none.
+    pub(super) fn forget_cells(&self, table: &Table) {
+        let has_it = |other: &Arc<Prepared>| other.inputs.table().is_some_and(|other| Arc::ptr_eq(other, table));
+        recent::forget(&self.by_pixels, has_it);
+        self.cells.forget(table);
     }
 }
 

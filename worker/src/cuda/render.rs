@@ -127,6 +127,7 @@ impl CudaRenderer {
                         launches.limit(part.blocks / 2);
                     }
                     tracing::debug!(?part, "the cells had no room: drop them");
+                    *cells = None;
                     *cells = Cells::upload(&self.device, &program.loaded, source, cancel)?;
                 }
             }
