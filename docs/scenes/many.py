@@ -1,6 +1,7 @@
-"""Writes a job of many shapes, for benchmarks: python3 many.py spheres|boxes COUNT WIDTH HEIGHT SAMPLES > job.json
+"""Writes a job of many shapes, for benchmarks: python3 many.py spheres|boxes|painted COUNT WIDTH HEIGHT SAMPLES > job.json
 
-One smooth union: of spheres that fill a ball, or of turned boxes that stand on a square, like houses.
+One smooth union: of spheres that fill a ball, or of turned boxes that stand on a square, like houses. Painted ones are the
+spheres in eight materials, one of which has a texture.
 """
 
 import json
@@ -24,6 +25,11 @@ def sphere():
     return move(place, {"sphere": {"radius": between(0.5 * size, 0.7 * size)}})
 
 
+def painted():
+    """A sphere with a material."""
+    return {"paint": {"material": numbers.choice(list(MATERIALS)), "child": sphere()}}
+
+
 def box():
     """A box with its foot at height 0, in a square of edge 2."""
     size = count ** (-1 / 2)
@@ -37,11 +43,16 @@ def move(place, child):
     return {"translate": {"by": place, "child": child}}
 
 
-shapes = [{"spheres": sphere, "boxes": box}[kind]() for _ in range(count)]
-smooth = round({"spheres": 0.3 * count ** (-1 / 3), "boxes": 0.3 * count ** (-1 / 2)}[kind], 5)
+MATERIALS = {color: {"diffuse": {"kd": color}} for color in
+             ["#c0392b", "#2456a6", "#e8e4da", "#d9a441", "#3c7a3e", "#5b3f8c", "#222428"]}
+MATERIALS["tiles"] = {"diffuse": {"kd": {"checker": {"cell": 0.03, "colors": ["#f0e8d8", "#a04028"]}}}}
+shapes = [{"spheres": sphere, "boxes": box, "painted": painted}[kind]() for _ in range(count)]
+smooth = round(0.3 * count ** (-1 / 2 if kind == "boxes" else -1 / 3), 5)
 scene = {
     "camera": {"position": [0.9, 1.5, -2.6], "look_at": [0, 0, 0], "fov": 48},
     "lights": [{"directional": {"direction": [0.5, 0.75, -0.433]}}],
     "objects": [{"shape": {"union": {"smooth": smooth, "of": shapes}}}],
 }
+if kind == "painted":
+    scene["materials"] = MATERIALS
 print(json.dumps({"scene": scene, "image": {"width": width, "height": height, "samples": samples}}))

@@ -16,6 +16,7 @@
 //! primitive-based SDFs", Computer Graphics Forum 44(2), 2025, prunes lists of smooth joins.
 
 mod division;
+mod materials;
 mod program;
 mod prune;
 mod trace;

@@ -49,10 +49,10 @@ pub use modifiers::{
     Bend, CopyCount, Elongate, Mirror, Onion, Paint, PolarRepeat, Repeat, Round, Stretch, Taper, Twist,
 };
 pub use named::Use;
-pub(crate) use operators::smooth_min;
 pub use operators::{
     Chamfer, Columns, Difference, Engrave, Groove, Intersection, Morph, SeamKind, Stairs, Tongue, Union, Xor,
 };
+pub(crate) use operators::{smooth_min, union_weight};
 pub use per_axis::PerAxis;
 pub use precomputed::{Precompute, Precomputed};
 pub use primitives::{

@@ -1,13 +1,15 @@
 //! A scene cut into leaves, and the operations above them in the order in which they are computed.
 
-use std::collections::HashMap;
+use std::collections::{BTreeSet, HashMap};
 
+use super::materials::{LeafMaterial, ListedMaterial, MAX_MATERIALS};
 use super::trace::{Symbol, Trace, trace};
 use crate::bounds::Bounds;
-use crate::nodes::{Cut, Distance, Exactness, FoldStep, Node, Part, Placements, for_each_step, smooth_min};
+use crate::materials::{Material, MaterialRef, Shade};
+use crate::nodes::{Cut, Distance, Exactness, FoldStep, Node, Part, Placements, SdfValue, for_each_step, smooth_min};
 use crate::real::list::{IS_LAST, IS_UNARY, NO_LEAF, ROW_BITS, ROW_MASK};
 use crate::real::{Real, Vec3, vec3};
-use crate::scene::Object;
+use crate::scene::Scene;
 use crate::values::LengthOrZero;
 
 /// Maximum number of families: each is a function of the compiled text.
@@ -32,6 +34,8 @@ pub struct Program<'a> {
     rows: Vec<u32>,
     /// The list of all operations.
     list: Vec<u32>,
+    /// Materials of the objects that have several.
+    materials: Vec<ListedMaterial>,
 }
 
 /// A shape below the outermost joins.
@@ -45,6 +49,8 @@ pub(super) struct Leaf<'a> {
     lipschitz: Option<f32>,
     /// Index of its object.
     pub(super) object: usize,
+    /// Its material.
+    pub(super) material: LeafMaterial,
     /// Index of its family.
     pub(super) family: usize,
     /// Its numbers.
@@ -53,7 +59,7 @@ pub(super) struct Leaf<'a> {
 
 /// Transform between a leaf and the scene.
 #[derive(Clone, Copy, Debug)]
-enum Above<'a> {
+pub(super) enum Above<'a> {
     /// A transform.
     Node(&'a Node),
     /// A placement of a copy, by its index, which scales no distance.
@@ -61,7 +67,7 @@ enum Above<'a> {
 }
 
 impl Above<'_> {
-    fn to_child<R: Real>(self, p: Vec3<R>) -> Vec3<R> {
+    pub(super) fn to_child<R: Real>(self, p: Vec3<R>) -> Vec3<R> {
         match self {
             Self::Node(node) => node.to_child(p),
             Self::Copy(placements, index) => placements.to_shape(index, p),
@@ -73,6 +79,15 @@ impl Above<'_> {
             Self::Node(node) => node.bounds_from_child(bounds),
             Self::Copy(placements, index) => placements.to_copy(index, bounds),
         }
+    }
+
+    /// Slot of the material that it gives to what has none.
+    pub(super) fn material(self) -> Option<u32> {
+        let material = match self {
+            Self::Node(node) => node.material(),
+            Self::Copy(placements, index) => placements.all()[index].material(),
+        };
+        material.map(MaterialRef::slot)
     }
 
     /// Factor by which it makes ways longer in the shape's space.
@@ -112,12 +127,19 @@ struct Operation {
 }
 
 impl<'a> Program<'a> {
-    /// Cuts objects, each with its index and the factor of its distance, at their outermost joins. `None` if the scene
-    /// has too many families, or joins nested too deeply.
-    pub fn new(objects: &[(usize, &'a Object, Option<f32>)]) -> Option<Self> {
-        let mut cutter = Cutter::default();
-        for (index, &(number, object, scale)) in objects.iter().enumerate() {
+    /// Cuts objects of a scene, each given by its index and the factor of its distance, at their outermost joins. `None`
+    /// if they have too many families or materials, or joins nested too deeply.
+    pub fn new(scene: &'a Scene, objects: &[(usize, Option<f32>)]) -> Option<Self> {
+        let is_painted = |index: usize| scene.objects[index].shape.has_own_materials();
+        let mut cutter = Cutter {
+            materials: scene.used_materials(),
+            has_painted: objects.iter().any(|&(index, _)| is_painted(index)),
+            ..Cutter::default()
+        };
+        for (index, &(number, scale)) in objects.iter().enumerate() {
+            let object = &scene.objects[number];
             cutter.object = number;
+            cutter.painted = is_painted(number).then_some(object.material.slot());
             let join = (index > 0).then_some(&JoinKind::Objects);
             match scale {
                 Some(scale) => {
@@ -131,7 +153,8 @@ impl<'a> Program<'a> {
             }
         }
         let depth = depth(&cutter.operations, &cutter.joins);
-        let is_small = cutter.family_leaves.len() <= MAX_FAMILIES && depth <= MAX_STACK;
+        let is_small =
+            cutter.family_leaves.len() <= MAX_FAMILIES && cutter.slots.len() <= MAX_MATERIALS && depth <= MAX_STACK;
         // So that scenes of many and of more shapes have one text.
         let depth = if depth > 2 { MAX_STACK } else { depth };
         let mut rows = Vec::new();
@@ -164,6 +187,7 @@ impl<'a> Program<'a> {
         let last = list.len() - 2;
         list[last] |= IS_LAST;
         Some(Self {
+            materials: cutter.listed_materials(),
             leaf_rows,
             rows,
             list,
@@ -173,6 +197,16 @@ impl<'a> Program<'a> {
             join_families: cutter.family_joins,
             depth,
         })
+    }
+
+    /// Materials of the objects that have several.
+    pub(super) fn materials(&self) -> &[ListedMaterial] {
+        &self.materials
+    }
+
+    /// Whether an object has several materials.
+    pub fn has_materials(&self) -> bool {
+        !self.materials.is_empty()
     }
 
     /// Number of leaves.
@@ -242,6 +276,16 @@ impl Leaf<'_> {
         self.shape.distance(p)
     }
 
+    /// Its value at a point of its shape.
+    pub(super) fn sample<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>) -> V {
+        self.shape.sample(p)
+    }
+
+    /// Transforms and placements of its shape, the outermost first.
+    pub(super) fn above(&self) -> &[Above<'_>] {
+        &self.above
+    }
+
     /// Box that contains every point of its shape.
     pub(super) fn bounds(&self) -> Bounds {
         self.bounds
@@ -299,10 +343,25 @@ fn is_union(shape: &Node) -> bool {
     }
 }
 
+impl Cutter<'_> {
+    fn listed_materials(&self) -> Vec<ListedMaterial> {
+        let is_textured = |slot: u32| self.materials[slot as usize].is_textured();
+        self.slots.iter().map(|&slot| ListedMaterial { slot, is_textured: is_textured(slot) }).collect()
+    }
+}
+
 #[derive(Default)]
 struct Cutter<'a> {
+    /// Materials of the scene.
+    materials: &'a [Material],
+    /// Whether some object has several materials.
+    has_painted: bool,
     /// Index of the object that is cut.
     object: usize,
+    /// Slot of its own material, if it has others, too.
+    painted: Option<u32>,
+    /// Slots of the materials of objects that have several.
+    slots: BTreeSet<u32>,
     above: Vec<Above<'a>>,
     leaves: Vec<Leaf<'a>>,
     joins: Vec<Join>,
@@ -364,10 +423,21 @@ impl<'a> Cutter<'a> {
         let (above, bounds) = (self.above.clone(), Bounds::INFINITE);
         let stretch: f32 = above.iter().map(|above| above.stretch()).product();
         let lipschitz = (shape.node().exactness() != Exactness::Estimate).then(|| shape.node().stretch() * stretch);
-        let mut leaf = Leaf { above, shape, bounds, lipschitz, object: self.object, family: 0, numbers: Vec::new() };
+        let (material, object) = (LeafMaterial::OfObject, self.object);
+        let mut leaf = Leaf { above, shape, bounds, lipschitz, object, material, family: 0, numbers: Vec::new() };
         leaf.bounds = leaf.bounds_of(0.0);
+        if let Some(own) = self.painted {
+            let slots = leaf.slots(own);
+            leaf.material = match slots[..] {
+                [only] if !self.materials[only as usize].is_textured() => LeafMaterial::Uniform(only),
+                _ => LeafMaterial::Mixed(own),
+            };
+            self.slots.extend(slots);
+        }
         let Trace { text, numbers, .. } = trace(|[x, y, z]: [Symbol; 3]| {
-            leaf.distance(vec3(x, y, z));
+            let p = vec3(x, y, z);
+            leaf.distance(p);
+            leaf.weights_by_slot(p);
         });
         let next = self.family_leaves.len();
         leaf.family = *self.texts.entry(text).or_insert(next);
@@ -389,6 +459,9 @@ impl<'a> Cutter<'a> {
     fn joined(&mut self, kind: &JoinKind) -> u32 {
         let Trace { mut text, numbers, .. } = trace(|[below, value]: [Symbol; 2]| {
             kind.apply(below, value);
+            if self.has_painted {
+                kind.second_weight(below, value);
+            }
         });
         // A sharp union has the same text, but not the same nearest object.
         text.push(u32::from(kind.is_of_objects()));

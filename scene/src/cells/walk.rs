@@ -1,6 +1,5 @@
 //! The cell of a point, the value of its list there, and the way of a ray through cells.
 
-use super::program::MAX_FAMILIES;
 use super::tree::{BLOCK_CELLS, BLOCK_EDGE, KIND_SHIFT, LIST, MAX_LEVELS};
 use super::{Cells, Program};
 use crate::camera::Ray;
@@ -21,10 +20,12 @@ macro_rules! names {
 
 macro_rules! function_names {
     ($($name:ident $prefix:literal),*) => { $(
-        static $name: [&str; MAX_FAMILIES] = names![$prefix: 0 1 2 3 4 5 6 7 8 9 10 11 12 13 14 15 16 17 18 19 20 21 22 23
+        static $name: [&str; $crate::cells::program::MAX_FAMILIES] = $crate::cells::walk::names![$prefix: 0 1 2 3 4 5 6 7 8 9 10 11 12 13 14 15 16 17 18 19 20 21 22 23
             24 25 26 27 28 29 30 31 32 33 34 35 36 37 38 39 40 41 42 43 44 45 46 47];
     )* };
 }
+
+pub(super) use {function_names, names};
 
 function_names![LEAVES "leaf_", JOINS "join_", NEAR_LEAVES "leaf_of_object_", NEAR_JOINS "join_of_objects_"];
 
@@ -209,7 +210,7 @@ impl Cells<'_> {
     }
 
     /// List of a cell: also of one without a surface.
-    fn list<R: Real>(&self, cell: &Located<R>) -> R {
+    pub(super) fn list<R: Real>(&self, cell: &Located<R>) -> R {
         let of_block = || R::from_bits(R::word(&self.tree.words, cell.header.to_bits()));
         R::when(!cell.has_list(), R::from_bits(cell.own_list()), of_block)
     }

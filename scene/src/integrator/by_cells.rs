@@ -1,6 +1,5 @@
 //! Which scenes are rendered by cells. It follows from the scene alone, so that all devices render the same bits.
 
-use super::shading::MaterialTable;
 use super::{Integrator, shrink, surfaces_of};
 use crate::animation::JobAtFrame;
 use crate::cells::{CellBuilder, Cells, Program};
@@ -10,16 +9,15 @@ use crate::real::Table;
 /// the shipped scenes, the largest of which has 88).
 const MIN_LEAVES: usize = 96;
 
-/// The program of a scene that is rendered by cells: of many leaves, in few families, with one material for each object.
+/// The program of a scene that is rendered by cells: of many leaves, in few families.
 fn program<'a>(still: &'a JobAtFrame<'_>) -> Option<Program<'a>> {
     let (scene, moves) = (still.scene(), still.is_animated());
-    if (scene.nodes() as usize) < MIN_LEAVES || !MaterialTable::new(scene).is_plain() {
+    if (scene.nodes() as usize) < MIN_LEAVES {
         return None;
     }
-    let objects: Vec<_> = surfaces_of(scene)
-        .map(|index| (index, &scene.objects[index], shrink(scene.objects[index].shape.stretch(), moves)))
-        .collect();
-    Program::new(&objects).filter(|program| program.leaf_count() >= MIN_LEAVES)
+    let objects: Vec<_> =
+        surfaces_of(scene).map(|index| (index, shrink(scene.objects[index].shape.stretch(), moves))).collect();
+    Program::new(scene, &objects).filter(|program| program.leaf_count() >= MIN_LEAVES)
 }
 
 impl<'a> Integrator<'a> {

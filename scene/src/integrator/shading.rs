@@ -47,9 +47,9 @@ impl MaterialTable {
         Self { has_own_materials: painted, surface_slots: worn, single_slot: only, needs_own_normal, needs_footprint }
     }
 
-    /// Whether every object has one material.
-    pub(super) fn is_plain(&self) -> bool {
-        !self.has_own_materials.contains(&true)
+    /// Index of a slot among those of surfaces.
+    fn place_of(&self, slot: u32) -> Option<usize> {
+        self.surface_slots.iter().position(|&worn| worn == slot as usize)
     }
 
     pub(super) fn slots(&self) -> impl Iterator<Item = usize> + '_ {
@@ -181,45 +181,58 @@ impl Integrator<'_> {
         let (p, zero) = (hit.position, object.constant(0.0));
         let worn = |slot| HitMaterial { slot, weight: zero, point: p, own_normal: hit.normal, footprint };
         let mut all: Vec<HitMaterial<R>> = self.materials.slots().map(worn).collect();
-        let place_of = |slot: u32| self.materials.surface_slots.iter().position(|&worn| worn == slot as usize);
         for &index in &self.surfaces {
             let tree = &self.scene.objects[index];
             let here = (object - index as f32).abs().below(0.5);
             let own = tree.material.slot();
-            if !self.materials.has_own_materials[index] {
-                if let Some(place) = place_of(own) {
-                    all[place].weight = R::select(here, zero.constant(1.0), all[place].weight);
+            if self.materials.has_own_materials[index] {
+                if self.cells.is_none() {
+                    self.add_weights(&mut all, hit, footprint, |_| here, |p| self.material_weights(index, p));
                 }
-                continue;
+            } else if let Some(place) = self.materials.place_of(own) {
+                all[place].weight = R::select(here, zero.constant(1.0), all[place].weight);
             }
-            let coats = self.material_weights(index, p);
-            // Map a short offset along the normal to the local space.
-            let further = self
-                .materials
-                .needs_own_normal
-                .then(|| self.material_weights(index, hit.normal.mul_add(probe_offset(p), p)));
-            // Footprint in that space, from its mapped end points.
-            let ends =
-                self.materials.needs_footprint.then(|| footprint.map(|end| self.material_weights(index, p + end)));
-            for (number, coat) in coats.iter().enumerate() {
-                let Some(place) = place_of(coat.slot.unwrap_or(own)) else { continue };
-                let worn = &mut all[place];
-                worn.weight = R::select(here, coat.weight, zero) + worn.weight;
-                if self.scene.used_materials()[worn.slot].is_textured() {
-                    worn.point = Vec3::select(here, coat.point, worn.point);
-                    if let Some(further) = &further {
-                        let own_normal = (further[number].point - coat.point).normalize();
-                        worn.own_normal = Vec3::select(here, own_normal, worn.own_normal);
-                    }
-                    if let Some(ends) = &ends {
-                        for (seen, end) in worn.footprint.iter_mut().zip(ends) {
-                            *seen = Vec3::select(here, end[number].point - coat.point, *seen);
-                        }
+        }
+        if let Some(cells) = self.cells.as_ref().filter(|cells| cells.program().has_materials()) {
+            let is_here = |coat: &MaterialWeight<R>| coat.weight.above(0.0);
+            self.add_weights(&mut all, hit, footprint, is_here, |p| cells.material_weights(p));
+        }
+        all
+    }
+
+    /// Adds the weights of an object's materials where it is hit, and their points in the space of their textures.
+    fn add_weights<R: Real>(
+        &self,
+        all: &mut [HitMaterial<R>],
+        hit: &Hit<R>,
+        footprint: [Vec3<R>; 2],
+        is_here: impl Fn(&MaterialWeight<R>) -> R::Mask,
+        weights_at: impl Fn(Vec3<R>) -> Vec<MaterialWeight<R>>,
+    ) {
+        let p = hit.position;
+        let coats = weights_at(p);
+        // Map a short offset along the normal to the local space.
+        let further = self.materials.needs_own_normal.then(|| weights_at(hit.normal.mul_add(probe_offset(p), p)));
+        // Footprint in that space, from its mapped end points.
+        let ends = self.materials.needs_footprint.then(|| footprint.map(|end| weights_at(p + end)));
+        for (number, coat) in coats.iter().enumerate() {
+            let Some(place) = coat.slot.and_then(|slot| self.materials.place_of(slot)) else { continue };
+            let worn = &mut all[place];
+            let here = is_here(coat);
+            worn.weight = R::select(here, coat.weight, p.x.constant(0.0)) + worn.weight;
+            if self.scene.used_materials()[worn.slot].is_textured() {
+                worn.point = Vec3::select(here, coat.point, worn.point);
+                if let Some(further) = &further {
+                    let own_normal = (further[number].point - coat.point).normalize();
+                    worn.own_normal = Vec3::select(here, own_normal, worn.own_normal);
+                }
+                if let Some(ends) = &ends {
+                    for (seen, end) in worn.footprint.iter_mut().zip(ends) {
+                        *seen = Vec3::select(here, end[number].point - coat.point, *seen);
                     }
                 }
             }
         }
-        all
     }
 
     /// Material weights of an object at `p`.

@@ -46,7 +46,8 @@ impl<'a> Part<'a> {
         distance
     }
 
-    fn sample<R: Real, V: SdfValue<R>>(self, p: Vec3<R>) -> V {
+    /// Its value at `p`.
+    pub(crate) fn sample<R: Real, V: SdfValue<R>>(self, p: Vec3<R>) -> V {
         match self {
             Self::Shape(shape) => shape.sample(p),
             Self::Copy(placements, index, shape) => placements.sample(index, shape, p),

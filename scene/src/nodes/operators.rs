@@ -71,11 +71,19 @@ pub struct Difference {
 pub(crate) fn smooth_min<R: Real, V: SdfValue<R>>(a: V, b: V, smooth: &LengthOrZero) -> V {
     let (da, db) = (a.distance(), b.distance());
     if smooth.is_zero() {
-        return a.blend(b, da.min(db), || indicator(da, db.lt(da)));
+        return a.blend(b, da.min(db), || union_weight(da, db, smooth));
     }
     let overlap = seam_depth(da, db, smooth);
     let distance = overlap.square().mul_add(da.uniform(-0.25 * per(smooth.get())), da.min(db));
     a.blend(b, distance, || seam_weight(overlap, smooth, db.lt(da)))
+}
+
+/// Weight of the second shape in the smooth minimum of two distances.
+pub(crate) fn union_weight<R: Real>(a: R, b: R, smooth: &LengthOrZero) -> R {
+    if smooth.is_zero() {
+        return indicator(a, b.lt(a));
+    }
+    seam_weight(seam_depth(a, b, smooth), smooth, b.lt(a))
 }
 
 /// Smooth maximum, blended over `smooth`.

@@ -4,8 +4,10 @@ use std::fs;
 
 use scene::bounds::Bounds;
 use scene::cells::{Cells, Program, ScalarBuilder};
+use scene::materials::Shade;
+use scene::nodes::{DistanceWithMaterials, MaterialWeight, SdfValue};
 use scene::real::{Vec3, vec3};
-use scene::{Job, parse};
+use scene::{Job, Scene, parse};
 
 struct Random(u32);
 
@@ -57,7 +59,7 @@ fn ball_of_spheres(count: u32, others: &[&str]) -> Job {
 fn shapes_that_matter_only_in_their_groups_are_left_out() {
     let job = ball_of_spheres(600, &[]);
     let still = job.at(0).expect("the first frame");
-    let program = Program::new(&[(0, &still.scene().objects[0], None)]).expect("few families");
+    let program = Program::new(still.scene(), &[(0, None)]).expect("few families");
     let cells = Cells::new(program, around(1.2), &ScalarBuilder);
     let words = cells.tree().words().used();
     println!("{words} words");
@@ -74,7 +76,7 @@ fn small_shapes_among_large_and_distant_ones_have_short_lists() {
     {
         let job = ball_of_spheres(600, others);
         let still = job.at(0).expect("the first frame");
-        let program = Program::new(&[(0, &still.scene().objects[0], None)]).expect("few families");
+        let program = Program::new(still.scene(), &[(0, None)]).expect("few families");
         let cells = Cells::new(program, around(reach), &ScalarBuilder);
         let mut random = Random(8);
         let longest = (0..2000).map(|_| cells.list_length(random.point(1.0))).max();
@@ -86,9 +88,8 @@ fn small_shapes_among_large_and_distant_ones_have_short_lists() {
 /// Compares cells with the whole program at random points, and on the faces of cells.
 fn check(name: &str, job: &Job, points: u32) {
     let still = job.at(0).expect("the first frame");
-    let objects: Vec<_> =
-        still.scene().objects.iter().enumerate().map(|(index, object)| (index, object, None)).collect();
-    let Some(program) = Program::new(&objects) else { return };
+    let objects: Vec<_> = (0..still.scene().objects.len()).map(|index| (index, None)).collect();
+    let Some(program) = Program::new(still.scene(), &objects) else { return };
     let cells = Cells::new(program, around(REACH), &ScalarBuilder);
     let mut random = Random(3);
     for index in 0..points {
@@ -106,6 +107,7 @@ fn check(name: &str, job: &Job, points: u32) {
             let (whole, listed, bound) = (cells.whole_distance(p), cells.distance(p), cell.bound());
             assert_eq!(whole.to_bits(), listed.to_bits(), "{name} at {p:?}: {whole}, and {listed} by cells");
             assert!(bound <= whole.max(0.0), "{name} at {p:?}: {whole}, bound {bound}");
+            check_materials(name, still.scene(), &cells, p);
             if bound > 0.0 { empty += 1 } else { near += 1 }
         }
     }
@@ -115,6 +117,30 @@ fn check(name: &str, job: &Job, points: u32) {
         cells.program().family_count(),
         cells.tree().words().used()
     );
+}
+
+/// Compares the weights of materials at a point, and the points of their textures, with those of the nearest object.
+fn check_materials(name: &str, scene: &Scene, cells: &Cells<'_>, p: Vec3<f32>) {
+    let listed = cells.material_weights(p);
+    if listed.is_empty() {
+        return;
+    }
+    let object = &scene.objects[cells.nearest(p).1 as usize];
+    let weights = if object.shape.has_own_materials() {
+        let sample: DistanceWithMaterials<f32> = object.shape.sample(p);
+        sample.paint(object.material.slot(), p).weights().to_vec()
+    } else {
+        Vec::new()
+    };
+    for MaterialWeight { slot, weight, point } in listed {
+        let known = weights.iter().find(|known| known.slot == slot);
+        let want = known.map_or(0.0, |known| known.weight);
+        assert!(weight == want, "{name} at {p:?}: material {slot:?} has weight {weight} by cells, and {want}");
+        let is_textured = scene.used_materials()[slot.expect("a slot") as usize].is_textured();
+        if let Some(known) = known.filter(|_| weight > 0.0 && is_textured) {
+            assert_eq!(point, known.point, "{name} at {p:?}: the point of material {slot:?}");
+        }
+    }
 }
 
 #[test]
@@ -137,7 +163,8 @@ fn shape(random: &mut Random, depth: u32, most: u32) -> String {
         1 => format!(r#"{{ "torus": {{ "radius": {size}, "tube": 0.04 }} }}"#),
         2 => format!(r#"{{ "ellipsoid": {{ "radii": [{size}, 0.2, 0.1] }} }}"#),
         3 => format!(
-            r#"{{ "difference": {{ "smooth": 0.02, "of": [ {{ "sphere": {{ "radius": {size} }} }}, {{ "box": {{ "size": [0.1, 0.1, 2] }} }} ] }} }}"#
+            r#"{{ "difference": {{ "smooth": 0.02, "of": [ {{ "sphere": {{ "radius": {size} }} }},
+               {{ "paint": {{ "material": "tiles", "child": {{ "box": {{ "size": [0.1, 0.1, 2] }} }} }} }} ] }} }}"#
         ),
         4 => format!(
             r#"{{ "twist": {{ "degrees_per_unit": 40, "child": {{ "box": {{ "size": [{size}, 0.5, 0.2] }} }} }} }}"#
@@ -147,6 +174,12 @@ fn shape(random: &mut Random, depth: u32, most: u32) -> String {
     let turned =
         format!(r#"{{ "rotate": {{ "degrees": [{}, 20, 0], "child": {solid} }} }}"#, random.between(-90.0, 90.0));
     let inner = if depth == 0 { turned } else { union(random, depth - 1, most) };
+    let inner = match (random.next() * 12.0) as usize {
+        paint @ 0..3 => {
+            format!(r#"{{ "paint": {{ "material": "{}", "child": {inner} }} }}"#, ["red", "blue", "tiles"][paint])
+        }
+        _ => inner,
+    };
     format!(r#"{{ "translate": {{ "by": [{}, {}, {}], "child": {inner} }} }}"#, place.x, place.y, place.z)
 }
 
@@ -172,8 +205,10 @@ fn random_job(seed: u32) -> Job {
         objects.push(r#"{ "shape": { "copies": { "smooth": 0.1, "child": { "torus": { "radius": 0.2, "tube": 0.05 } }, "at": { "grid": [5, 4, 5], "step": [0.5, 0.6, 0.7] } } } }"#.to_owned());
     }
     let text = format!(
-        r#"{{ "scene": {{ "camera": {{ "position": [0, 0, 5], "look_at": [0, 0, 0] }}, "objects": [{}] }},
-           "image": {{ "width": 8, "height": 8 }} }}"#,
+        r##"{{ "scene": {{ "camera": {{ "position": [0, 0, 5], "look_at": [0, 0, 0] }}, "materials": {{
+             "red": {{ "diffuse": {{ "kd": "#c03020" }} }}, "blue": {{ "diffuse": {{ "kd": "#2040c0" }} }},
+             "tiles": {{ "diffuse": {{ "kd": {{ "checker": {{ "cell": 0.1, "colors": ["#b5432f", "#e8dcc0"] }} }} }} }} }},
+           "objects": [{}] }}, "image": {{ "width": 8, "height": 8 }} }}"##,
         objects.join(",")
     );
     parse(text.as_bytes()).unwrap_or_else(|error| panic!("{error}: {text}"))

@@ -82,7 +82,7 @@ impl Placement {
         Self { material, ..self }
     }
 
-    pub(super) fn material(&self) -> Option<&MaterialRef> {
+    pub(crate) fn material(&self) -> Option<&MaterialRef> {
         self.material.as_ref()
     }
 

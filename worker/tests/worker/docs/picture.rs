@@ -37,11 +37,30 @@ pub(crate) fn render(job: &Job) -> Vec<u8> {
     file.into_inner()
 }
 
-/// Whether a PNG's provenance names this job's first frame, this picture version, and its size.
+/// Whether a PNG's provenance names this job's first frame, and its size. The picture version is left out, because most
+/// pictures are the same in the next.
 pub(crate) fn says_it_shows(png: &[u8], job: &Job) -> bool {
     let Ok(reader) = png::Decoder::new(Cursor::new(png)).read_info() else { return false };
     let info = reader.info();
-    let wanted = Provenance::new(&job.at(0).expect("an example has a first frame")).json();
-    let said = info.utf8_text.iter().filter_map(|chunk| chunk.get_text().ok()).any(|text| text == wanted);
+    let of_any_version = |text: &str| {
+        let mut said: serde_json::Value = serde_json::from_str(text).ok()?;
+        said.as_object_mut()?.remove("picture_version");
+        Some(said)
+    };
+    let wanted = of_any_version(&Provenance::new(&job.at(0).expect("an example has a first frame")).json());
+    let said =
+        info.utf8_text.iter().filter_map(|chunk| chunk.get_text().ok()).any(|text| of_any_version(&text) == wanted);
     said && (info.width, info.height) == (job.image.width, job.image.height)
+}
+
+/// Whether a PNG shows what a job's first frame looks like: has the same bytes but for the picture version.
+pub(crate) fn shows(png: &[u8], job: &Job) -> bool {
+    says_it_shows(png, job) && pixels(png) == pixels(&render(job))
+}
+
+fn pixels(png: &[u8]) -> Vec<u8> {
+    let mut reader = png::Decoder::new(Cursor::new(png)).read_info().expect("a PNG");
+    let mut pixels = vec![0; reader.output_buffer_size().expect("a small picture")];
+    reader.next_frame(&mut pixels).expect("a whole PNG");
+    pixels
 }

@@ -13,9 +13,8 @@ use crate::cells::FastBuilder;
 fn cells_of(text: &[u8], how: &dyn CellBuilder) -> Option<&'static Cells<'static>> {
     let job = Box::leak(Box::new(scene::parse(text).expect("a valid job")));
     let still = Box::leak(Box::new(job.at(0).expect("a valid frame")));
-    let objects: Vec<_> =
-        still.scene().objects.iter().enumerate().map(|(index, object)| (index, object, None)).collect();
-    let cells = Cells::new(Program::new(&objects)?, Bounds::symmetric(40.0, 40.0, 40.0), how);
+    let objects: Vec<_> = (0..still.scene().objects.len()).map(|index| (index, None)).collect();
+    let cells = Cells::new(Program::new(still.scene(), &objects)?, Bounds::symmetric(40.0, 40.0, 40.0), how);
     Some(Box::leak(Box::new(cells)))
 }
 
@@ -24,7 +23,7 @@ fn formula_of(name: &str, cells: &'static Cells<'static>) -> Formula {
     Formula::new(name, at, |[x, y, z]| cells.whole_distance(vec3(x, y, z)))
 }
 
-/// A job of one smooth union of many balls and boxes.
+/// A job of one smooth union of many balls and boxes, some of them painted.
 pub(in crate::cpu) fn many(count: u32) -> String {
     let shape = |index: u32| {
         let place = |salt: u32| (index * salt % 1009) as f32 / 252.0 - 2.0;
@@ -34,17 +33,26 @@ pub(in crate::cpu) fn many(count: u32) -> String {
             r#"{ "sphere": { "radius": 0.08 } }"#
         };
         let turned = format!(r#"{{ "rotate": {{ "degrees": [{}, 0, 20], "child": {solid} }} }}"#, index % 90);
+        let turned = match index % 7 {
+            paint @ (2 | 4 | 5) => {
+                let material = ["red", "blue", "tiles"][paint as usize / 2 - 1 + paint as usize % 2];
+                format!(r#"{{ "paint": {{ "material": "{material}", "child": {turned} }} }}"#)
+            }
+            _ => turned,
+        };
         format!(r#"{{ "translate": {{ "by": [{}, {}, {}], "child": {turned} }} }}"#, place(17), place(101), place(541))
     };
     let shapes: Vec<String> = (0..count).map(shape).collect();
     format!(
-        r#"{{ "scene": {{ "camera": {{ "position": [0, 0, 5], "look_at": [0, 0, 0] }}, "objects": [ {{ "shape":
-           {{ "union": {{ "smooth": 0.05, "of": [{}] }} }} }},
+        r##"{{ "scene": {{ "camera": {{ "position": [0, 0, 5], "look_at": [0, 0, 0] }}, "materials": {{
+             "red": {{ "diffuse": {{ "kd": "#c03020" }} }}, "blue": {{ "diffuse": {{ "kd": "#2040c0" }} }},
+             "tiles": {{ "diffuse": {{ "kd": {{ "checker": {{ "cell": 0.05, "colors": ["#b5432f", "#e8dcc0"] }} }} }} }} }},
+           "objects": [ {{ "shape": {{ "union": {{ "smooth": 0.05, "of": [{}] }} }} }},
            {{ "shape": {{ "plane": {{ "normal": [0, 1, 0], "offset": -0.6 }} }} }},
            {{ "shape": {{ "copies": {{ "child": {{ "union": {{ "of": [
                 {{ "sphere": {{ "radius": 0.2 }} }}, {{ "box": {{ "size": [0.5, 0.1, 0.1] }} }} ] }} }},
               "at": [ {{ "by": [1, 1, 1], "scale": 0.5 }}, {{ "by": [-1, 0.5, 1.5], "degrees": [0, 40, 0] }} ] }} }} }}
-           ] }}, "image": {{ "width": 8, "height": 8 }} }}"#,
+           ] }}, "image": {{ "width": 8, "height": 8 }} }}"##,
         shapes.join(",")
     )
 }
@@ -127,6 +135,8 @@ fn pixels_by_cells_give_the_reference_bits() {
             hits += 1;
             assert!((got.depth / want.depth - 1.0).abs() < 2e-4, "at ({x}, {y}): {} for {}", got.depth, want.depth);
             assert!(got.object == want.object, "at ({x}, {y})");
+            let albedo = [got.albedo, want.albedo];
+            assert!((albedo[0] - albedo[1]).length() < 0.05, "at ({x}, {y}): albedos {albedo:?}");
         }
     }
     assert!((10..60).contains(&hits), "{hits} of 64 pixels are hits");
