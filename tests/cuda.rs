@@ -273,7 +273,18 @@ fn auto_uses_the_cpu_and_reports_a_bad_gpu() {
 }
 
 #[test]
+fn gpu_gives_cpu_bytes_for_some_blocks_and_tiles() {
+    check_blocks_and_tiles(3);
+}
+
+#[test]
+#[ignore = "long: all pictures with all blocks; 15 s"]
 fn gpu_gives_cpu_bytes_for_all_blocks_and_tiles() {
+    check_blocks_and_tiles(1);
+}
+
+/// Renders each picture with every `step`-th of these flags, from another one on for each.
+fn check_blocks_and_tiles(step: usize) {
     let pictures = [
         jobs::as_png(&small("csg")),
         jobs::as_exr(&small("csg")),
@@ -284,9 +295,9 @@ fn gpu_gives_cpu_bytes_for_all_blocks_and_tiles() {
         jobs::as_exr(&of_cells()),
     ];
     let flags: [&[&str]; 4] = [&[], &["--block", "128x1"], &["--block", "16x16", "--tile", "32"], &["--block", "7x3"]];
-    for job in pictures {
+    for (index, job) in pictures.into_iter().enumerate() {
         let want = render_on_cpu(&job);
-        for flags in flags {
+        for flags in flags.into_iter().skip(index % step).step_by(step) {
             let got = render(with_gpu(&[&ON_GPU, flags].concat()), &job);
             let is_same = got.as_ref().is_ok_and(|got| *got == want);
             assert!(is_same, "{} differs with {flags:?}: {:?}", job["name"], got.err());

@@ -112,6 +112,16 @@ fn no_step_passes_a_surface() {
 
 #[test]
 fn distances_change_within_the_lipschitz_factor() {
+    check_lipschitz_factors(20_000);
+}
+
+#[test]
+#[ignore = "long: five times as many points; 12 s"]
+fn distances_change_within_the_lipschitz_factor_at_many_points() {
+    check_lipschitz_factors(100_000);
+}
+
+fn check_lipschitz_factors(points: u32) {
     each_node(|kind, node| {
         // An estimate is not a distance inside a fractal and at its fringe; there it only matters that no step passes
         // the surface.
@@ -119,7 +129,7 @@ fn distances_change_within_the_lipschitz_factor() {
             return;
         }
         let mut random = Random(4);
-        for _ in 0..100_000 {
+        for _ in 0..points {
             let (p, size) = (random.point(2.5), random.next(0.0, 1.0));
             let q = random.direction().mul_add(size * size * size, p);
             let (dp, dq) = (node.distance(p), node.distance(q));
@@ -150,13 +160,23 @@ fn miss(node: &Node, p: Vec3<f32>, random: &mut Random) -> f32 {
 
 #[test]
 fn an_exact_distance_ends_on_the_surface() {
+    check_exact_distances(600);
+}
+
+#[test]
+#[ignore = "long: five times as many points; 12 s"]
+fn an_exact_distance_ends_on_the_surface_at_many_points() {
+    check_exact_distances(3_000);
+}
+
+fn check_exact_distances(points: u32) {
     each_node(|kind, node| {
         if node.exactness() != Exactness::Exact {
             return;
         }
         assert!(node.stretch() <= 1.0, "{kind} is exact: a distance has a Lipschitz factor of 1");
         let mut random = Random(5);
-        for _ in 0..3_000 {
+        for _ in 0..points {
             let p = random.point(2.0);
             let mut miss = miss(node, p, &mut random);
             // If many directions are equally near, search for the best of them.

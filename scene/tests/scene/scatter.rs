@@ -44,6 +44,10 @@ fn centers(node: &Node, half: Vec3<f32>) -> Vec<Vec3<f32>> {
         }
         let step = |c: i32, half: f32| c as f32 * half / cells as f32;
         let mut p = vec3(step(x, half.x), step(y, half.y), step(z, half.z));
+        if node.distance(p) > 0.1 {
+            // The grid has points that are nearer to each ball.
+            continue;
+        }
         for _ in 0..4 {
             let d = node.distance(p) + 0.01;
             let slope = |by: Vec3<f32>| (node.distance(p + by) - node.distance(p - by)) / 2e-3;
