@@ -6,6 +6,8 @@ mod schema;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::io::Cursor;
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 use proto::Rect;
 use serde_json::{Value, json};
@@ -58,14 +60,21 @@ fn a_field_changes_the_key_exactly_if_it_changes_bytes() {
     for job in &jobs {
         schema.walk(job, &mut |position| position.pool_into(&mut pools));
     }
-    let renderer = CpuRenderer::new(Some(1), Simd::Auto).unwrap();
-    let mut covered = BTreeSet::new();
-    for job in &jobs {
-        let before = shot(&renderer, job)
-            .unwrap_or_else(|| panic!("{:?}: {job}", scene::parse(job.to_string().as_bytes()).err()));
-        schema.walk(job, &mut |position| change(&schema, &renderer, job, &before, position, &pools, &mut covered));
-    }
-    let points = schema.points();
+    let (covered, next) = (Mutex::new(BTreeSet::new()), AtomicUsize::new(0));
+    let check_jobs = || {
+        let renderer = CpuRenderer::new(Some(1), Simd::Auto).unwrap();
+        while let Some(job) = jobs.get(next.fetch_add(1, Ordering::Relaxed)) {
+            let before = shot(&renderer, job)
+                .unwrap_or_else(|| panic!("{:?}: {job}", scene::parse(job.to_string().as_bytes()).err()));
+            schema.walk(job, &mut |position| change(&schema, &renderer, job, &before, position, &pools, &covered));
+        }
+    };
+    std::thread::scope(|scope| {
+        for _ in 0..std::thread::available_parallelism().map_or(1, usize::from) {
+            scope.spawn(check_jobs);
+        }
+    });
+    let (points, covered) = (schema.points(), covered.into_inner().unwrap());
     let uncovered: Vec<&String> = points.difference(&covered).collect();
     assert_eq!(uncovered, WITHOUT_EFFECT, "uncovered: add each to a job of corpus.rs whose pixels it changes");
 }
@@ -78,11 +87,11 @@ fn change(
     before: &Shot,
     position: &Position<'_>,
     pools: &BTreeMap<String, Vec<Value>>,
-    covered: &mut BTreeSet<String>,
+    covered: &Mutex<BTreeSet<String>>,
 ) {
     for (points, value) in schema.candidates(position, pools) {
         let points: Vec<&String> = points.iter().chain(&position.path).collect();
-        if points.iter().all(|point| covered.contains(*point)) || value == *position.value {
+        if points.iter().all(|point| covered.lock().unwrap().contains(*point)) || value == *position.value {
             continue;
         }
         let mut changed = job.clone();
@@ -98,7 +107,7 @@ fn change(
         // A scene's hash is in its picture, so only the pixels show whether a field is used.
         let has_effect = before.pixels != after.pixels || position.pointer.starts_with("/image");
         if has_effect && before.bytes != after.bytes {
-            covered.extend(points.into_iter().cloned());
+            covered.lock().unwrap().extend(points.into_iter().cloned());
         }
     }
 }
