@@ -119,25 +119,28 @@ fn check(name: &str, job: &Job, points: u32) {
     );
 }
 
-/// Compares the weights of materials at a point, and the points of their textures, with those of the nearest object.
+/// Compares the weights of materials at a point, and the points of their textures, with those of the whole program, and
+/// with those of the nearest object, which are added in another order.
 fn check_materials(name: &str, scene: &Scene, cells: &Cells<'_>, p: Vec3<f32>) {
     let listed = cells.material_weights(p);
     if listed.is_empty() {
         return;
     }
     let object = &scene.objects[cells.nearest(p).1 as usize];
-    let weights = if object.shape.has_own_materials() {
-        let sample: DistanceWithMaterials<f32> = object.shape.sample(p);
-        sample.paint(object.material.slot(), p).weights().to_vec()
-    } else {
-        Vec::new()
-    };
-    for MaterialWeight { slot, weight, point } in listed {
-        let known = weights.iter().find(|known| known.slot == slot);
+    let sample: DistanceWithMaterials<f32> = object.shape.sample(p);
+    let painted = if object.shape.has_own_materials() { sample.paint(object.material.slot(), p) } else { sample };
+    for (MaterialWeight { slot, weight, point }, (whole, whole_point)) in
+        listed.into_iter().zip(cells.whole_material_weights(p))
+    {
+        assert!(weight == whole, "{name} at {p:?}: material {slot:?} has weight {weight} by cells, and {whole}");
+        if let Some(whole_point) = whole_point.filter(|_| weight > 0.0) {
+            assert_eq!(point, whole_point, "{name} at {p:?}: the point of material {slot:?}");
+        }
+        let known = painted.weights().iter().find(|known| known.slot == slot);
         let want = known.map_or(0.0, |known| known.weight);
-        assert!(weight == want, "{name} at {p:?}: material {slot:?} has weight {weight} by cells, and {want}");
+        assert!((weight - want).abs() < 1e-6, "{name} at {p:?}: material {slot:?} has weight {weight}, and not {want}");
         let is_textured = scene.used_materials()[slot.expect("a slot") as usize].is_textured();
-        if let Some(known) = known.filter(|_| weight > 0.0 && is_textured) {
+        if let Some(known) = known.filter(|known| is_textured && weight > 0.0 && weight == known.weight) {
             assert_eq!(point, known.point, "{name} at {p:?}: the point of material {slot:?}");
         }
     }

@@ -16,6 +16,8 @@ pub(super) const TILES: u32 = 12;
 const STITCH: i64 = -1;
 /// Minimum age of a straggler's lease.
 const MIN_STRAGGLER_MS: i64 = 500;
+/// Age from which a lease that its worker does not list counts as never received.
+const UNHEARD_LEASE_MS: i64 = 2000;
 
 type TileKey = (JobId, u32, i64);
 
@@ -164,6 +166,8 @@ impl Model {
                 None => lost.push(*lease),
             }
         }
+        let heard_ms = self.now_ms - UNHEARD_LEASE_MS;
+        self.give_up_where(LeaseEnd::Released, |lease| lease.worker == worker && lease.granted_ms <= heard_ms, holding);
         lost
     }
 
@@ -291,17 +295,18 @@ impl Model {
     pub(super) fn pass(&mut self, ms: i64) {
         self.now_ms += ms;
         let now_ms = self.now_ms;
-        self.give_up_where(LeaseEnd::Lost, |lease| lease.expires_ms <= now_ms);
+        self.give_up_where(LeaseEnd::Lost, |lease| lease.expires_ms <= now_ms, &[]);
     }
 
     /// Records the exit of a worker's process.
     pub(super) fn reap(&mut self, worker: WorkerId, cause: LeaseEnd) {
-        self.give_up_where(cause, |lease| lease.worker == worker);
+        self.give_up_where(cause, |lease| lease.worker == worker, &[]);
     }
 
-    fn give_up_where(&mut self, cause: LeaseEnd, which: impl Fn(&Lease) -> bool) {
-        let mut ending: Vec<LeaseId> =
-            self.leases.iter().filter(|(_, lease)| lease.live && which(lease)).map(|(id, _)| *id).collect();
+    /// Ends leases, but for some.
+    fn give_up_where(&mut self, cause: LeaseEnd, which: impl Fn(&Lease) -> bool, kept: &[LeaseId]) {
+        let ends = |(id, lease): &(&LeaseId, &Lease)| lease.live && which(lease) && !kept.contains(id);
+        let mut ending: Vec<LeaseId> = self.leases.iter().filter(ends).map(|(id, _)| *id).collect();
         ending.sort_by_key(|id| (self.leases[id].expires_ms, *id));
         for id in ending {
             if self.leases[&id].live {

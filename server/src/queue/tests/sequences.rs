@@ -362,6 +362,16 @@ fn the_queue_matches_its_model_over_many_sequences() {
     assert_as_its_model(MANY_SEQUENCES);
 }
 
+/// A worker that still lived, but did not list leases that it had renewed before, once disagreed with its model.
+#[tokio::test]
+async fn forgotten_leases_are_released_before_they_expire() {
+    let claim = || Operation::Claim { worker: 0, fast: false };
+    let submit = Operation::Submit { submitter: 0, frames: 2, large: false, priority: 0 };
+    let passes = [706, 648, 646].map(|ms| Operation::Pass { ms });
+    let [first, second, third] = passes;
+    run(&[submit, claim(), claim(), first, claim(), second, claim(), third]).await;
+}
+
 fn assert_as_its_model(cases: u32) {
     let config = Config { cases, failure_persistence: None, max_shrink_time: 60_000, ..Config::default() };
     let seed = std::env::var("SDFARM_SEED").ok().and_then(|seed| seed.parse().ok());
