@@ -11,7 +11,7 @@ use crate::real::list::ListFunctions;
 use crate::real::{Bundle, Merge, Real, Vec3, bundle, vec3};
 
 /// Maximum number of materials of objects that have several: each is a part of every value that a list joins.
-pub(super) const MAX_MATERIALS: usize = 24;
+pub(super) const MAX_MATERIALS: usize = 64;
 
 function_names![MATERIAL_LEAVES "leaf_of_materials_", MATERIAL_JOINS "join_of_materials_"];
 
@@ -29,7 +29,7 @@ pub(super) enum LeafMaterial {
     /// The only one of its object.
     OfObject,
     /// The one in this slot, without a texture. The slot is a number of the leaf's row.
-    Uniform(u32),
+    Single(u32),
     /// Any others, where the object's own is in this slot.
     Mixed(u32),
 }
@@ -94,7 +94,7 @@ impl Leaf<'_> {
         let by_slot = |weight: MaterialWeight<R>, own: u32| (p.x.uniform(weight.slot.unwrap_or(own) as f32), weight);
         match self.material {
             LeafMaterial::OfObject => Vec::new(),
-            LeafMaterial::Uniform(slot) => {
+            LeafMaterial::Single(slot) => {
                 vec![by_slot(MaterialWeight { slot: Some(slot), weight: p.x.constant(1.0), point: p }, slot)]
             }
             LeafMaterial::Mixed(own) => self.weights(own, p).into_iter().map(|weight| by_slot(weight, own)).collect(),
@@ -150,11 +150,10 @@ impl<R: Real> ListFunctions<R> for MaterialLists<'_, '_> {
         let first = second.constant(1.0) - second;
         let mut weights = below.weights;
         for (weight, value) in weights.0.iter_mut().flatten().zip(value.weights.0.iter().flatten()) {
-            let (below, value) = (Weighted { weight: weight.weight * first, ..*weight }, value);
-            let second = value.weight * second;
-            let point = below.point.zip(value.point);
-            let point = point.map(|(below_point, point)| Vec3::select(below.weight.lt(second), point, below_point));
-            *weight = Weighted { weight: below.weight + second, point };
+            let (of_first, of_second) = (weight.weight * first, value.weight * second);
+            let points = weight.point.zip(value.point);
+            let point = points.map(|(first, second)| Vec3::select(of_first.lt(of_second), second, first));
+            *weight = Weighted { weight: of_first + of_second, point };
         }
         Surface { distance, weights }
     }

@@ -429,7 +429,7 @@ impl<'a> Cutter<'a> {
         if let Some(own) = self.painted {
             let slots = leaf.slots(own);
             leaf.material = match slots[..] {
-                [only] if !self.materials[only as usize].is_textured() => LeafMaterial::Uniform(only),
+                [only] if !self.materials[only as usize].is_textured() => LeafMaterial::Single(only),
                 _ => LeafMaterial::Mixed(own),
             };
             self.slots.extend(slots);
