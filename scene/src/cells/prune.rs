@@ -16,7 +16,7 @@
 
 use std::collections::HashMap;
 
-use super::program::{JoinKind, Leaf, Program};
+use super::program::{JoinKind, Leaf, MAX_STACK, Program};
 use super::tree::BLOCK_CELLS;
 use crate::bounds::Bounds;
 use crate::real::Interval;
@@ -82,8 +82,10 @@ type Numbers = [f32; SLAB_CELLS];
 /// Some of the cells of a slab: a bit for each.
 type Mask = u16;
 
-/// Intervals of a value in the cells of a slab.
+/// Intervals of a value in the cells of a slab. They are aligned to vectors, because reading across two recent writes
+/// makes a processor wait.
 #[derive(Clone, Copy, Debug)]
+#[repr(align(64))]
 struct Intervals {
     low: Numbers,
     high: Numbers,
@@ -109,12 +111,35 @@ enum EntryKind {
     Join { width: f32, first: u32, operands: u32 },
 }
 
-/// A value that waits for a join.
+/// Maximum number of values that wait: with that of a leaf which is joined at once.
+const MAX_WAITING: usize = MAX_STACK + 1;
+
+impl Intervals {
+    const UNKNOWN: Self = Self { low: [f32::NEG_INFINITY; SLAB_CELLS], high: [f32::INFINITY; SLAB_CELLS] };
+}
+
+/// Values that wait for a join. They are in memory of a known size, so that each is written where it stays.
 struct Waiting {
-    /// Indices of its first entry, and of the first operands after those of the values before it.
-    first_entry: usize,
-    first_operands: usize,
-    value: Intervals,
+    values: [Intervals; MAX_WAITING],
+    /// Of each, the indices of its first entry, and of the first operands after those of the values before it.
+    firsts: [(usize, usize); MAX_WAITING],
+    count: usize,
+}
+
+impl Waiting {
+    /// Adds a value, which is to be set.
+    #[inline(always)]
+    fn push(&mut self, firsts: (usize, usize)) -> Option<&mut Intervals> {
+        *self.firsts.get_mut(self.count)? = firsts;
+        self.count += 1;
+        self.values.get_mut(self.count - 1)
+    }
+
+    /// The values.
+    #[inline(always)]
+    fn values(&mut self) -> &mut [Intervals] {
+        self.values.get_mut(..self.count).unwrap_or_default()
+    }
 }
 
 /// A list that is to be pruned in the cells of a slab.
@@ -204,15 +229,14 @@ fn levels(leaf: &Leaf<'_>) -> Vec<(f32, Bounds)> {
     levels.map(|level| (level, leaf.bounds_of(level))).collect()
 }
 
-/// Intervals that contain every distance of a leaf with a Lipschitz factor in the cells, given those at their centers.
+/// Sets intervals to those that contain every distance of a leaf with a Lipschitz factor in the cells, given those at
+/// their centers.
 #[inline(always)]
-fn lipschitz_intervals(factor: f32, regions: &Regions, at_centers: &Numbers) -> Intervals {
-    let change = numbers(|cell| {
-        factor * regions.half_diagonals[cell] + ROUNDING * (regions.sizes[cell] + at_centers[cell].abs())
-    });
-    Intervals {
-        low: numbers(|cell| at_centers[cell] - change[cell]),
-        high: numbers(|cell| at_centers[cell] + change[cell]),
+fn set_by_factor(intervals: &mut Intervals, factor: f32, regions: &Regions, at_centers: &Numbers) {
+    for (cell, at_center) in at_centers.iter().enumerate() {
+        let change = factor * regions.half_diagonals[cell] + ROUNDING * (regions.sizes[cell] + at_center.abs());
+        intervals.low[cell] = at_center - change;
+        intervals.high[cell] = at_center + change;
     }
 }
 
@@ -278,7 +302,8 @@ impl Unpruned<'_> {
     /// for the vector instructions of the function that calls it, as are all functions that it calls.
     #[inline(always)]
     pub fn prune(&self) -> Pruned {
-        let (mut entries, mut operands) = (Vec::with_capacity(self.list.len()), Vec::new());
+        let operations = self.list.len() / 2;
+        let (mut entries, mut operands) = (Vec::with_capacity(2 * operations), Vec::with_capacity(operations));
         let value = self.values(&mut entries, &mut operands);
         cut_off(&mut entries, &operands);
         keep_joins(&mut entries);
@@ -289,8 +314,8 @@ impl Unpruned<'_> {
     #[inline(always)]
     fn values(&self, entries: &mut Vec<Entry>, operands: &mut Vec<[Intervals; 2]>) -> Intervals {
         let Self { pruner, list, leaves, regions, distances } = *self;
-        let unknown = Intervals { low: [f32::NEG_INFINITY; SLAB_CELLS], high: [f32::INFINITY; SLAB_CELLS] };
-        let mut waiting: Vec<Waiting> = Vec::new();
+        let mut waiting =
+            Waiting { values: [Intervals::UNKNOWN; MAX_WAITING], firsts: [(0, 0); MAX_WAITING], count: 0 };
         let mut known = leaves.iter().zip(distances.as_chunks::<SLAB_CELLS>().0);
         for operation in list.chunks_exact(2) {
             let &[leaf, join] = operation else { continue };
@@ -298,12 +323,13 @@ impl Unpruned<'_> {
                 && let Some((&index, at_centers)) = known.next()
             {
                 let factor = pruner.factors[index as usize];
-                let value = if factor < f32::INFINITY {
-                    lipschitz_intervals(factor, regions, at_centers)
+                let Some(value) = waiting.push((entries.len(), operands.len())) else { continue };
+                if factor < f32::INFINITY {
+                    set_by_factor(value, factor, regions, at_centers);
                 } else {
-                    pruner.levels.get(&index).map_or(unknown, |levels| level_intervals(levels, regions))
-                };
-                waiting.push(Waiting { first_entry: entries.len(), first_operands: operands.len(), value });
+                    let levels = pruner.levels.get(&index);
+                    *value = levels.map_or(Intervals::UNKNOWN, |levels| level_intervals(levels, regions));
+                }
                 entries.push(Entry { word: leaf & !IS_LAST, of: EntryKind::Leaf, cells: 0 });
             }
             if join == 0 {
@@ -314,7 +340,7 @@ impl Unpruned<'_> {
                 JoinRange::Least => 0.0,
                 kind @ JoinRange::Scale(by) => {
                     entries.push(Entry { word: join, of: EntryKind::Scale(by), cells: 0 });
-                    if let Some(Waiting { value, .. }) = waiting.last_mut() {
+                    if let Some(value) = waiting.values().last_mut() {
                         for cell in 0..SLAB_CELLS {
                             let all = [value.low[cell], value.high[cell]];
                             [value.low[cell], value.high[cell]] = kind.apply(all, all);
@@ -323,14 +349,15 @@ impl Unpruned<'_> {
                     continue;
                 }
             };
-            let [.., Waiting { value: a, .. }, second] = &mut waiting[..] else { continue };
-            let b = &second.value;
+            let Some(&(first_entry, first_operands)) = waiting.firsts.get(waiting.count.wrapping_sub(1)) else {
+                continue;
+            };
+            let [.., a, b] = waiting.values() else { continue };
             if cells_where(|cell| b.low[cell] >= beyond(a.high[cell], width)) == Mask::MAX {
-                entries.truncate(second.first_entry);
-                operands.truncate(second.first_operands);
+                entries.truncate(first_entry);
+                operands.truncate(first_operands);
             } else {
-                let of =
-                    EntryKind::Join { width, first: second.first_entry as u32 - 1, operands: operands.len() as u32 };
+                let of = EntryKind::Join { width, first: first_entry as u32 - 1, operands: operands.len() as u32 };
                 operands.push([*a, *b]);
                 entries.push(Entry { word: join, of, cells: 0 });
                 if width > 0.0 {
@@ -339,9 +366,9 @@ impl Unpruned<'_> {
                     join_intervals(JoinRange::Least, a, b);
                 }
             }
-            waiting.pop();
+            waiting.count -= 1;
         }
-        waiting.first().map_or(unknown, |first| first.value)
+        waiting.values().first().copied().unwrap_or(Intervals::UNKNOWN)
     }
 }
 
