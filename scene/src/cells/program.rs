@@ -343,13 +343,6 @@ fn is_union(shape: &Node) -> bool {
     }
 }
 
-impl Cutter<'_> {
-    fn listed_materials(&self) -> Vec<ListedMaterial> {
-        let is_textured = |slot: u32| self.materials[slot as usize].is_textured();
-        self.slots.iter().map(|&slot| ListedMaterial { slot, is_textured: is_textured(slot) }).collect()
-    }
-}
-
 #[derive(Default)]
 struct Cutter<'a> {
     /// Materials of the scene.
@@ -374,6 +367,12 @@ struct Cutter<'a> {
 }
 
 impl<'a> Cutter<'a> {
+    /// The materials of objects that have several.
+    fn listed_materials(&self) -> Vec<ListedMaterial> {
+        let is_textured = |slot: u32| self.materials[slot as usize].is_textured();
+        self.slots.iter().map(|&slot| ListedMaterial { slot, is_textured: is_textured(slot) }).collect()
+    }
+
     /// Adds the operations of a node, whose value is then joined with the one before.
     fn cut(&mut self, node: &'a Node, join: Option<&JoinKind>) {
         match node.cut() {

@@ -186,8 +186,7 @@ fn in_small(scenes: &[Shipped]) -> Vec<(String, Job)> {
     scenes.iter().map(|shipped| (shipped.name.clone(), small(shipped))).collect()
 }
 
-/// Compiles these scenes as a GPU worker would.
-/// Compiles the kernels of scenes for compute capabilities, each given as ten times its number.
+/// Compiles these scenes as a GPU worker would, for compute capabilities given as ten times their number.
 fn assert_compiled(scenes: &[Shipped], architectures: &[u32]) {
     let compiler = match Compiler::find() {
         Ok(compiler) => compiler,

@@ -367,8 +367,7 @@ fn the_queue_matches_its_model_over_many_sequences() {
 async fn forgotten_leases_are_released_before_they_expire() {
     let claim = || Operation::Claim { worker: 0, fast: false };
     let submit = Operation::Submit { submitter: 0, frames: 2, large: false, priority: 0 };
-    let passes = [706, 648, 646].map(|ms| Operation::Pass { ms });
-    let [first, second, third] = passes;
+    let [first, second, third] = [706, 648, 646].map(|ms| Operation::Pass { ms });
     run(&[submit, claim(), claim(), first, claim(), second, claim(), third]).await;
 }
 
