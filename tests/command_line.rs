@@ -54,6 +54,41 @@ fn extension_decides_the_format_of_a_rendered_picture() {
 }
 
 #[test]
+fn values_of_a_job_are_set_for_one_render() {
+    let mut job = jobs::quick();
+    job["scene"]["numbers"] = serde_json::json!({ "r": 0.5 });
+    job["scene"]["objects"][0]["shape"] = serde_json::json!({ "sphere": { "radius": { "expr": "r" } } });
+    let folder = folder_with(&job);
+    let render = |name: &str, more: &[&str]| {
+        let output = run_in(folder.path(), &[&["render", "job.json", "-o", name], more].concat());
+        assert!(output.status.success(), "{}", text(&output.stderr));
+        (fs::read(folder.path().join(name)).expect("written"), text(&output.stderr))
+    };
+    let (plain, _) = render("a.png", &[]);
+    let (set, _) = render("b.png", &["--set", "numbers.r=0.9", "--set", "name=another"]);
+    assert_ne!(plain, set);
+    job["scene"]["numbers"]["r"] = serde_json::json!(0.9);
+    fs::write(folder.path().join("job.json"), job.to_string()).expect("written");
+    // The provenance in the file is that of the scene with its values.
+    assert_eq!(render("c.png", &[]).0, set);
+    let (width, height) =
+        (job["image"]["width"].as_f64().expect("a width"), job["image"]["height"].as_f64().expect("a height"));
+    let (_, told) = render("d.png", &["--scale", "50%", "--samples", "1"]);
+    let size = format!("{}×{}, 1 sample", (width / 2.0).round(), (height / 2.0).round());
+    assert!(told.contains(&size), "{told}");
+    for (arguments, words) in [
+        (["--set", "numbers.q=1"], "scene.numbers has no q, only r"),
+        (["--set", "numbers.r"], "write PATH=VALUE"),
+        (["--scale", "0"], "write a percentage"),
+    ] {
+        assert_misuse(
+            &run_in(folder.path(), &[&["render", "job.json", "-o", "e.png"], arguments.as_slice()].concat()),
+            words,
+        );
+    }
+}
+
+#[test]
 fn layers_in_a_png_are_rejected() {
     let folder = folder_with(&jobs::as_exr(&jobs::quick()));
     assert_misuse(&run_in(folder.path(), &["render", "job.json", "-o", "a.png"]), "layers");

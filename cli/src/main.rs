@@ -13,6 +13,7 @@ mod job_file;
 mod job_name;
 mod logs;
 mod output_file;
+mod overrides;
 mod overview;
 mod preview_helper;
 mod progress;

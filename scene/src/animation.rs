@@ -88,7 +88,7 @@ impl Job {
         let seconds = self.frames.time_of(frame);
         let (mut scene, mut image) = (self.scene.clone(), self.image.clone());
         let error = |pointer, message| FrameError { pointer, message, frame, seconds };
-        let clock = &mut FrameTime::at(seconds);
+        let clock = &mut FrameTime::at(frame, seconds);
         scene.seek(clock).map_err(|misfit| error(self.pointer_in_scene(&misfit), misfit.message))?;
         image.seek(clock).map_err(|misfit| error(format!("/image{}", misfit.pointer), misfit.message))?;
         scene.camera.apply_turntable(frame, &self.frames);

@@ -20,11 +20,15 @@ use crate::materials::{Material, MaterialRef, MaterialSlots};
 use crate::nodes::{Node, material_pointer};
 use crate::scene::{March, Object, Scene, child_pointers};
 use crate::shapes::WrittenNodes;
+use crate::values::NamedNumber;
 
 /// Body of a job submission.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename = "Job", deny_unknown_fields)]
 pub(crate) struct JobDocument {
+    /// Address of a JSON Schema, for editors.
+    #[serde(default, rename = "$schema", skip_serializing_if = "Option::is_none")]
+    pub schema: Option<String>,
     /// Name of the job, for people.
     #[serde(default = "default_name")]
     #[schemars(length(max = crate::limits::MAX_NAME_CHARS))]
@@ -61,6 +65,9 @@ pub(crate) struct SceneDocument {
     /// Ambient occlusion: darkens ambient and sky light in corners; off when absent.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub ambient_occlusion: Option<AmbientOcclusion>,
+    /// Numbers by name, for formulas: a number, a formula as text, or a track.
+    #[serde(default)]
+    pub numbers: BTreeMap<String, NamedNumber>,
     /// Materials by name.
     #[serde(default)]
     pub materials: BTreeMap<String, Material>,
@@ -111,6 +118,7 @@ impl SceneDocument {
             lights,
             fog,
             ambient_occlusion,
+            numbers: _,
             materials: named,
             shapes: _,
             mut objects,

@@ -19,6 +19,7 @@ mod operators;
 mod per_axis;
 mod precomputed;
 mod primitives;
+mod rotations;
 mod scatter;
 mod sdf;
 mod sweeps;
@@ -61,11 +62,12 @@ pub use primitives::{
     Link, OctagonalPrism, Octahedron, Plane, PolygonSides, Pyramid, Quad, RegularPyramid, Rhombus, RoundCone,
     RoundedCylinder, SchwarzP, SolidAngle, Sphere, Tetrahedron, Torus, Triangle, TriangularPrism, U, Vesica,
 };
+pub use rotations::{Aim, Rotate};
 pub use scatter::{BallRegion, BoxRegion, DiscRegion, Scatter, ScatterRegion};
 pub use sdf::{Exactness, NodeError, Primitive, Sdf};
 pub use sweeps::{Extrude, Revolve};
 pub use terrain::HeightField;
-pub use transforms::{Rotate, Scale, Translate};
+pub use transforms::{Scale, Translate};
 pub use value::{Distance, DistanceWithMaterials, MaterialWeight, SdfValue};
 pub use warp::Warp;
 
@@ -350,7 +352,8 @@ nodes![
     Intersection,
     Difference,
     Translate,
-    Rotate,
+    Rotate boxed,
+    Aim boxed,
     Scale,
     Paint,
     CappedTorus,

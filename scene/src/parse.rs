@@ -1,10 +1,13 @@
 //! Parses the text of a job file into a [`Job`], or reports every error in it.
 
 mod collect;
+mod comments;
 mod depends;
+mod expand;
 mod form;
 mod messages;
 mod nodes;
+mod set;
 mod stand_ins;
 mod strict;
 mod suggest;
@@ -12,6 +15,10 @@ mod syntax;
 #[cfg(test)]
 mod tests;
 mod tree;
+
+pub use self::comments::plain_json;
+pub use self::set::set_value;
+pub(crate) use self::suggest::nearest as nearest_name;
 
 use std::collections::BTreeSet;
 use std::sync::Arc;
@@ -31,29 +38,49 @@ use crate::seek::{FrameTime, Seek};
 /// Maximum number of errors in one response.
 const MAX_ERRORS: usize = 100;
 
-/// Parses a job strictly, and reports the position of every error.
+/// Parses a job strictly, and reports the position of every error. Comments and trailing commas are ignored.
 pub fn parse(text: &[u8]) -> Result<Job, ParseError> {
     let text = std::str::from_utf8(text).map_err(|error| not_utf8(text, error.valid_up_to()))?;
+    let text = &plain_json(text);
     let outline = json_scan::check(text, MAX_JSON_DEPTH);
     if text.starts_with('\u{feff}') {
         let message = "begins with a byte order mark: save the file as UTF-8 without one";
         return Err(ParseError::NotJson(ValidationError::at(text, Some(0), String::new(), message)));
     }
-    let first = outline.map_err(|fault| of_outline(text, fault));
+    let outline = outline.map_err(|fault| of_outline(text, fault));
     if let Err(error) = serde_json::from_str::<IgnoredAny>(text) {
-        return Err(match first {
+        return Err(match outline {
             // The nesting depth and long keys are reported before any syntax error.
             Err((refusal, ScanErrorKind::TooDeep | ScanErrorKind::LongMember(_))) => refusal,
             Err((_, ScanErrorKind::DuplicateMember(_))) | Ok(()) => ParseError::NotJson(syntax::fault(text, &error)),
         });
     }
-    let first = match first {
+    if let Err((refusal, ScanErrorKind::LongMember(_))) = outline {
+        return Err(refusal);
+    }
+    let Some(expanded) = expand::expand(text) else { return plain(text, outline) };
+    let errors = match plain(&expanded.text, outline) {
+        Ok(mut job) if expanded.is_sound() => {
+            if let Some(written) = job.written.as_mut().and_then(Arc::get_mut) {
+                written.instances = expanded.instances;
+            }
+            return Ok(job);
+        }
+        Ok(_) => Vec::new(),
+        Err(ParseError::Invalid(errors)) => errors,
+        Err(refusal) => return Err(refusal),
+    };
+    Err(ParseError::Invalid(expanded.place(text, errors)))
+}
+
+/// Parses a text without formulas that is valid JSON, but may have errors of its outline.
+fn plain(text: &str, outline: Result<(), (ParseError, ScanErrorKind)>) -> Result<Job, ParseError> {
+    let first = match outline {
         Ok(()) => match sound(text) {
             Ok(job) => return Ok(job),
             Err(refusal) => refusal,
         },
-        Err((refusal, ScanErrorKind::LongMember(_))) => return Err(refusal),
-        Err((refusal, ScanErrorKind::TooDeep | ScanErrorKind::DuplicateMember(_))) => refusal,
+        Err((refusal, _)) => refusal,
     };
     let all = collect::all(text, |text| match sound(text) {
         Ok(_) | Err(ParseError::NotJson(_)) => Vec::new(),
@@ -120,7 +147,7 @@ type SemanticErrors = Vec<(String, String)>;
 /// keyframes.
 fn validate(document: JobDocument) -> Result<(Job, Vec<f64>), SemanticErrors> {
     let mut faults = faults_of_document(&document);
-    let JobDocument { name, mut scene, mut image, frames, priority } = document;
+    let JobDocument { schema: _, name, mut scene, mut image, frames, priority } = document;
     let mut shapes = nodes::expand(&mut scene, &mut faults);
     let names: Vec<String> = scene.materials.keys().cloned().collect();
     let resolved = scene.resolve(&mut shapes);
@@ -143,7 +170,7 @@ fn validate(document: JobDocument) -> Result<(Job, Vec<f64>), SemanticErrors> {
         return Err(faults);
     }
     let mut key_seconds = Vec::new();
-    let clock = &mut FrameTime::recording(0.0, &mut key_seconds);
+    let clock = &mut FrameTime::recording(&mut key_seconds);
     let sought = scene.seek(clock).and_then(|in_scene| Ok(in_scene | image.seek(clock)?));
     let is_animated =
         sought.map_err(|misfit| vec![(format!("/scene{}", in_document(misfit.pointer)), misfit.message)])?;
@@ -168,7 +195,7 @@ fn validate(document: JobDocument) -> Result<(Job, Vec<f64>), SemanticErrors> {
 fn faults_of_document(document: &JobDocument) -> SemanticErrors {
     let mut faults = SemanticErrors::new();
     let mut fault = |pointer: &str, message: String| faults.push((pointer.to_owned(), message));
-    let JobDocument { name, scene, image: _, frames: _, priority: _ } = document;
+    let JobDocument { schema: _, name, scene, image: _, frames: _, priority: _ } = document;
     if name.chars().count() > MAX_NAME_CHARS {
         fault("/name", format!("is longer than {MAX_NAME_CHARS} characters"));
     }

@@ -20,6 +20,8 @@ use crate::profiles::Profile;
 const DEFINITIONS: &str = "#/$defs/";
 /// Keywords that bound a number.
 const RANGE: [&str; 6] = ["minimum", "maximum", "exclusiveMinimum", "exclusiveMaximum", "multipleOf", "not"];
+/// Definitions with numbers that cannot be formulas.
+const WITHOUT_FORMULAS: [&str; 6] = ["ColorTrack", "Ease", "Formula", "NamedNumber", "PointTrack", "Track"];
 /// A small job, as a user would write it.
 const EXAMPLE: &str = r#"{
     "name": "example",
@@ -90,6 +92,9 @@ pub fn tidy(definitions: &mut Map<String, Value>, references: &str) {
     definitions.extend(parts);
     for (name, definition) in definitions {
         plain(definition);
+        if !WITHOUT_FORMULAS.contains(&name.as_str()) {
+            formula_beside_number(definition, &json!({ "$ref": format!("{references}Formula") }));
+        }
         shortest::shorten(definition);
         if let Some(schema) = definition.as_object_mut() {
             schema.insert("title".into(), name.as_str().into());
@@ -231,6 +236,44 @@ fn range_beside_type(schema: &mut Map<String, Value>) {
         number.extend(range);
     } else {
         schema.extend(range);
+    }
+}
+
+/// Allows a formula wherever a number is allowed.
+fn formula_beside_number(value: &mut Value, formula: &Value) {
+    let is_number = |schema: &Value| {
+        let is_number = |name: &Value| name == "number" || name == "integer";
+        schema["type"].as_array().map_or_else(|| is_number(&schema["type"]), |all| all.iter().any(is_number))
+    };
+    match value {
+        Value::Array(members) => members.iter_mut().for_each(|member| formula_beside_number(member, formula)),
+        Value::Object(schema) => {
+            if let Some(Value::Array(choices)) = schema.get_mut("anyOf")
+                && choices.iter().any(is_number)
+            {
+                if !choices.contains(formula) {
+                    choices.push(formula.clone());
+                }
+                return;
+            }
+            if is_number(&Value::Object(schema.clone())) {
+                let outside = ["description", "default", "title", "examples"];
+                let number: Map<String, Value> = schema
+                    .iter()
+                    .filter(|(key, _)| !outside.contains(&key.as_str()))
+                    .map(|(k, v)| (k.clone(), v.clone()))
+                    .collect();
+                schema.retain(|key, _| outside.contains(&key.as_str()));
+                schema.insert("anyOf".into(), json!([number, formula]));
+                return;
+            }
+            // Values that are no schemas stay as they are.
+            schema
+                .iter_mut()
+                .filter(|(key, _)| !["default", "examples"].contains(&key.as_str()))
+                .for_each(|(_, inside)| formula_beside_number(inside, formula));
+        }
+        Value::Null | Value::Bool(_) | Value::Number(_) | Value::String(_) => {}
     }
 }
 

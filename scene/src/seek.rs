@@ -10,19 +10,21 @@ pub(crate) use scene_derive::Seek;
 pub(crate) struct FrameTime<'a> {
     /// Seconds from frame 0.
     pub seconds: f64,
+    /// Number of the frame.
+    pub frame: u32,
     /// Collects the times of all keyframes, if they are requested.
     keyframe_times: Option<&'a mut Vec<f64>>,
 }
 
 impl<'a> FrameTime<'a> {
-    /// Frame time at a number of seconds.
-    pub(crate) fn at(seconds: f64) -> Self {
-        Self { seconds, keyframe_times: None }
+    /// Time of a frame at a number of seconds.
+    pub(crate) fn at(frame: u32, seconds: f64) -> Self {
+        Self { seconds, frame, keyframe_times: None }
     }
 
-    /// Frame time that also collects the times of all keyframes.
-    pub(crate) fn recording(seconds: f64, key_seconds: &'a mut Vec<f64>) -> Self {
-        Self { seconds, keyframe_times: Some(key_seconds) }
+    /// Time of the first frame, which also collects the times of all keyframes.
+    pub(crate) fn recording(key_seconds: &'a mut Vec<f64>) -> Self {
+        Self { seconds: 0.0, frame: 0, keyframe_times: Some(key_seconds) }
     }
 
     /// Collects the times of a track's keyframes.

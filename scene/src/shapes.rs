@@ -104,6 +104,8 @@ pub(crate) struct WrittenNodes {
     pub shapes: BTreeMap<String, Node>,
     /// See [`ends`].
     pub ends: BTreeMap<String, String>,
+    /// Names of shapes that stand for a shape with numbers, with the name of that shape.
+    pub instances: BTreeMap<String, String>,
 }
 
 impl WrittenNodes {
@@ -114,6 +116,7 @@ impl WrittenNodes {
         let mut pointer = start.to_owned();
         loop {
             if let Some((name, shape)) = self.target(node) {
+                let name = self.instances.get(name).map_or(name, String::as_str);
                 pointer = format!("/shapes/{}", json_scan::escape(name));
                 node = shape;
             }

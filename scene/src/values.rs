@@ -1,12 +1,17 @@
 //! Numbers with a meaning: validated once, when they are parsed.
 //!
 //! Each type is one kind of number of a job file, with its range in the type and in the schema. A number may have a
-//! `track`. It then stores the track next to its value at one time, and `Seek` evaluates it at another. Code that
+//! motion, a track or a formula. It then stores it next to its value at one time, and `Seek` evaluates it at another. Code that
 //! branches on a number's value must check `is_animated` first, because all frames share one compiled program.
 
+mod angles;
 mod color;
+mod motion;
+mod named_number;
 mod peeked_map;
+mod points;
 pub(crate) mod track;
+mod triple;
 
 use std::borrow::Cow;
 use std::fmt;
@@ -16,11 +21,14 @@ use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::de::{Error, MapAccess, Visitor};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
+pub use angles::Angles;
 pub use color::Color;
+pub(crate) use named_number::NamedNumber;
+pub use points::{Direction, Point, Rotation};
+pub(crate) use points::{inverse_rows_of, sin_cos_degrees, unit_of};
 
-use self::track::Track;
+use self::motion::{Motion, RangedNumber};
 use crate::limits::{MAX_LENGTH, MIN_LENGTH};
-use crate::real::{Real, Vec3, vec3};
 use crate::seek::{FrameTime, Seek, SeekError};
 
 pub(crate) use peeked_map::PeekedMap;
@@ -32,7 +40,7 @@ macro_rules! animatable_numbers {
 
         impl<'de> Deserialize<'de> for $Name {
             fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-                track::read(deserializer)
+                motion::read(deserializer)
             }
         }
 
@@ -42,7 +50,7 @@ macro_rules! animatable_numbers {
             }
 
             fn json_schema(generator: &mut SchemaGenerator) -> Schema {
-                track::or_track(json_schema!($schema), generator)
+                motion::or_motion(json_schema!($schema), generator)
             }
         }
     )* };
@@ -55,7 +63,7 @@ macro_rules! constant_numbers {
 
         impl<'de> Deserialize<'de> for $Name {
             fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-                track::read_constant(deserializer)
+                motion::read_constant(deserializer)
             }
         }
 
@@ -71,20 +79,20 @@ macro_rules! constant_numbers {
     )* };
 }
 
-/// A number and, if it is animated, its track. Two are equal if their values are.
+/// A number and, if it is animated, its motion. Two are equal if their values are.
 macro_rules! number_type {
     ($(#[$doc:meta])* $Name:ident: $is_in_range:expr, $words:literal) => {
         $(#[$doc])*
         #[derive(Clone, Debug)]
         pub struct $Name {
             value: f32,
-            track: Option<Arc<Track>>,
+            motion: Option<Arc<Motion>>,
         }
 
         impl $Name {
             /// The number, if it is in range.
             pub fn new(value: f32) -> Option<Self> {
-                <Self as track::RangedNumber>::is_in_range(value).then_some(Self { value, track: None })
+                <Self as RangedNumber>::is_in_range(value).then_some(Self { value, motion: None })
             }
 
             /// The value.
@@ -92,19 +100,19 @@ macro_rules! number_type {
                 self.value
             }
 
-            /// Whether a track gives this number a different value in other frames. If so, code must not branch on it:
+            /// Whether a motion gives this number a different value in other frames. If so, code must not branch on it:
             /// all frames share one compiled program.
             pub fn is_animated(&self) -> bool {
-                self.track.is_some()
+                self.motion.is_some()
             }
 
             /// Whether it is 0 in every frame, so that a formula may leave it out.
             pub fn is_zero(&self) -> bool {
-                self.value == 0.0 && self.track.is_none()
+                self.value == 0.0 && self.motion.is_none()
             }
         }
 
-        impl track::RangedNumber for $Name {
+        impl RangedNumber for $Name {
             const EXPECTED: &'static str = $words;
 
             fn is_in_range(value: f32) -> bool {
@@ -120,17 +128,16 @@ macro_rules! number_type {
                 self.value
             }
 
-            fn on_track(track: Track) -> Self {
-                Self { value: track.at(0.0, Self::is_in_range), track: Some(Arc::new(track)) }
+            fn moving(value: f32, motion: Motion) -> Self {
+                Self { value, motion: Some(Arc::new(motion)) }
             }
         }
 
         impl Seek for $Name {
             #[inline]
             fn seek(&mut self, clock: &mut FrameTime<'_>) -> Result<bool, std::boxed::Box<SeekError>> {
-                let Some(track) = &self.track else { return Ok(false) };
-                clock.record_keyframes(track.keyframe_times());
-                self.value = track.at(clock.seconds, <Self as track::RangedNumber>::is_in_range);
+                let Some(motion) = &self.motion else { return Ok(false) };
+                self.value = motion.at::<Self>(clock).map_err(SeekError::new)?;
                 Ok(true)
             }
         }
@@ -149,7 +156,7 @@ macro_rules! number_type {
 
         impl Serialize for $Name {
             fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-                track::write(self.value, self.is_animated(), serializer)
+                motion::write(self.value, self.is_animated(), serializer)
             }
         }
     };
@@ -234,6 +241,9 @@ animatable_numbers! {
     /// The full angle of a cone, in degrees.
     FullAngle: |v| (0.0..=180.0).contains(&v), "an angle from 0 to 180 degrees",
         { "type": "number", "minimum": 0, "maximum": 180, "description": "The full angle of a cone, in degrees." };
+    /// A color temperature, in kelvin.
+    ColorTemperature: |v| (1_700.0..=25_000.0).contains(&v), "a color temperature from 1700 to 25000 kelvin",
+        { "type": "number", "minimum": 1700, "maximum": 25000, "description": "A color temperature, in kelvin: a candle 1900, a lamp 2700, noon 5500, shade 8000." };
     /// Turbidity of the air.
     Turbidity: |v| (2.0..=10.0).contains(&v), "a turbidity from 2 to 10",
         { "type": "number", "minimum": 2, "maximum": 10, "description": "Turbidity of the air: 2 is clear, 10 is thick haze." };
@@ -286,8 +296,11 @@ impl<'de> Visitor<'de> for IntegerVisitor {
         Err(E::custom(format_args!("must be a whole number, not {value}")))
     }
 
-    fn visit_map<A: MapAccess<'de>>(self, _: A) -> Result<i64, A::Error> {
-        Err(A::Error::custom("is a count, which cannot be a track: write one whole number for all frames"))
+    fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<i64, A::Error> {
+        Err(A::Error::custom(match map.next_key::<String>()?.as_deref() {
+            Some("expr") => motion::CONSTANT_FORMULA,
+            _ => "is a count, which cannot be a track: write one whole number for all frames",
+        }))
     }
 }
 
@@ -308,181 +321,4 @@ pub(crate) fn integer_in_range<'de, D: Deserializer<'de>>(
         .ok()
         .filter(|value| (low..=high).contains(value))
         .ok_or_else(|| D::Error::custom(format_args!("must be {low} to {high} {what}, not {value}")))
-}
-
-/// A point or an offset, in scene units.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
-pub struct Point(pub Coordinate, pub Coordinate, pub Coordinate);
-
-impl Point {
-    /// Its coordinates.
-    pub fn get(&self) -> Vec3<f32> {
-        vec3(self.0.get(), self.1.get(), self.2.get())
-    }
-
-    /// The nearest point whose coordinates are in range.
-    pub(crate) fn clamped(p: Vec3<f32>) -> Self {
-        let [x, y, z] = <[f32; 3]>::from(p);
-        let coordinate = |c: f32| Coordinate { value: c.clamp(-MAX_LENGTH, MAX_LENGTH), track: None };
-        Self(coordinate(x), coordinate(y), coordinate(z))
-    }
-
-    /// Whether any of its coordinates is animated.
-    pub fn is_animated(&self) -> bool {
-        self.0.is_animated() || self.1.is_animated() || self.2.is_animated()
-    }
-}
-
-/// A direction: three numbers, not all 0, of any length.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Direction {
-    components: Point,
-    unit: Vec3<f32>,
-}
-
-impl Direction {
-    /// The direction of length 1.
-    pub fn unit(&self) -> Vec3<f32> {
-        self.unit
-    }
-
-    /// Whether any of its numbers is animated.
-    pub fn is_animated(&self) -> bool {
-        self.components.is_animated()
-    }
-}
-
-/// A point as a direction of length 1; `None` if it is the origin.
-fn unit(given: &Point) -> Option<Vec3<f32>> {
-    let numbers = <[f32; 3]>::from(given.get());
-    let largest = numbers.iter().fold(0.0_f32, |largest, c| largest.max(c.abs()));
-    // Scaled first, so that squares neither overflow nor underflow.
-    let [x, y, z] = numbers.map(|c| c / largest);
-    (largest >= MIN_LENGTH).then(|| vec3(x, y, z).normalize())
-}
-
-const NO_LENGTH: &str = "has no length: a direction needs a coordinate that is not 0";
-
-impl Seek for Direction {
-    fn seek(&mut self, clock: &mut FrameTime<'_>) -> Result<bool, Box<SeekError>> {
-        let Self { components: given, unit: derived } = self;
-        let is_animated = given.seek(clock)?;
-        if is_animated {
-            *derived = unit(given).ok_or_else(|| SeekError::new(NO_LENGTH))?;
-        }
-        Ok(is_animated)
-    }
-}
-
-impl<'de> Deserialize<'de> for Direction {
-    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        let given = Point::deserialize(deserializer)?;
-        let unit = unit(&given).ok_or_else(|| D::Error::custom(NO_LENGTH))?;
-        Ok(Self { components: given, unit })
-    }
-}
-
-impl Serialize for Direction {
-    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        self.components.serialize(serializer)
-    }
-}
-
-impl JsonSchema for Direction {
-    fn schema_name() -> Cow<'static, str> {
-        "Direction".into()
-    }
-
-    fn json_schema(generator: &mut SchemaGenerator) -> Schema {
-        let coordinate = generator.subschema_for::<Coordinate>();
-        json_schema!({
-            "type": "array", "items": coordinate, "minItems": 3, "maxItems": 3,
-            "description": "A direction: three numbers, not all 0, of any length."
-        })
-    }
-}
-
-/// A rotation about the fixed x, y and z axes, in this order, in degrees: the matrix Rz·Ry·Rx.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Rotation {
-    degrees: [Degrees; 3],
-    rows: [Vec3<f32>; 3],
-}
-
-impl Rotation {
-    /// Rows of the inverse rotation's matrix.
-    pub fn inverse_rows(&self) -> [Vec3<f32>; 3] {
-        self.rows
-    }
-
-    /// Whether any of its angles is animated.
-    pub fn is_animated(&self) -> bool {
-        self.degrees.iter().any(Degrees::is_animated)
-    }
-}
-
-/// The columns of Rz·Ry·Rx, which are the rows of its inverse.
-fn inverse_rows(degrees: &[Degrees; 3]) -> [Vec3<f32>; 3] {
-    inverse_rows_of(degrees.each_ref().map(Degrees::get))
-}
-
-/// Rows of the inverse of a rotation by these angles in degrees about the fixed x, y and z axes.
-pub(crate) fn inverse_rows_of(degrees: [f32; 3]) -> [Vec3<f32>; 3] {
-    let [(sx, cx), (sy, cy), (sz, cz)] = degrees.map(sin_cos_degrees);
-    [
-        vec3(cz * cy, sz * cy, -sy),
-        vec3(cz * sy * sx - sz * cx, sz * sy * sx + cz * cx, cy * sx),
-        vec3(cz * sy * cx + sz * sx, sz * sy * cx - cz * sx, cy * cx),
-    ]
-}
-
-impl Seek for Rotation {
-    fn seek(&mut self, clock: &mut FrameTime<'_>) -> Result<bool, Box<SeekError>> {
-        let Self { degrees, rows } = self;
-        let is_animated = degrees.seek(clock)?;
-        if is_animated {
-            *rows = inverse_rows(degrees);
-        }
-        Ok(is_animated)
-    }
-}
-
-/// Sine and cosine of an angle in degrees; exact at quarter turns.
-pub(crate) fn sin_cos_degrees(degrees: f32) -> (f32, f32) {
-    let turned = degrees % 360.0;
-    let quarter = (turned / 90.0).round();
-    let (s, c) = Real::sin_cos((turned - quarter * 90.0) * (std::f32::consts::PI / 180.0));
-    match (quarter as i32).rem_euclid(4) {
-        0 => (s, c),
-        1 => (c, -s),
-        2 => (-s, -c),
-        _ => (-c, s),
-    }
-}
-
-impl<'de> Deserialize<'de> for Rotation {
-    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        let degrees = <[Degrees; 3]>::deserialize(deserializer)?;
-        Ok(Self { rows: inverse_rows(&degrees), degrees })
-    }
-}
-
-impl Serialize for Rotation {
-    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        self.degrees.serialize(serializer)
-    }
-}
-
-impl JsonSchema for Rotation {
-    fn schema_name() -> Cow<'static, str> {
-        "Rotation".into()
-    }
-
-    fn json_schema(generator: &mut SchemaGenerator) -> Schema {
-        let degrees = generator.subschema_for::<Degrees>();
-        json_schema!({
-            "type": "array", "items": degrees, "minItems": 3, "maxItems": 3,
-            "description": "Angles in degrees about the fixed x, y and z axes, rotated in this order."
-        })
-    }
 }

@@ -29,7 +29,7 @@ pub(super) fn cases() -> Vec<Case> {
         changed(
             "ease that there is not",
             radius,
-            r#""radius": { "keys": [[0, 1]], "ease": ¤"bounce" }"#,
+            r#""radius": { "keys": [[0, 1]], "ease": ¤"wobble" }"#,
             "/scene/objects/0/shape/sphere/radius/ease",
             "smooth",
         ),

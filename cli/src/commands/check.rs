@@ -9,6 +9,7 @@ use serde_json::json;
 use self::size::Outlook;
 use crate::error::InvalidJob;
 use crate::job_file::JobFile;
+use crate::overrides::OverrideArguments;
 use crate::preview_helper::sample;
 use crate::terminal::{escape_line, print_line, print_note};
 
@@ -17,6 +18,8 @@ use crate::terminal::{escape_line, print_line, print_note};
 pub(crate) struct Arguments {
     /// The job file; - for standard input.
     job: String,
+    #[command(flatten)]
+    overrides: OverrideArguments,
     /// Spend 0.7 s instead of 0.2 s on the estimate of the job's time.
     #[arg(long, env = "SDFARM_ESTIMATE", value_parser = clap::builder::FalseyValueParser::new(), action = clap::ArgAction::SetTrue)]
     estimate: bool,
@@ -32,7 +35,7 @@ const QUICK_RENDER_MS: u64 = 200;
 
 /// Checks the job file.
 pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
-    let file = JobFile::read(&arguments.job)?;
+    let file = arguments.overrides.apply(JobFile::read(&arguments.job)?)?;
     let job = match file.parse() {
         Ok(job) => job,
         Err(error) => {

@@ -18,6 +18,7 @@ use crate::counted::counted;
 use crate::error::UsageError;
 use crate::job_file::JobFile;
 use crate::output_file::{OutputFile, check_format, format_of};
+use crate::overrides::OverrideArguments;
 use crate::progress::Progress;
 use crate::signals::Signals;
 use crate::terminal::{escape_line, print_note};
@@ -27,6 +28,8 @@ use crate::terminal::{escape_line, print_note};
 pub(crate) struct Arguments {
     /// The job file; - for standard input.
     job: String,
+    #[command(flatten)]
+    overrides: OverrideArguments,
     /// File for the picture: .png or .exr decides the format; - for standard output, in the job's format.
     #[arg(long, short, value_name = "FILE", env = "SDFARM_OUTPUT")]
     output: String,
@@ -59,7 +62,7 @@ struct Summary<'a> {
 
 /// Renders the picture.
 pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
-    let file = JobFile::read(&arguments.job)?;
+    let file = arguments.overrides.apply(JobFile::read(&arguments.job)?)?;
     let mut job = file.parse()?;
     if let Some(format) = format_of(&arguments.output)? {
         job.image.format = format;

@@ -13,6 +13,7 @@ use crate::counted::counted;
 use crate::error::UsageError;
 use crate::job_file::JobFile;
 use crate::output_file::{check_writable, format_of, is_folder};
+use crate::overrides::OverrideArguments;
 use crate::terminal::{escape_line, print_line, print_note};
 use crate::{follow, frame_files};
 
@@ -27,6 +28,8 @@ const SUBMIT_TIMEOUT: Duration = Duration::from_secs(30);
 pub(crate) struct Arguments {
     /// The job file; - for standard input.
     job: String,
+    #[command(flatten)]
+    overrides: OverrideArguments,
     #[command(flatten)]
     server: ServerArguments,
     /// Wait until the job is finished.
@@ -52,7 +55,7 @@ pub(crate) struct Arguments {
 
 /// Submits the job.
 pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
-    let file = JobFile::read(&arguments.job)?;
+    let file = arguments.overrides.apply(JobFile::read(&arguments.job)?)?;
     if let Some(output) = &arguments.output {
         check_output(&file.parse()?, output)?;
         check_writable(output)?;

@@ -193,7 +193,7 @@ impl Sdf for Scatter {
             let message = format!("must not be above the maximum, {}: write [minimum, maximum]", high.get());
             return Some(NodeError::new("scale/0", message));
         }
-        if self.base().is_some_and(|on| on.clone().seek(&mut FrameTime::at(0.0)) != Ok(false)) {
+        if self.base().is_some_and(|on| on.clone().seek(&mut FrameTime::at(0, 0.0)) != Ok(false)) {
             let message = "is animated, but placements are the same in all frames: write numbers instead of tracks";
             return Some(NodeError::new("on", message));
         }

@@ -1,4 +1,4 @@
-//! Transforms of a shape: translated, rotated, scaled. An exact distance remains exact.
+//! Transforms of a shape: translated, scaled. An exact distance remains exact.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -6,9 +6,9 @@ use serde::{Deserialize, Serialize};
 use super::cut::Cut;
 use super::{Child, Node, Sdf, SdfValue};
 use crate::bounds::Bounds;
-use crate::real::{Real, Vec3, vec3};
+use crate::real::{Real, Vec3};
 use crate::seek::Seek;
-use crate::values::{Point, Rotation, ScaleFactor};
+use crate::values::{Point, ScaleFactor};
 
 /// A translated shape.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
@@ -16,16 +16,6 @@ use crate::values::{Point, Rotation, ScaleFactor};
 pub struct Translate {
     /// Offset, in scene units.
     pub by: Point,
-    /// The shape.
-    pub child: Child,
-}
-
-/// A shape rotated about the fixed x, then y, then z axis.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
-#[serde(deny_unknown_fields)]
-pub struct Rotate {
-    /// Angles about x, y and z, in degrees.
-    pub degrees: Rotation,
     /// The shape.
     pub child: Child,
 }
@@ -81,41 +71,6 @@ impl Sdf for Translate {
 
     fn is_placement_animated(&self) -> bool {
         self.by.is_animated()
-    }
-}
-
-impl Sdf for Rotate {
-    const EXAMPLE: &str = r#"{ "degrees": [30, 40, 0], "child": { "box": { "size": [1.2, 0.8, 1.6] } } }"#;
-
-    fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>) -> V {
-        self.child.sample(self.to_child(p))
-    }
-
-    around_child!();
-
-    fn cut(&self) -> Cut<'_> {
-        Cut::Child(&self.child)
-    }
-
-    fn to_child<R: Real>(&self, p: Vec3<R>) -> Vec3<R> {
-        let [x, y, z] = self.degrees.inverse_rows();
-        vec3(p.dot_uniform(x), p.dot_uniform(y), p.dot_uniform(z))
-    }
-
-    fn bounds_from_child(&self, child: Bounds) -> Bounds {
-        child.rotated(self.degrees.inverse_rows())
-    }
-
-    fn bounds(&self, isolevel: f32) -> Bounds {
-        self.bounds_from_child(self.child.bounds(isolevel))
-    }
-
-    fn rotation(&self) -> Option<&Rotation> {
-        Some(&self.degrees)
-    }
-
-    fn is_placement_animated(&self) -> bool {
-        self.degrees.is_animated()
     }
 }
 

@@ -36,7 +36,7 @@ pub(super) fn expand(scene: &mut SceneDocument, faults: &mut SemanticErrors) -> 
     }
     let unused_names = shapes.keys().filter(|name| !expansion.used.contains(name.as_str())).cloned().collect();
     let unused = expansion.unused();
-    let written = written.map(|objects| WrittenNodes { objects, shapes, ends });
+    let written = written.map(|objects| WrittenNodes { objects, shapes, ends, instances: BTreeMap::new() });
     NamedShapes { written, unused_names, unused }
 }
 

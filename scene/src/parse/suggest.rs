@@ -112,7 +112,7 @@ pub(super) fn unknown<'a>(message: &'a str, prefix: &str) -> Option<(&'a str, Ve
 }
 
 /// The known name that was probably meant.
-pub(super) fn nearest<'a>(name: &str, known: &[&'a str]) -> Option<&'a str> {
+pub(crate) fn nearest<'a>(name: &str, known: &[&'a str]) -> Option<&'a str> {
     if name.is_empty() || name.chars().count() > MAX_COMPARED_CHARS {
         return None;
     }

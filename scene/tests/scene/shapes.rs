@@ -139,7 +139,7 @@ fn errors_of_form_in_shapes_are_all_reported() {
         &[
             ("/scene/shapes/a/sphere/radius", "from 1e-6"),
             ("/scene/shapes/b/union/of/0/ball", "did you mean `sphere`?"),
-            ("/scene/shapes/b/union/of/1/use", "must be a string, not 5"),
+            ("/scene/shapes/b/union/of/1/use", "must be the name of a shape"),
             ("/scene/objects/1/shape/sphere/radius", "from 1e-6"),
         ],
     );

@@ -45,6 +45,7 @@ pub(super) async fn file(State(farm): State<Arc<Farm>>, Path(id): Path<String>) 
     params(
         ("id" = String, Path, description = "The job whose file is submitted"),
         ("dry_run" = Option<bool>, Query, description = "Only validate the job and estimate its cost: 200 if it is valid"),
+        ("set" = Option<Vec<String>>, Query, description = "Sets a value of the job, as in `numbers.r=0.3`; may be repeated"),
         ("keep" = Option<String>, Query, description = "Retention after the job finishes: 36h, 7d, forever; by default the server's setting"),
         ("tile_seconds" = Option<u32>, Query, description = "Time limit for rendering one tile, in seconds: above it the tile has failed; at most, and by default, the server's `--max-tile-seconds`", minimum = 1),
         ("webhook" = Option<Vec<String>>, Query, description = "Address to notify when the job has finished; up to four"),
@@ -86,7 +87,7 @@ pub(super) async fn resubmit(
         text
     } else {
         let reader = Reader::Submitter(&holder.name);
-        farm.jobs.run(reader, move || merge_patch::apply(&text, &changes)).await??
+        farm.jobs.run(reader, move || merge_patch::apply(&scene::plain_json(&text), &changes)).await??
     };
     if text.len() > scene::limits::MAX_BODY_BYTES {
         return Err(ApiError::TooLarge { limit_bytes: scene::limits::MAX_BODY_BYTES as u64 });

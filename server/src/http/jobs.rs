@@ -77,6 +77,7 @@ pub(super) fn has_no_cache(headers: &HeaderMap) -> bool {
     post, path = "/v1/jobs", tag = "jobs", operation_id = "submit_job",
     params(
         ("dry_run" = Option<bool>, Query, description = "Only validate the job and estimate its cost: 200 if it is valid"),
+        ("set" = Option<Vec<String>>, Query, description = "Sets a value of the job, as in `numbers.r=0.3`; may be repeated"),
         ("keep" = Option<String>, Query, description = "Retention after the job finishes: 36h, 7d, forever; by default the server's setting"),
         ("tile_seconds" = Option<u32>, Query, description = "Time limit for rendering one tile, in seconds: above it the tile has failed; at most, and by default, the server's `--max-tile-seconds`", minimum = 1),
         ("webhook" = Option<Vec<String>>, Query, description = "Address to notify when the job has finished; up to four"),
@@ -165,6 +166,8 @@ impl Submission {
     pub(super) async fn finish(self, farm: &Arc<Farm>, text: bytes::Bytes, room: Room) -> Result<Response, ApiError> {
         let Self { caller, uri, headers, submitter, query, keep, tile_seconds } = self;
         let reader = Reader::Submitter(&submitter);
+        let address = uri.clone();
+        let text = farm.jobs.run(reader, move || submit_options::with_values(&address, text)).await??;
         let limits = quota::limits(farm, &caller);
         let wish = submit_options::read(&uri, &headers, &text, &farm.webhooks.guard, limits)?;
         let (dry_run, edge_px) = (query.dry_run, farm.config.tile_edge_px);

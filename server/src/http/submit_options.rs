@@ -1,6 +1,7 @@
 //! Options of a submission, read from headers and query: `Idempotency-Key`, webhooks.
 
 use axum::http::{HeaderMap, Uri};
+use bytes::Bytes;
 use reqwest::Url;
 
 use super::auth::Caller;
@@ -14,7 +15,7 @@ const IDEMPOTENCY_KEY: &str = "idempotency-key";
 /// Maximum length of an idempotency key.
 const MAX_KEY_BYTES: usize = 255;
 /// Other query parameters of a submission.
-const OTHER_PARAMETERS: [&str; 3] = ["dry_run", "keep", "tile_seconds"];
+const OTHER_PARAMETERS: [&str; 4] = ["dry_run", "keep", "set", "tile_seconds"];
 /// Maximum number of webhooks of a job.
 const MAX_WEBHOOKS: usize = 4;
 /// Maximum length of a webhook's address.
@@ -29,9 +30,7 @@ pub(super) fn read(
     limits: BacklogLimits,
 ) -> Result<SubmitOptions, ApiError> {
     let (mut urls, mut events) = (Vec::new(), Vec::new());
-    let query = Url::parse(&format!("http://query/?{}", uri.query().unwrap_or_default()))
-        .map_err(|error| ApiError::WrongQuery(error.to_string()))?;
-    for (name, value) in query.query_pairs() {
+    for (name, value) in query(uri)?.query_pairs() {
         match name.as_ref() {
             "webhook" => urls.push(webhook_url(&value, guard)?),
             "webhook_event" => events.push(event(&value)?),
@@ -61,6 +60,29 @@ pub(super) fn read(
     let webhooks = webhooks.collect();
     let once = key(headers)?.map(|key| IdempotencyKey { key, fingerprint: fingerprint(uri, headers, text) });
     Ok(SubmitOptions { idempotency: once, webhooks, limits })
+}
+
+/// An address with the query of a request.
+fn query(uri: &Uri) -> Result<Url, ApiError> {
+    let address = format!("http://query/?{}", uri.query().unwrap_or_default());
+    Url::parse(&address).map_err(|error| ApiError::WrongQuery(error.to_string()))
+}
+
+/// Text of a job with the values that the query sets: `set=numbers.r=0.3`.
+pub(super) fn with_values(uri: &Uri, text: Bytes) -> Result<Bytes, ApiError> {
+    let mut changed: Option<String> = None;
+    for (_, assignment) in query(uri)?.query_pairs().filter(|(name, _)| name == "set") {
+        let Some((path, value)) = assignment.split_once('=') else {
+            return Err(ApiError::WrongQuery(format!(
+                "set is {assignment:?}: write set=PATH=VALUE, as in numbers.r=0.3"
+            )));
+        };
+        // A text that is not UTF-8 is rejected when it is parsed.
+        let Ok(text) = std::str::from_utf8(&text) else { break };
+        let set = scene::set_value(changed.as_deref().unwrap_or(text), path.trim(), value.trim());
+        changed = Some(set.map_err(|message| ApiError::WrongQuery(format!("could not set {path}: {message}")))?);
+    }
+    Ok(changed.map_or(text, Bytes::from))
 }
 
 /// Whether the request is a replay, which adds no job to the queue.

@@ -63,6 +63,37 @@ async fn a_job_is_resubmitted_with_or_without_changes() {
 }
 
 #[tokio::test]
+async fn a_submission_sets_values_of_its_job() {
+    let farm = Farm::start().await;
+    let mut template = small_job(1);
+    template["scene"]["numbers"] = json!({ "r": 0.5 });
+    template["scene"]["objects"][0]["shape"] = json!({ "sphere": { "radius": { "expr": "r" } } });
+    // Comments are kept, because the rest of the text keeps its bytes.
+    let text = format!("// a template\n{template}");
+    let path = "/v1/jobs?set=numbers.r%3D0.25&set=image.samples%3D2&set=name%3Dsmall";
+    let posted: JobView = read(farm.post(path, text.clone()).await, StatusCode::CREATED).await;
+    assert_eq!(posted.name, "small");
+    let stored = in_time(farm.get(&format!("/v1/jobs/{}/file", posted.id)).await.text()).await.expect("text");
+    assert!(stored.starts_with("// a template\n") && stored.contains(r#""r":0.25"#), "{stored}");
+    // A stored job is a template, too; a change of it has no comments.
+    let again = format!("/v1/jobs/{}/resubmit?set=numbers.r%3D1", posted.id);
+    let again: JobView = read(farm.post(&again, r#"{ "priority": 3 }"#).await, StatusCode::CREATED).await;
+    let stored = read::<Value>(farm.get(&format!("/v1/jobs/{}/file", again.id)).await, StatusCode::OK).await;
+    assert_eq!((&stored["scene"]["numbers"]["r"], &stored["priority"]), (&json!(1), &json!(3)));
+    for (query, words) in [
+        ("numbers.q%3D1", "scene.numbers has no q, only r"),
+        ("numbers.r", "write set=PATH=VALUE"),
+        ("imgae.width%3D1", "did you mean image?"),
+    ] {
+        let problem =
+            refused(farm.post(&format!("/v1/jobs?set={query}"), text.clone()).await, 422, "wrong_query").await;
+        assert!(problem.detail.contains(words), "{query}: {}", problem.detail);
+    }
+    refused(farm.post("/v1/jobs?set=numbers.r%3D-1", text).await, 422, "wrong_job").await;
+    farm.stop().await;
+}
+
+#[tokio::test]
 async fn jobs_are_found_by_name_part_of_id_or_latest() {
     let farm = Farm::start().await;
     let castle = farm.submit(&named("castle", 1)).await.id;

@@ -79,6 +79,7 @@ pub(crate) fn jobs() -> Vec<Value> {
     scenes.extend(materials().iter().map(|material| scene(&ball(), material, &sun(), &gradient())));
     scenes.extend(shapes().iter().map(|shape| scene(shape, &gray(), &sun(), &gradient())));
     scenes.push(named_shapes());
+    scenes.extend(moving());
     [plain(), png(), graded(), ungraded(), layered()].into_iter().chain(scenes.iter().map(job)).collect()
 }
 
@@ -178,6 +179,43 @@ fn shapes() -> Vec<Value> {
             "material": [{ "diffuse": { "kd": [0.8, 0.2, 0.1] } }, { "flat": { "color": [0.1, 0.5, 0.2] } }]
         } } }),
     ]
+}
+
+/// Scenes with named numbers, formulas, tracks of points and colors, and color temperatures.
+fn moving() -> Vec<Value> {
+    let at = |x: f64, radius: Value| json!({ "translate": { "by": [x, 0, 0], "child": { "sphere": { "radius": radius } } } });
+    let of = |name: &str| json!({ "expr": format!("{name} * 0.5") });
+    let balls =
+        json!({ "union": { "of": [at(-1.2, of("a")), at(-0.4, of("b")), at(0.4, of("c")), at(1.2, of("d"))] } });
+    let mut numbers = scene(&balls, &gray(), &sun(), &gradient());
+    numbers["numbers"] = json!({ "a": 0.8, "b": "a * 1.2", "c": { "expr": "a - 0.2" },
+        "d": { "keys": [[0, 0.5], [0.7, 1.5]], "ease": [0.3, 0, 0.7, 1], "loop": "repeat" } });
+    let own = json!({ "use": { "shape": "used", "with": { "r": 0.7 } } });
+    let mut with = scene(&own, &gray(), &sun(), &gradient());
+    let shape = |edge: f64| json!({ "box": { "size": [1, edge, { "expr": "r" }] } });
+    with["shapes"] = json!({ "used": shape(0.8), "other": shape(1.4) });
+    with["numbers"] = json!({ "r": 1.1 });
+    // The first way back is in the rendered frame, at one second.
+    let eased = |from: Value, to: Value| {
+        let keys = json!([[0, from], [0.3, to, "smooth"], [0.8, from]]);
+        json!({ "keys": keys, "ease": "linear", "loop": "ping_pong" })
+    };
+    let shifted = json!({ "translate": { "by": eased(json!([0, 0, 0]), json!([1, 0.5, 0])), "child": ball() } });
+    let turned =
+        |degrees: Value| json!({ "rotate": { "degrees": degrees, "child": { "box": { "size": [1, 1.5, 0.7] } } } });
+    let turned = turned(eased(json!([0, 20, 10]), json!([40, 0, 0])));
+    let light = |color: Value| json!([{ "point": { "position": [1, 2, 2], "color": color, "shadow": true } }]);
+    let colors = [
+        json!({ "kelvin": 3000 }),
+        eased(json!([1, 0.2, 0.1]), json!([0.1, 0.9, 2])),
+        eased(json!("#ff2010"), json!("#1020ff")),
+        eased(json!({ "kelvin": 2000 }), json!({ "kelvin": 12000 })),
+    ];
+    let lit = colors.map(|color| scene(&ball(), &gray(), &light(color), &gradient()));
+    [numbers, with, scene(&shifted, &gray(), &sun(), &gradient()), scene(&turned, &gray(), &sun(), &gradient())]
+        .into_iter()
+        .chain(lit)
+        .collect()
 }
 
 /// A scene with named shapes, one of which is used.

@@ -235,7 +235,11 @@ impl Schema {
                 let last = self.object(&referred[referred.len() - 1]);
                 let only =
                     last.get("const").cloned().or((last.get("type") == Some(&json!("null"))).then_some(Value::Null));
-                let track = referred.iter().any(|schema| schema == "#/$defs/Track").then(|| tracks(position.value));
+                let is = |name: &str| referred.iter().any(|schema| *schema == format!("#/$defs/{name}"));
+                let track = is("Track").then(|| tracks(position.value));
+                let track = track.or_else(|| is("Formula").then(|| formulas(position.value)));
+                let track =
+                    track.or_else(|| (is("PointTrack") || is("ColorTrack")).then(|| point_tracks(position.value)));
                 let kept = pools.get(&point).into_iter().flatten().cloned();
                 let all = only.into_iter().chain(track.into_iter().flatten()).chain(kept);
                 candidates.extend(all.map(|value| (vec![point.clone()], value)));
@@ -269,7 +273,9 @@ fn others(value: &Value) -> Vec<Value> {
             None => near(number.as_f64().unwrap()),
         },
         Value::String(text) if text.starts_with('#') => vec![json!("#12f0c4")],
-        Value::String(text) => vec![json!(format!("{text}x")), json!("used"), json!("other")],
+        Value::String(text) => {
+            vec![json!(format!("{text}x")), json!("used"), json!("other"), json!(format!("({text}) * 1.3"))]
+        }
         Value::Null | Value::Array(_) | Value::Object(_) => Vec::new(),
     }
 }
@@ -278,6 +284,21 @@ fn near(number: f64) -> Vec<Value> {
     [number * 1.25 + 0.03, number * 0.8 - 0.02, number + 0.3, number * 0.5, number * 4.0 + 1.0, number + 40.0]
         .map(Value::from)
         .to_vec()
+}
+
+/// Formulas that could replace a number: some change over time.
+fn formulas(value: &Value) -> Vec<Value> {
+    let Some(from) = value.as_f64() else { return Vec::new() };
+    let moving = near(from).into_iter().map(|to| format!("mix({from}, {to}, t / 3)"));
+    let constant = others(value).into_iter().map(|to| format!("{to} + 0"));
+    moving.chain(constant).map(|text| json!({ "expr": text })).collect()
+}
+
+/// Tracks that could replace three numbers.
+fn point_tracks(value: &Value) -> Vec<Value> {
+    let Some([x, y, z]) = value.as_array().map(Vec::as_slice) else { return Vec::new() };
+    let Some(to) = x.as_f64().and_then(|x| near(x).into_iter().next()) else { return Vec::new() };
+    vec![json!({ "keys": [[0, value], [3, [to, y, z]]], "ease": "linear" })]
 }
 
 /// Tracks that could replace a number.

@@ -6,30 +6,39 @@ use std::marker::PhantomData;
 use serde::de::{DeserializeSeed, Error, IgnoredAny, SeqAccess, Visitor};
 use serde::{Deserialize, Deserializer};
 
-use super::{RangedNumber, read_constant};
+use super::Ease;
 use crate::limits::{MAX_KEYFRAME_SECONDS, MAX_KEYFRAMES};
 
-/// Keyframes in the order of time, one or more, with numbers in the range of `T`.
-pub(super) struct KeyframeSpan<T>(pub(super) Vec<(f64, f32)>, PhantomData<T>);
+/// A keyframe: its time in seconds, its value, and how the value is reached, if that differs from the track's easing.
+pub(crate) type Keyframe<V> = (f64, V, Option<Ease>);
 
-impl<'de, T: RangedNumber> Deserialize<'de> for KeyframeSpan<T> {
+/// Keyframes in the order of time, one or more.
+pub(crate) struct Keyframes<V>(pub(crate) Vec<Keyframe<V>>);
+
+/// A type of keyframes' values.
+pub(crate) trait KeyframeValue {
+    /// Form of such a keyframe, for messages.
+    const KEY: &'static str;
+}
+
+impl<'de, V: Deserialize<'de> + KeyframeValue> Deserialize<'de> for Keyframes<V> {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         deserializer.deserialize_seq(KeysVisitor(PhantomData))
     }
 }
 
-struct KeysVisitor<T>(PhantomData<T>);
+struct KeysVisitor<V>(PhantomData<V>);
 
-impl<'de, T: RangedNumber> Visitor<'de> for KeysVisitor<T> {
-    type Value = KeyframeSpan<T>;
+impl<'de, V: Deserialize<'de> + KeyframeValue> Visitor<'de> for KeysVisitor<V> {
+    type Value = Keyframes<V>;
 
     fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str("a list of keys: [[seconds, number], …]")
+        write!(f, "a list of keys: [{}, …]", V::KEY)
     }
 
-    fn visit_seq<A: SeqAccess<'de>>(self, mut list: A) -> Result<KeyframeSpan<T>, A::Error> {
-        let mut keys: Vec<(f64, f32)> = Vec::new();
-        let seed = |last: Option<&(f64, f32)>| KeyframeSeed::<T> { last: last.map(|key| key.0), value: PhantomData };
+    fn visit_seq<A: SeqAccess<'de>>(self, mut list: A) -> Result<Keyframes<V>, A::Error> {
+        let mut keys: Vec<Keyframe<V>> = Vec::new();
+        let seed = |last: Option<&Keyframe<V>>| KeyframeSeed::<V> { last: last.map(|key| key.0), value: PhantomData };
         while let Some(key) = list.next_element_seed(seed(keys.last()))? {
             if keys.len() == MAX_KEYFRAMES {
                 return Err(A::Error::custom(format_args!("has more than {MAX_KEYFRAMES} keys: use fewer")));
@@ -37,51 +46,48 @@ impl<'de, T: RangedNumber> Visitor<'de> for KeysVisitor<T> {
             keys.push(key);
         }
         if keys.is_empty() {
-            return Err(A::Error::custom("is empty: a track needs a key or more, as in [[0, 1.0], [2, 3.0]]"));
+            return Err(A::Error::custom(format_args!("is empty: a track needs a key or more: {}", V::KEY)));
         }
-        Ok(KeyframeSpan(keys, PhantomData))
+        Ok(Keyframes(keys))
     }
 }
 
-/// Deserializes `[seconds, number]`; seconds must be more than the previous keyframe's.
-struct KeyframeSeed<T> {
+/// Deserializes a keyframe; its seconds must be more than the previous keyframe's.
+struct KeyframeSeed<V> {
     last: Option<f64>,
-    value: PhantomData<T>,
+    value: PhantomData<V>,
 }
 
-impl<'de, T: RangedNumber> DeserializeSeed<'de> for KeyframeSeed<T> {
-    type Value = (f64, f32);
+impl<'de, V: Deserialize<'de> + KeyframeValue> DeserializeSeed<'de> for KeyframeSeed<V> {
+    type Value = Keyframe<V>;
 
-    fn deserialize<D: Deserializer<'de>>(self, deserializer: D) -> Result<(f64, f32), D::Error> {
+    fn deserialize<D: Deserializer<'de>>(self, deserializer: D) -> Result<Keyframe<V>, D::Error> {
         deserializer.deserialize_seq(self)
     }
 }
 
-impl<'de, T: RangedNumber> Visitor<'de> for KeyframeSeed<T> {
-    type Value = (f64, f32);
+impl<'de, V: Deserialize<'de> + KeyframeValue> Visitor<'de> for KeyframeSeed<V> {
+    type Value = Keyframe<V>;
 
     fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str("a key: [seconds, number]")
+        write!(f, "a key: {}", V::KEY)
     }
 
-    fn visit_seq<A: SeqAccess<'de>>(self, mut key: A) -> Result<(f64, f32), A::Error> {
-        let expected = "a key: [seconds, number]";
+    fn visit_seq<A: SeqAccess<'de>>(self, mut key: A) -> Result<Keyframe<V>, A::Error> {
+        let is_first = self.last.is_none();
         let seconds = key.next_element_seed(SecondsSeed(self.last))?;
-        let seconds = seconds.ok_or_else(|| A::Error::invalid_length(0, &expected))?;
-        let value = key.next_element::<Value<T>>()?.ok_or_else(|| A::Error::invalid_length(1, &expected))?;
+        let seconds = seconds.ok_or_else(|| A::Error::invalid_length(0, &self))?;
+        let value = key.next_element::<V>()?.ok_or_else(|| A::Error::invalid_length(1, &self))?;
+        let ease = key.next_element::<Ease>()?;
         if key.next_element::<IgnoredAny>()?.is_some() {
-            return Err(A::Error::invalid_length(3, &expected));
+            return Err(A::Error::invalid_length(4, &self));
         }
-        Ok((seconds, value.0.value()))
-    }
-}
-
-/// A keyframe's number, which cannot be a track.
-struct Value<T>(T);
-
-impl<'de, T: RangedNumber> Deserialize<'de> for Value<T> {
-    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        read_constant(deserializer).map(Self)
+        if is_first && ease.is_some() {
+            return Err(A::Error::custom(
+                "is the first key, and has an easing: an easing is that of the way to its key, so remove it here",
+            ));
+        }
+        Ok((seconds, value, ease))
     }
 }
 

@@ -32,7 +32,7 @@ fn kind(schema: &Value, property: &Value) -> String {
         (Value::Null, _) | (_, Value::Null) => String::new(),
         (low, high) => format!(", {low} to {high}"),
     };
-    let name = name.or_else(|| resolved["type"].as_str()).unwrap_or("value");
+    let name = name.or_else(|| resolved["type"].as_str()).or_else(|| ranged["type"].as_str()).unwrap_or("value");
     format!("{name}{range}")
 }
 

@@ -1,0 +1,63 @@
+//! Values that a command sets in a job: `--set`, `--samples`, `--scale`.
+
+use clap::Args;
+
+use crate::error::UsageError;
+use crate::job_file::JobFile;
+
+/// Values of a job that are replaced for one command.
+#[derive(Clone, Debug, Default, Args)]
+pub(crate) struct OverrideArguments {
+    /// Sets a value of the job, as in numbers.r=0.3 or scene.camera.fov=30; may be repeated.
+    #[arg(long, value_name = "PATH=VALUE", env = "SDFARM_SET", value_parser = assignment)]
+    set: Vec<(String, String)>,
+    /// Sets the rays per pixel.
+    #[arg(long, value_name = "N", env = "SDFARM_SAMPLES", value_parser = clap::value_parser!(u32).range(1..=i64::from(scene::limits::MAX_SAMPLES)))]
+    samples: Option<u32>,
+    /// Scales the picture's width and height, as in 25%.
+    #[arg(long, value_name = "PERCENT", env = "SDFARM_SCALE", value_parser = percentage)]
+    scale: Option<f64>,
+}
+
+impl OverrideArguments {
+    /// The job file with these values.
+    pub(crate) fn apply(&self, file: JobFile) -> anyhow::Result<JobFile> {
+        let Self { set, samples, scale } = self;
+        if set.is_empty() && samples.is_none() && scale.is_none() {
+            return Ok(file);
+        }
+        let JobFile { name, text } = file;
+        let mut text = String::from_utf8(text).map_err(|_| UsageError(format!("{name} is not UTF-8")))?;
+        for (path, value) in set {
+            text = replaced(&text, path, value)?;
+        }
+        if let Some(samples) = samples {
+            text = replaced(&text, "image.samples", &samples.to_string())?;
+        }
+        if let Some(scale) = scale {
+            let image = JobFile { name: name.clone(), text: text.clone().into_bytes() }.parse()?.image;
+            for (path, edge) in [("image.width", image.width), ("image.height", image.height)] {
+                let edge = (f64::from(edge) * scale).round().max(1.0);
+                text = replaced(&text, path, &edge.to_string())?;
+            }
+        }
+        Ok(JobFile { name, text: text.into_bytes() })
+    }
+}
+
+fn replaced(text: &str, path: &str, value: &str) -> anyhow::Result<String> {
+    scene::set_value(text, path, value).map_err(|message| UsageError(format!("could not set {path}: {message}")).into())
+}
+
+fn assignment(text: &str) -> Result<(String, String), String> {
+    let (path, value) = text.split_once('=').ok_or("write PATH=VALUE, as in numbers.r=0.3")?;
+    Ok((path.trim().to_owned(), value.trim().to_owned()))
+}
+
+fn percentage(text: &str) -> Result<f64, String> {
+    let percent = text.strip_suffix('%').unwrap_or(text).trim().parse::<f64>();
+    let percent = percent.ok().filter(|percent| (0.01..=10_000.0).contains(percent));
+    percent
+        .map(|percent| percent / 100.0)
+        .ok_or_else(|| "write a percentage from 0.01% to 10000%, as in 25%".to_owned())
+}
