@@ -117,7 +117,10 @@ fn easings_are_those_of_css() {
     };
     let curve = |[x1, y1, x2, y2]: [f64; 4]| {
         [0.25, 0.5, 0.75].map(|x| {
-            let of = |a: f64, b: f64, s: f64| 3.0 * (1.0 - s).powi(2) * s * a + 3.0 * (1.0 - s) * s * s * b + s.powi(3);
+            let of = |a: f64, b: f64, s: f64| {
+                let rest = 1.0 - s;
+                3.0 * rest * rest * s * a + 3.0 * rest * s * s * b + s * s * s
+            };
             let s = (0..=1_000_000).map(|k| f64::from(k) * 1e-6).find(|s| of(x1, x2, *s) >= x).unwrap_or(1.0);
             of(y1, y2, s) as f32
         })
