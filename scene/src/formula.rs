@@ -42,13 +42,11 @@ pub(crate) struct FormulaError {
     pub at: usize,
     /// The problem and its fix, worded to follow a position.
     pub message: String,
-    /// The name that is not known, if this is the problem.
-    pub unknown: Option<String>,
 }
 
 impl FormulaError {
     fn new(at: usize, message: impl Into<String>) -> Self {
-        Self { at, message: message.into(), unknown: None }
+        Self { at, message: message.into() }
     }
 }
 

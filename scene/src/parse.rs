@@ -58,7 +58,9 @@ pub fn parse(text: &[u8]) -> Result<Job, ParseError> {
     if let Err((refusal, ScanErrorKind::LongMember(_))) = outline {
         return Err(refusal);
     }
-    let Some(expanded) = expand::expand(text) else { return plain(text, outline) };
+    // A walk over a text that nests deeper than allowed could exceed the stack.
+    let is_too_deep = matches!(outline, Err((_, ScanErrorKind::TooDeep)));
+    let Some(expanded) = (!is_too_deep).then(|| expand::expand(text)).flatten() else { return plain(text, outline) };
     let errors = match plain(&expanded.text, outline) {
         Ok(mut job) if expanded.is_sound() => {
             if let Some(written) = job.written.as_mut().and_then(Arc::get_mut) {

@@ -123,7 +123,7 @@ fn unknown(name: &str, at: usize, names: &impl Names) -> FormulaError {
         let meant = meant.map(|meant| format!("; did you mean {meant}?")).unwrap_or_default();
         format!("{name} is not defined: add it to the scene's numbers{meant}")
     };
-    FormulaError { at, message, unknown: Some(name.to_owned()) }
+    FormulaError::new(at, message)
 }
 
 fn unknown_function(name: &str, at: usize) -> FormulaError {

@@ -97,6 +97,8 @@ struct Expander<'t> {
     shapes: BTreeMap<String, (Range<usize>, Range<usize>)>,
     /// Shapes in use by their names in the result.
     instances: BTreeMap<String, Instance>,
+    /// Named shapes that are in use.
+    used: BTreeSet<String>,
     /// Names in `instances` whose shapes are not written yet.
     to_write: Vec<String>,
     /// Names in `instances` by shape and numbers.
@@ -133,6 +135,7 @@ impl<'t> Expander<'t> {
             numbers: Numbers::new(text, root, scene),
             shapes,
             instances: BTreeMap::new(),
+            used: BTreeSet::new(),
             to_write: Vec::new(),
             by_numbers: HashMap::new(),
             faults: BTreeSet::new(),
@@ -316,6 +319,7 @@ impl<'t> Expander<'t> {
         let (with, keys) = (BTreeMap::new(), BTreeMap::new());
         let instance = Instance { shape: name.to_owned(), with, keys, inside: Vec::new() };
         self.instances.insert(name.to_owned(), instance);
+        self.used.insert(name.to_owned());
         self.to_write.push(name.to_owned());
     }
 
@@ -349,6 +353,7 @@ impl<'t> Expander<'t> {
         }
         let instance = Instance { shape: shape.to_owned(), with, keys, inside: inside.to_vec() };
         self.instances.insert(name.clone(), instance);
+        self.used.insert(shape.to_owned());
         self.by_numbers.insert(id, name.clone());
         self.to_write.push(name.clone());
         name
@@ -369,7 +374,7 @@ impl<'t> Expander<'t> {
             }
             // Shapes that are not used at all are checked, too.
             let Some(other) = others.next() else { break };
-            if !self.instances.values().any(|instance| instance.shape == other) {
+            if !self.used.contains(&other) {
                 self.plain_use(&other);
             }
         }

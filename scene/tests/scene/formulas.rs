@@ -324,3 +324,16 @@ fn ten_thousand_formulas_are_read_in_bounded_steps() {
     let job = job(&text(r#""r": 0.2, "gap": "2 * r""#, "", &shape, ""));
     assert_eq!(job.nodes(), 3_334);
 }
+
+/// Texts whose work would grow with the square of their size, or exceed the stack.
+#[test]
+fn deep_and_large_texts_with_formulas_are_read_in_bounded_work() {
+    let deep = |open: &str, close: &str| {
+        let shape = format!("{}1{}", open.repeat(200_000), close.repeat(200_000));
+        errors(&text(r#""r": 1"#, "", &shape, "")).iter().any(|error| error.message.contains("nests deeper"))
+    };
+    assert!(deep("[", "]") && deep(r#"{"a":"#, "}"));
+    let unused: Vec<String> = (0..100_000).map(|k| format!(r#""s{k}": {}"#, sphere("1"))).collect();
+    let job = job(&text(r#""r": 1"#, &unused.join(", "), &sphere(r#"{ "expr": "r" }"#), ""));
+    assert_eq!(job.nodes(), 1);
+}

@@ -166,8 +166,12 @@ impl Submission {
     pub(super) async fn finish(self, farm: &Arc<Farm>, text: bytes::Bytes, room: Room) -> Result<Response, ApiError> {
         let Self { caller, uri, headers, submitter, query, keep, tile_seconds } = self;
         let reader = Reader::Submitter(&submitter);
-        let address = uri.clone();
-        let text = farm.jobs.run(reader, move || submit_options::with_values(&address, text)).await??;
+        let values = submit_options::values(&uri)?;
+        let text = if values.is_empty() {
+            text
+        } else {
+            farm.jobs.run(reader, move || submit_options::with_values(&values, text)).await??
+        };
         let limits = quota::limits(farm, &caller);
         let wish = submit_options::read(&uri, &headers, &text, &farm.webhooks.guard, limits)?;
         let (dry_run, edge_px) = (query.dry_run, farm.config.tile_edge_px);

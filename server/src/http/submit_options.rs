@@ -16,6 +16,8 @@ const IDEMPOTENCY_KEY: &str = "idempotency-key";
 const MAX_KEY_BYTES: usize = 255;
 /// Other query parameters of a submission.
 const OTHER_PARAMETERS: [&str; 4] = ["dry_run", "keep", "set", "tile_seconds"];
+/// Maximum number of values that a query sets: the text of the job is scanned for each.
+const MAX_VALUES: usize = 32;
 /// Maximum number of webhooks of a job.
 const MAX_WEBHOOKS: usize = 4;
 /// Maximum length of a webhook's address.
@@ -68,21 +70,34 @@ fn query(uri: &Uri) -> Result<Url, ApiError> {
     Url::parse(&address).map_err(|error| ApiError::WrongQuery(error.to_string()))
 }
 
-/// Text of a job with the values that the query sets: `set=numbers.r=0.3`.
-pub(super) fn with_values(uri: &Uri, text: Bytes) -> Result<Bytes, ApiError> {
-    let mut changed: Option<String> = None;
+/// Paths and values that the query sets in the job: `set=numbers.r=0.3`.
+pub(super) fn values(uri: &Uri) -> Result<Vec<(String, String)>, ApiError> {
+    let mut values = Vec::new();
     for (_, assignment) in query(uri)?.query_pairs().filter(|(name, _)| name == "set") {
         let Some((path, value)) = assignment.split_once('=') else {
             return Err(ApiError::WrongQuery(format!(
                 "set is {assignment:?}: write set=PATH=VALUE, as in numbers.r=0.3"
             )));
         };
-        // A text that is not UTF-8 is rejected when it is parsed.
-        let Ok(text) = std::str::from_utf8(&text) else { break };
-        let set = scene::set_value(changed.as_deref().unwrap_or(text), path.trim(), value.trim());
-        changed = Some(set.map_err(|message| ApiError::WrongQuery(format!("could not set {path}: {message}")))?);
+        values.push((path.trim().to_owned(), value.trim().to_owned()));
     }
-    Ok(changed.map_or(text, Bytes::from))
+    if values.len() > MAX_VALUES {
+        return Err(ApiError::WrongQuery(format!(
+            "there are {} values to set: send at most {MAX_VALUES}",
+            values.len()
+        )));
+    }
+    Ok(values)
+}
+
+/// Text of a job with these values. A text that is not UTF-8 is rejected when it is parsed.
+pub(super) fn with_values(values: &[(String, String)], text: Bytes) -> Result<Bytes, ApiError> {
+    let Ok(mut changed) = std::str::from_utf8(&text).map(str::to_owned) else { return Ok(text) };
+    for (path, value) in values {
+        changed = scene::set_value(&changed, path, value)
+            .map_err(|message| ApiError::WrongQuery(format!("could not set {path}: {message}")))?;
+    }
+    Ok(changed.into())
 }
 
 /// Whether the request is a replay, which adds no job to the queue.

@@ -112,9 +112,14 @@ pub(in crate::parse) fn offset_in_string(text: &str, range: &Range<usize>, offse
 
 /// The string of `{ "expr": string }`, if this is the object that begins at a position.
 pub(in crate::parse) fn formula(text: &str, start: usize) -> Option<Range<usize>> {
+    // The first key decides, before the value is scanned: every object is asked.
+    let key = (text.as_bytes().get(start) == Some(&b'{')).then(|| skip_space(text, start + 1))?;
+    if !text[key..].starts_with("\"expr\"") {
+        return None;
+    }
     let mut all = members(text, start);
-    let (key, value) = all.next()?;
-    let is_formula = &text[key] == "\"expr\"" && text.as_bytes()[value.start] == b'"' && all.next().is_none();
+    let (_, value) = all.next()?;
+    let is_formula = text.as_bytes()[value.start] == b'"' && all.next().is_none();
     is_formula.then_some(value)
 }
 
