@@ -97,7 +97,10 @@ impl Camera {
         }
         let forward = away.normalize();
         if forward.cross(self.up.unit()).length() < 1e-4 {
-            return Some(("up", "points along the view: choose an up that is not along look_at - position"));
+            return Some((
+                "up",
+                "\"up\" points along the view, also if it is left out: choose an up that is not along look_at - position, such as [0, 0, -1]",
+            ));
         }
         self.fov.as_ref().and(self.projection.validate_fov()).map(|message| ("fov", message))
     }

@@ -10,6 +10,7 @@ mod expr;
 mod functions;
 mod grammar;
 mod program;
+mod slips;
 
 pub(crate) use expr::{Expr, resolve};
 pub use functions::{FUNCTIONS, Function};
@@ -54,6 +55,16 @@ impl FormulaError {
 pub(crate) trait Names {
     /// The number that a name stands for; `None` if it is not known here. `t`, `frame` and `pi` are not asked for.
     fn get(&mut self, name: &str) -> Option<Arc<Expr>>;
+
+    /// Where to define a name that is not known.
+    fn place(&self) -> &'static str {
+        "the scene's numbers"
+    }
+
+    /// Whether what is being read is copied, by copies that are counted.
+    fn is_copied(&self) -> bool {
+        false
+    }
 
     /// All known names, for suggestions.
     fn all(&self) -> Vec<String>;

@@ -178,6 +178,13 @@ macro_rules! nodes {
                 }
             }
 
+            /// Heights of its middle copy and of a lowest one that missed the shape that the others are on.
+            pub(crate) fn fallen_copies(&self) -> Option<(f32, f32)> {
+                match self {
+                    $($(#[$attribute])* Self::$Kind(node) => node.fallen_copies()),*
+                }
+            }
+
             /// Materials that it names; one of a placement has the placement's index.
             pub(crate) fn materials(&self) -> Vec<(Option<usize>, &MaterialRef)> {
                 match self {

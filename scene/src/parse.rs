@@ -60,8 +60,12 @@ pub fn parse(text: &[u8]) -> Result<Job, ParseError> {
     }
     // A walk over a text that nests deeper than allowed could exceed the stack.
     let is_too_deep = matches!(outline, Err((_, ScanErrorKind::TooDeep)));
-    let Some(expanded) = (!is_too_deep).then(|| expand::expand(text)).flatten() else { return plain(text, outline) };
-    let errors = match plain(&expanded.text, outline) {
+    let Some(expanded) = (!is_too_deep).then(|| expand::expand(text)).flatten() else {
+        return plain(text, outline, &|_, _| true);
+    };
+    let wrong = expanded.wrong(text);
+    let is_sure = |pointer: &str, at| expanded.is_sure(text, &wrong, pointer, at);
+    let errors = match plain(&expanded.text, outline, &is_sure) {
         Ok(mut job) if expanded.is_sound() => {
             if let Some(written) = job.written.as_mut().and_then(Arc::get_mut) {
                 written.instances = expanded.instances;
@@ -75,8 +79,13 @@ pub fn parse(text: &[u8]) -> Result<Job, ParseError> {
     Err(ParseError::Invalid(expanded.place(text, errors)))
 }
 
-/// Parses a text without formulas that is valid JSON, but may have errors of its outline.
-fn plain(text: &str, outline: Result<(), (ParseError, ScanErrorKind)>) -> Result<Job, ParseError> {
+/// Parses a text without formulas that is valid JSON, but may have errors of its outline. `is_sure` tells of an error of
+/// its meaning, by pointer and byte offset, whether it is certain.
+fn plain(
+    text: &str,
+    outline: Result<(), (ParseError, ScanErrorKind)>,
+    is_sure: &dyn Fn(&str, usize) -> bool,
+) -> Result<Job, ParseError> {
     let first = match outline {
         Ok(()) => match sound(text) {
             Ok(job) => return Ok(job),
@@ -84,10 +93,11 @@ fn plain(text: &str, outline: Result<(), (ParseError, ScanErrorKind)>) -> Result
         },
         Err((refusal, _)) => refusal,
     };
-    let all = collect::all(text, |text| match sound(text) {
+    let meaning = |text: &str| match sound(text) {
         Ok(_) | Err(ParseError::NotJson(_)) => Vec::new(),
         Err(ParseError::Invalid(faults)) => faults.into_iter().map(|fault| (fault.pointer, fault.message)).collect(),
-    });
+    };
+    let all = collect::all(text, meaning, is_sure);
     Err(if all.is_empty() { first } else { ParseError::Invalid(all) })
 }
 
@@ -220,7 +230,7 @@ fn image(document: &JobDocument, fault: &mut impl FnMut(&str, String)) {
         let pixels = image.pixels();
         fault(
             "/image",
-            format!("has {pixels} pixels: a frame may have at most {MAX_PIXELS}; make width or height less"),
+            format!("has {pixels} pixels: a frame may have at most {MAX_PIXELS}; make width or height smaller"),
         );
     }
     let rays = u128::from(image.rays()) * u128::from(document.frames.count);

@@ -4,6 +4,7 @@
 
 mod clear;
 mod empty;
+mod fallen;
 mod numbers;
 mod own_space;
 mod samples;
@@ -41,6 +42,8 @@ enum WarningKind {
     Swims,
     /// A difference is empty.
     Empty,
+    /// Scattered copies missed what they should be on.
+    Fallen,
     /// Transparent surfaces coincide.
     Touching,
     /// Metal has nothing to reflect.
@@ -116,6 +119,7 @@ fn frame_warnings(still: &JobAtFrame<'_>) -> Vec<Warning> {
         (WarningKind::Radians, numbers::radians(still)),
         (WarningKind::Swims, own_space::swims(still)),
         (WarningKind::Empty, empty::difference(still)),
+        (WarningKind::Fallen, fallen::copies(still)),
         (WarningKind::Touching, clear::touching(scene)),
         (WarningKind::Mirrors, clear::nothing_to_mirror(scene)),
         (WarningKind::Samples, samples::too_many(scene, still.image())),

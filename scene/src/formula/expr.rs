@@ -5,7 +5,7 @@ use std::sync::Arc;
 use super::functions::{FUNCTIONS, Function, find};
 use super::grammar::Syntax;
 use super::program::Step;
-use super::{FormulaError, MAX_FORMULA_STEPS, NAMES, Names};
+use super::{FormulaError, MAX_FORMULA_STEPS, NAMES, Names, slips};
 use crate::values::track::Track;
 
 /// A formula whose names have been replaced. What does not depend on time is a number.
@@ -94,12 +94,16 @@ fn call(name: &str, operands: Vec<Arc<Expr>>, at: usize) -> Result<Arc<Expr>, Fo
     if numbers.len() == operands.len() {
         let value = (function.apply)(&numbers);
         if !value.is_finite() {
-            let numbers: Vec<String> = numbers.iter().map(ToString::to_string).collect();
+            let cure = slips::cure(name, &numbers);
             let operation = match numbers.as_slice() {
+                [left, right] if function.parameters.is_empty() && *left < 0.0 => format!("({left}) {name} {right}"),
                 [left, right] if function.parameters.is_empty() => format!("{left} {name} {right}"),
-                _ => format!("{name}({})", numbers.join(", ")),
+                numbers => {
+                    let numbers: Vec<String> = numbers.iter().map(ToString::to_string).collect();
+                    format!("{name}({})", numbers.join(", "))
+                }
             };
-            return Err(FormulaError::new(at, format!("{operation} has no finite value")));
+            return Err(FormulaError::new(at, format!("{operation} has no finite value: {cure}")));
         }
         return Ok(Arc::new(Expr::Number(value)));
     }
@@ -113,23 +117,30 @@ fn call(name: &str, operands: Vec<Arc<Expr>>, at: usize) -> Result<Arc<Expr>, Fo
 
 fn unknown(name: &str, at: usize, names: &impl Names) -> FormulaError {
     let message = if name == "i" || name == "n" {
-        format!("{name} counts copies, and has no value here: use it in copies")
+        let cure = if names.is_copied() {
+            "use it in \"at\", because all copies are of one shape"
+        } else {
+            "use it in the \"at\" of copies that have a count"
+        };
+        format!("{name} counts copies, and has no value here: {cure}")
     } else if FUNCTIONS.iter().any(|function| function.name == name) {
         format!("{name} is a function: write {name}(…)")
     } else {
         let known = names.all();
         let known = known.iter().map(String::as_str).chain(NAMES.map(|(name, _)| name));
-        let meant = nearest(name, known);
+        let meant = slips::synonym(name).filter(|meant| NAMES.iter().any(|(name, _)| name == meant));
+        let meant = meant.or_else(|| nearest(name, known));
         let meant = meant.map(|meant| format!("; did you mean {meant}?")).unwrap_or_default();
-        format!("{name} is not defined: add it to the scene's numbers{meant}")
+        format!("{name} is not defined: add it to {}{meant}", names.place())
     };
     FormulaError::new(at, message)
 }
 
 fn unknown_function(name: &str, at: usize) -> FormulaError {
     let known = FUNCTIONS.iter().map(|function| function.name);
-    let meant = nearest(name, known.clone()).map(|meant| format!("did you mean {meant}?"));
-    let all = || format!("there are {}", known.collect::<Vec<_>>().join(", "));
+    let meant = slips::synonym(name).filter(|meant| known.clone().any(|known| known == *meant));
+    let meant = meant.or_else(|| nearest(name, known.clone())).map(|meant| format!("did you mean {meant}?"));
+    let all = || format!("choose one of {}", known.collect::<Vec<_>>().join(", "));
     FormulaError::new(at, format!("{name} is no function: {}", meant.unwrap_or_else(all)))
 }
 

@@ -8,7 +8,7 @@ use winnow::stream::{LocatingSlice, Location, Stream};
 use winnow::token::{any, one_of, take_while};
 use winnow::{ModalResult, Parser};
 
-use super::{FormulaError, MAX_FORMULA_BYTES, MAX_FORMULA_DEPTH};
+use super::{FormulaError, MAX_FORMULA_BYTES, MAX_FORMULA_DEPTH, slips};
 
 /// A formula as written. Offsets are in bytes from its start.
 #[derive(Clone, Debug, PartialEq)]
@@ -24,13 +24,16 @@ pub(crate) enum Syntax {
 type Text<'t> = LocatingSlice<&'t str>;
 type Parsed<T> = ModalResult<T, FormulaError>;
 
-const EXPECTED: &str = "a number, a name or a parenthesis is expected here";
+/// Stands for the message of an error whose cause is sought once its place is known.
+const NO_OPERAND: &str = "";
+/// As above, where an operator should be.
+const NO_OPERATOR: &str = "no operator";
 
 impl<'t> ParserError<Text<'t>> for FormulaError {
     type Inner = Self;
 
     fn from_input(input: &Text<'t>) -> Self {
-        Self::new(input.current_token_start(), EXPECTED)
+        Self::new(input.current_token_start(), NO_OPERAND)
     }
 
     fn into_inner(self) -> Result<Self, Self> {
@@ -64,25 +67,24 @@ pub(crate) fn parse(text: &str) -> Result<Syntax, FormulaError> {
         }
     }
     let mut input = LocatingSlice::new(text);
-    let formula = sum.parse_next(&mut input).map_err(inner)?;
+    let formula = sum.parse_next(&mut input).map_err(|error| explained(text, error))?;
     let at = input.current_token_start();
-    match text[at..].chars().next() {
-        None => Ok(formula),
-        Some(')') => Err(FormulaError::new(at, "closes a parenthesis that was not opened: remove it")),
-        Some('=') => Err(FormulaError::new(at, "is no operator: compare by ==")),
-        Some(',') => Err(FormulaError::new(at, "a comma is only for the arguments of a function: use . in numbers")),
-        Some(other) if other.is_alphanumeric() || "(_.".contains(other) => {
-            Err(FormulaError::new(at, "an operator is missing before this: write * to multiply"))
-        }
-        Some(other) => Err(FormulaError::new(at, format!("{other:?} is no operator: use + - * / % ^ < <= > >= == !="))),
-    }
+    if at < text.len() { Err(FormulaError::new(at, slips::no_operator(text, at, false))) } else { Ok(formula) }
 }
 
-fn inner(error: ErrMode<FormulaError>) -> FormulaError {
-    match error {
+fn explained(text: &str, error: ErrMode<FormulaError>) -> FormulaError {
+    let FormulaError { at, message } = match error {
         ErrMode::Backtrack(error) | ErrMode::Cut(error) => error,
-        ErrMode::Incomplete(_) => FormulaError::new(0, EXPECTED),
-    }
+        ErrMode::Incomplete(_) => FormulaError::new(0, NO_OPERAND),
+    };
+    FormulaError::new(
+        at,
+        match message.as_str() {
+            NO_OPERAND => slips::no_operand(text, at),
+            NO_OPERATOR => slips::no_operator(text, at, true),
+            _ => message,
+        },
+    )
 }
 
 /// An expression with operators: `^` binds strongest, then signs, then `* / %`, `+ -`, and comparisons.
@@ -109,7 +111,7 @@ fn sum(input: &mut Text<'_>) -> Parsed<Syntax> {
         "^" => infix!(Right, 9, "^"),
         _ => fail,
     };
-    let prefix = dispatch! { any;
+    let prefix = dispatch! { one_of(['-', '+']);
         '-' => Prefix(7, |_: &mut Text<'_>, operand| Ok(call("negate", vec![operand]))),
         '+' => Prefix(7, |_: &mut Text<'_>, operand| Ok(operand)),
         _ => fail,
@@ -150,7 +152,7 @@ fn close(input: &mut Text<'_>, open: usize) -> Parsed<()> {
     match opt(any).parse_next(input)? {
         Some(')') => Ok(()),
         None => Err(ErrMode::Cut(FormulaError::new(open, "this parenthesis is not closed: add )"))),
-        Some(_) => Err(ErrMode::Cut(FormulaError::new(at, "an operator or ) is expected here"))),
+        Some(_) => Err(ErrMode::Cut(FormulaError::new(at, NO_OPERATOR))),
     }
 }
 

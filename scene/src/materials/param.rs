@@ -89,7 +89,13 @@ impl<'de> Visitor<'de> for TintVisitor {
         Color::deserialize(SeqAccessDeserializer::new(channels)).map(ColorParam::Constant)
     }
 
-    fn visit_map<A: MapAccess<'de>>(self, map: A) -> Result<ColorParam, A::Error> {
+    fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<ColorParam, A::Error> {
+        let first = map.next_key::<String>()?;
+        let is_color = first.as_deref().is_some_and(|key| ["kelvin", "keys", "ease", "loop", "expr"].contains(&key));
+        let map = PeekedMap::new(first, map);
+        if is_color {
+            return Color::deserialize(MapAccessDeserializer::new(map)).map(ColorParam::Constant);
+        }
         let texture = Texture::deserialize(MapAccessDeserializer::new(map))?;
         let depth = texture.depth();
         if depth > MAX_TEXTURE_DEPTH {
@@ -254,8 +260,8 @@ impl<'de, N: ScalarKind> Visitor<'de> for LevelVisitor<N> {
             );
             return Err(A::Error::custom(message));
         }
-        // A track of keyframes is a number too.
-        let is_number = matches!(name, "keys" | "ease");
+        // A track and a formula are numbers too.
+        let is_number = matches!(name, "keys" | "ease" | "loop" | "expr");
         let map = MapAccessDeserializer::new(PeekedMap::new(first, map));
         if is_number {
             return N::deserialize(map).map(ScalarParam::Constant);

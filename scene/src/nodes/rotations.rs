@@ -153,12 +153,15 @@ impl Aim {
         let Some(z) = unit_of(&self.at) else {
             return Err((
                 "at",
-                "is where the shape is: aim at a point other than the origin of the shape's coordinates",
+                "is where the shape is: write a point other than the origin of the shape's coordinates",
             ));
         };
         let x = self.up.unit().cross(z);
         if x.length() < MIN_SINE {
-            return Err(("up", "is parallel to the direction of \"at\": write another direction"));
+            return Err((
+                "up",
+                "\"up\" is parallel to the direction of \"at\", also if it is left out: write another \"up\", such as [1, 0, 0]",
+            ));
         }
         let x = x.normalize();
         Ok([x, z.cross(x), z])

@@ -25,6 +25,9 @@ use crate::values::{ConstantDegrees, ConstantLengthOrZero, ConstantScale, Length
 /// Evaluations of `on` for each copy, on average, after which the search for places ends.
 const EVALUATIONS_PER_COPY: u64 = 128;
 
+/// Copies this many times the region's half width below most others have probably missed the shape that they should be on.
+const FAR_BELOW: f32 = 4.0;
+
 /// Copies of shapes at random placements, combined like a `union`. The placements follow from the numbers here, and are
 /// the same in all frames; numbers of the shapes may be animated.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
@@ -94,8 +97,11 @@ impl Scatter {
         if darts.len() < count as usize {
             let fitted = darts.len();
             let cure = match &surface {
+                Some(surface) if surface.is_missed() => {
+                    "most places are not above \"on\": move or enlarge \"on\", or make \"within\" smaller"
+                }
                 Some(surface) if !surface.has_evaluations() => "use a simpler shape in \"on\", or fewer copies",
-                Some(_) => "lower \"count\" or \"apart\", or move \"on\" below all of \"within\"",
+                Some(_) => "lower \"count\" or \"apart\", or enlarge \"within\" and \"on\"",
                 None => "lower \"count\" or \"apart\", or enlarge \"within\"",
             };
             return Err(NodeError::new("count", format!("is {count}, but only {fitted} copies fit: {cure}")));
@@ -181,6 +187,16 @@ impl Sdf for Scatter {
 
     fn placing_cost(&self) -> f32 {
         self.base().map_or(0.0, |on| self.count.get() as f32 * on.evaluation_cost())
+    }
+
+    fn fallen_copies(&self) -> Option<(f32, f32)> {
+        let copies = self.placed().ok().filter(|_| self.on.is_some())?;
+        let mut heights: Vec<f32> = copies.placements.all().iter().map(Placement::height).collect();
+        heights.sort_by(f32::total_cmp);
+        let (lowest, middle) = (*heights.first()?, heights[heights.len() / 2]);
+        let half = self.within.half_size();
+        let across = half.x.max(half.z).max(half.y);
+        (middle - lowest > FAR_BELOW * across).then_some((middle, lowest))
     }
 
     fn exactness(&self) -> Exactness {

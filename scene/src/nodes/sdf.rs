@@ -99,6 +99,11 @@ pub trait Sdf {
         0.0
     }
 
+    /// Heights of its middle copy and of a lowest one that missed the shape that the others are on.
+    fn fallen_copies(&self) -> Option<(f32, f32)> {
+        None
+    }
+
     /// How it is cut into leaves.
     fn cut(&self) -> Cut<'_> {
         Cut::Leaf

@@ -96,11 +96,12 @@ impl DocumentPart {
             is_whole.then_some((part, path))
         };
         let entries = |steps: &[&str], part: Self| {
+            let is_by_name = matches!(steps.last(), Some(&("materials" | "shapes")));
             let list = below(steps, part).map(|(_, path)| path);
             list.into_iter().flat_map(move |path| {
                 let count = match value.at(&path).map(|list| &list.body) {
                     Some(tree::Body::Array(entries)) => entries.len(),
-                    Some(tree::Body::Object(members)) if self == Self::Job => members.len(),
+                    Some(tree::Body::Object(members)) if is_by_name => members.len(),
                     _ => 0,
                 };
                 (0..count).map(move |index| (part, [path.as_slice(), &[index]].concat()))
@@ -151,15 +152,20 @@ struct Collector<'a> {
 /// All errors of a text that is valid JSON, in the order of their positions; none if it is a valid job, or if it has
 /// more values than can be repaired in little memory.
 ///
-/// `meaning` returns pointer and message of the semantic errors of a text that is valid in form.
-pub(super) fn all(text: &str, meaning: impl Fn(&str) -> Vec<(String, String)>) -> Vec<ValidationError> {
+/// `meaning` returns pointer and message of the semantic errors of a text that is valid in form. Those are left out that
+/// are not certain according to `is_certain`, which is given the pointer and the byte offset.
+pub(super) fn all(
+    text: &str,
+    meaning: impl Fn(&str) -> Vec<(String, String)>,
+    is_certain: &dyn Fn(&str, usize) -> bool,
+) -> Vec<ValidationError> {
     if json_scan::has_more_values_than(text, MAX_VALUES) {
         return Vec::new();
     }
     let mut collector = Collector::new(text);
     collector.part(DocumentPart::Job, &[]);
     if collector.can_continue() {
-        collector.meaning(meaning);
+        collector.meaning(meaning, is_certain);
     }
     collector.faults()
 }
@@ -255,20 +261,24 @@ impl<'a> Collector<'a> {
     }
 
     /// Validates the meaning of the repaired job.
-    fn meaning(&mut self, meaning: impl Fn(&str) -> Vec<(String, String)>) {
+    fn meaning(&mut self, meaning: impl Fn(&str) -> Vec<(String, String)>, is_certain: &dyn Fn(&str, usize) -> bool) {
         let mut text = String::new();
         self.root.write(self.text, &mut text, &mut Vec::new(), &|_, _| None);
         if form::read::<JobDocument>(&text).is_err() {
             return;
         }
         for (pointer, message) in meaning(&text) {
-            if !is_sure(&pointer, &self.repaired) {
+            let has_use =
+                |pointer: &str| self.root.at(&self.root.path_of(&steps(pointer)).0).is_none_or(Value::has_use);
+            if !is_sure(&pointer, &self.repaired, &has_use) {
                 continue;
             }
             let (path, _) = self.root.path_of(&steps(&pointer));
             let Some(value) = self.root.at(&path) else { continue };
             let (pointer, offset) = (self.root.pointer(&path, false), value.start);
-            self.found.push(CollectedErrors { pointer, offset, message, is_left_out: false });
+            if is_certain(&pointer, offset) {
+                self.found.push(CollectedErrors { pointer, offset, message, is_left_out: false });
+            }
         }
     }
 

@@ -1,8 +1,9 @@
 //! Dependencies of semantic errors: an error is certain only if no part that it depends on was replaced.
 
 /// Whether an error at a pointer is certain, whatever replaced the values at the repaired pointers.
-pub(super) fn is_sure(pointer: &str, repaired: &[String]) -> bool {
-    let needed = needed(pointer);
+/// `has_use` tells of a pointer to a node whether named shapes are used in it.
+pub(super) fn is_sure(pointer: &str, repaired: &[String], has_use: &dyn Fn(&str) -> bool) -> bool {
+    let needed = needed(pointer, has_use);
     !repaired.iter().any(|repaired| needed.iter().any(|needed| needed.is_touched_by(repaired)))
 }
 
@@ -24,7 +25,7 @@ fn is_at_or_below(pointer: &str, other: &str) -> bool {
     pointer.strip_prefix(other).is_some_and(|rest| rest.is_empty() || rest.starts_with('/'))
 }
 
-fn needed(pointer: &str) -> Vec<Needed> {
+fn needed(pointer: &str, has_use: &dyn Fn(&str) -> bool) -> Vec<Needed> {
     let whole = |pointer: &str| Needed { pointer: pointer.to_owned(), is_whole: true };
     let alone = |pointer: &str| Needed { pointer: pointer.to_owned(), is_whole: false };
     let steps: Vec<&str> = pointer.split('/').skip(1).collect();
@@ -35,9 +36,9 @@ fn needed(pointer: &str) -> Vec<Needed> {
             vec![whole(&format!("/scene/lights/{index}")), whole("/scene/background")]
         }
         ["scene", "objects", index, "shape", rest @ ..] => {
-            of_node(pointer, format!("/scene/objects/{index}/shape"), rest)
+            of_node(pointer, format!("/scene/objects/{index}/shape"), rest, has_use)
         }
-        ["scene", "shapes", name, rest @ ..] => of_node(pointer, format!("/scene/shapes/{name}"), rest),
+        ["scene", "shapes", name, rest @ ..] => of_node(pointer, format!("/scene/shapes/{name}"), rest, has_use),
         ["scene", "objects", _, "material"] => vec![whole(pointer), alone("/scene/materials")],
         ["image", "layers" | "exposure" | "tone_map", ..] => {
             vec![whole(pointer), alone("/image/format"), alone("/image/layers")]
@@ -47,7 +48,7 @@ fn needed(pointer: &str) -> Vec<Needed> {
 }
 
 /// Parts that an error in a node depends on: its `pointer`, that of the outermost node, and the steps below that.
-fn of_node(pointer: &str, mut node: String, mut rest: &[&str]) -> Vec<Needed> {
+fn of_node(pointer: &str, mut node: String, mut rest: &[&str], has_use: &dyn Fn(&str) -> bool) -> Vec<Needed> {
     let whole = |pointer: &str| Needed { pointer: pointer.to_owned(), is_whole: true };
     let alone = |pointer: &str| Needed { pointer: pointer.to_owned(), is_whole: false };
     loop {
@@ -68,7 +69,8 @@ fn of_node(pointer: &str, mut node: String, mut rest: &[&str]) -> Vec<Needed> {
         [_, "material"] => vec![whole(pointer), alone("/scene/materials")],
         [] => vec![alone(pointer)],
         // The node may use any shape.
-        [..] => vec![whole(&node), whole("/scene/shapes")],
+        [..] if has_use(&node) => vec![whole(&node), whole("/scene/shapes")],
+        [..] => vec![whole(&node)],
     }
 }
 
@@ -77,7 +79,7 @@ mod tests {
     use super::*;
 
     fn sure(pointer: &str, repaired: &str) -> bool {
-        is_sure(pointer, &[repaired.to_owned()])
+        is_sure(pointer, &[repaired.to_owned()], &|_| true)
     }
 
     #[test]
@@ -102,5 +104,7 @@ mod tests {
         assert!(sure(outer, inner));
         assert!(sure("/image/layers", "/image/width"));
         assert!(sure("/scene/objects/0/material", "/scene/objects/0/shape"));
+        let of_other = ["/scene/shapes/leg".to_owned()];
+        assert!(is_sure("/scene/objects/0/shape/torus/tube", &of_other, &|_| false));
     }
 }

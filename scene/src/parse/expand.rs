@@ -5,6 +5,7 @@
 //! that count copies are a list. The rest of the text is copied. [`Expanded`] remembers where each part came from, so
 //! that errors in the result have their positions in the user's text.
 
+mod expanded;
 mod names;
 pub(super) mod scan;
 mod source;
@@ -14,49 +15,16 @@ use std::fmt::Write as _;
 use std::ops::Range;
 use std::sync::Arc;
 
+pub(super) use self::expanded::Expanded;
 use self::names::{Numbers, Scope};
 use self::scan::{end_of, members, skip_space, string_end};
 use self::source::Source;
 use super::MAX_ERRORS;
-use crate::error::ValidationError;
 use crate::formula::{Expr, Syntax};
 use crate::limits::{MAX_BODY_BYTES, MAX_NODE_DEPTH, MAX_NODES};
 
 /// Maximum number of different uses of shapes with numbers.
 const MAX_INSTANCES: usize = 10_000;
-
-/// A text in which everything has been replaced.
-#[derive(Debug)]
-pub(super) struct Expanded {
-    /// The text.
-    pub text: String,
-    /// Names of shapes that stand for a shape with numbers, with the name of that shape.
-    pub instances: BTreeMap<String, String>,
-    source: Source,
-    /// Errors in formulas: byte offsets in the user's text, and messages.
-    faults: Vec<(usize, String)>,
-}
-
-impl Expanded {
-    /// Whether all formulas are sound.
-    pub(super) fn is_sound(&self) -> bool {
-        self.faults.is_empty()
-    }
-
-    /// Moves errors in the replaced text to their positions in the user's, and adds those in formulas.
-    pub(super) fn place(&self, users: &str, errors: Vec<ValidationError>) -> Vec<ValidationError> {
-        let moved = self.source.place(&self.text, users, errors);
-        let mut all = scan::faults_at(users, &self.faults);
-        // An error may follow from a number that stands for a wrong formula.
-        let wrong: Vec<String> = all.iter().map(|fault| fault.pointer.clone()).collect();
-        all.extend(moved.into_iter().filter(|error| super::depends::is_sure(&error.pointer, &wrong)));
-        // An error in a shape is reported once for each use with other numbers.
-        all.sort_by(|a, b| (a.line, a.column, &a.message).cmp(&(b.line, b.column, &b.message)));
-        all.dedup();
-        all.truncate(MAX_ERRORS);
-        all
-    }
-}
 
 /// Replaces formulas in a text that is valid JSON; `None` if it has none.
 pub(super) fn expand(text: &str) -> Option<Expanded> {
@@ -231,6 +199,14 @@ impl<'t> Expander<'t> {
                 (_, "use") => self.used(value, scope, inside),
                 (Place::Copies, "at") if scan::is_counted(self.text, value) => self.counted(value, scope, inside),
                 (_, "copies") => self.value(value, scope, Place::Copies, inside),
+                (Place::Copies, "child") => {
+                    let at = scan::member(self.text, start, "at");
+                    let is_counted = at.is_some_and(|at| scan::is_counted(self.text, at));
+                    let was_copied = std::mem::replace(&mut scope.is_copied, is_counted);
+                    let end = self.value(value, scope, Place::Elsewhere, inside);
+                    scope.is_copied = was_copied;
+                    end
+                }
                 _ => self.value(value, scope, Place::Elsewhere, inside),
             };
             at = scan::skip_separator(self.text, at);
@@ -253,7 +229,14 @@ impl<'t> Expander<'t> {
         let Ok(syntax) = parsed else { return stand_in() };
         let resolved = crate::formula::resolve(&syntax, &mut scope.names(&mut self.numbers, &mut self.faults));
         resolved.unwrap_or_else(|error| {
-            self.fault(scan::offset_in_string(self.text, string, error.at), error.message);
+            let at = scan::offset_in_string(self.text, string, error.at);
+            // A formula of counted copies is told once, for the first copy for which it is wrong.
+            let is_told = scope.copy().is_some() && self.faults.range((at, String::new())..).any(|told| told.0 == at);
+            let copy = scope.copy().filter(|_| error.message.contains("no finite value"));
+            let copy = copy.map(|copy| format!(" (for the copy i = {copy})")).unwrap_or_default();
+            if !is_told {
+                self.fault(at, error.message + &copy);
+            }
             stand_in()
         })
     }
@@ -390,6 +373,7 @@ impl<'t> Expander<'t> {
             inside.push(shape.clone());
         }
         let mut scope = Scope::new(&with);
+        scope.is_in_shape = true;
         self.value(value.start, &mut scope, Place::Elsewhere, &inside);
         self.flush(value.end);
         let asked = scope.asked;
@@ -409,12 +393,16 @@ impl<'t> Expander<'t> {
             Some(formula) => self.formula(&formula, scope).constant(),
             None => self.text[count_at..end_of(self.text, count_at)].parse().ok(),
         };
-        let Some(count) = count.filter(|count| count.fract() == 0.0 && (1.0..=MAX_NODES as f32).contains(count)) else {
-            self.fault(count_at, format!("must be a whole number of copies from 1 to {MAX_NODES}"));
+        let Some(whole) = count.filter(|count| count.fract() == 0.0 && (1.0..=MAX_NODES as f32).contains(count)) else {
+            let written = count.map(|count| format!(", not {count}")).unwrap_or_default();
+            self.fault(
+                count_at,
+                format!("must be a whole number of copies from 1 to {MAX_NODES}, the same in all frames{written}"),
+            );
             self.replace(start..end, "[{}]");
             return end;
         };
-        let count = count as u32;
+        let count = whole as u32;
         self.flush(start);
         let own: Vec<_> = members(self.text, start).filter(|(key, _)| &self.text[key.clone()] != "\"count\"").collect();
         for index in 0..count {

@@ -56,13 +56,17 @@ pub(super) fn read<T: DeserializeOwned>(text: &str) -> Result<T, FormError> {
 fn fault(text: &str, pointer: String, message: String) -> FormError {
     if let Some((name, known)) = suggest::unknown(&message, "unknown variant `") {
         let meant = suggest::nearest(name, &known).map(str::to_owned);
-        let message = suggest::unknown_name(name, &known, &pointer);
+        let message = suggest::unknown_name(name, &known);
         let (pointer, is_key) = place_of_name(text, pointer, name);
         return FormError { pointer, is_key, kind: FormErrorKind::UnknownName(meant), message };
     }
     if let Some((key, known)) = suggest::unknown(&message, "unknown field `") {
         let meant = suggest::nearest(key, &known).map(str::to_owned);
         let message = suggest::unknown_key(key, &known);
+        // A visitor that looks at the first key to decide on a type loses the key's place.
+        let inside = format!("{pointer}/{}", json_scan::escape(key));
+        let is_inside = last(&pointer) != json_scan::escape(key) && json_scan::locate_member(text, &inside).is_some();
+        let pointer = if is_inside { inside } else { pointer };
         let is_key = json_scan::locate_member(text, &pointer).is_some();
         return FormError { pointer, is_key, kind: FormErrorKind::UnknownKey(meant), message };
     }

@@ -39,11 +39,15 @@ fn shape_error(text: &str, message: &str) -> Option<String> {
             "is empty: write one key, the name of its kind, with its parameters inside".to_owned()
         }
         Value::Object(keys) => format!("has {} keys: keep only the one that names its kind", keys.len()),
+        Value::Array(entries) if message == "trailing characters" && entries.len() > 4 => {
+            format!("has {} entries, too many: leave out the others, and write numbers with a point, as in 0.5", entries.len())
+        }
         Value::Array(entries) if message == "trailing characters" => {
             format!("has {} entries: leave out the last", entries.len())
         }
         Value::Null | Value::Bool(_) | Value::Number(_) | Value::String(_) | Value::Array(_) => {
-            "must be an object of one key, the name of its kind, with its parameters inside".to_owned()
+            "must be an object of one key, the name of its kind, with its parameters inside; a kind without parameters is its name in double quotes"
+                .to_owned()
         }
     })
 }
@@ -67,9 +71,14 @@ fn expected_form(wanted: &str) -> String {
     if wanted.starts_with("tuple struct Point") {
         return "a list of 3 numbers".to_owned();
     }
-    let length = wanted.strip_prefix("an array of length ").or_else(|| wanted.strip_prefix("a tuple of size "));
-    match (length, wanted) {
+    if let Some(length) = wanted.strip_prefix("an array of length ") {
+        return format!("a list of {length} numbers");
+    }
+    match (wanted.strip_prefix("a tuple of size "), wanted) {
         (Some(length), _) => format!("a list of {length}"),
+        (None, "f64" | "f32") => "a number".to_owned(),
+        (None, "a boolean") => "true or false".to_owned(),
+        (None, "a string") => "a text in double quotes".to_owned(),
         (None, "a sequence") => "a list".to_owned(),
         (None, "a map") => "an object".to_owned(),
         (None, wanted) => wanted.to_owned(),

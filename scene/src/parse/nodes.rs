@@ -12,6 +12,8 @@ use crate::nodes::{Node, NodeError};
 use crate::scene::{base_pointer, child_pointers};
 use crate::shapes::{TreeSize, WrittenNodes, each_use, ends, in_order_of_use, target};
 
+/// Maximum number of nodes, with their copies, that are evaluated for errors in a scene that has too many.
+const MAX_EVALUATED_NODES: u64 = 4 * MAX_NODES as u64;
 /// Maximum number of names listed in a message about a cycle.
 const MAX_LISTED: usize = 8;
 
@@ -28,6 +30,7 @@ pub(super) fn expand(scene: &mut SceneDocument, faults: &mut SemanticErrors) -> 
         is_valid: BTreeMap::new(),
         used: BTreeSet::new(),
         placing_cost: 0.0,
+        nodes_left: MAX_EVALUATED_NODES,
         faults,
     };
     let written = (!shapes.is_empty()).then(|| scene.objects.iter().map(|object| object.shape.clone()).collect());
@@ -203,6 +206,8 @@ struct Expansion<'s, 'f> {
     used: BTreeSet<&'s str>,
     /// See [`MAX_PLACING_COST`].
     placing_cost: f32,
+    /// Nodes, with their copies, that may still be evaluated in a scene that has too many.
+    nodes_left: u64,
     faults: &'f mut SemanticErrors,
 }
 
@@ -258,7 +263,7 @@ impl Expansion<'_, '_> {
             return false;
         }
         let in_base = || format!("{pointer}{}", base_pointer(node));
-        if !are_children_sound || !self.limits.can_evaluate || !self.can_place(node, in_base) {
+        if !are_children_sound || !self.can_evaluate(node) || !self.can_place(node, in_base) {
             return false;
         }
         match node.fault() {
@@ -268,6 +273,17 @@ impl Expansion<'_, '_> {
             }
             None => true,
         }
+    }
+
+    /// Whether a node is small enough to be evaluated.
+    fn can_evaluate(&mut self, node: &Node) -> bool {
+        if self.limits.can_evaluate {
+            return true;
+        }
+        let nodes = TreeSize::of(node, &self.limits.sizes).nodes;
+        let is_small = nodes <= self.nodes_left.min(MAX_NODES as u64);
+        self.nodes_left -= if is_small { nodes } else { 0 };
+        is_small
     }
 
     /// Whether the copies that a node scatters can be placed within the scene's limit. Reports the first that cannot.

@@ -21,7 +21,13 @@ pub fn set_value(text: &str, path: &str, value: &str) -> Result<String, String> 
     }
     let plain = plain_json(text);
     if let Err(error) = serde_json::from_str::<serde::de::IgnoredAny>(&plain) {
-        return Err(format!("cannot be set, because the job is not JSON: {error}"));
+        let fault = super::syntax::fault(&plain, &error);
+        return Err(format!("cannot be set, because the job is not JSON: {fault}"));
+    }
+    if path.contains(['/', '[']) || path.split('.').any(str::is_empty) {
+        return Err(format!(
+            "\"{path}\" is no path: write keys and indices with dots between, such as scene.objects.0.shape"
+        ));
     }
     let is_json = serde_json::from_str::<serde::de::IgnoredAny>(value).is_ok();
     let value = if is_json { value.to_owned() } else { serde_json::Value::from(value).to_string() };
@@ -50,7 +56,16 @@ pub fn set_value(text: &str, path: &str, value: &str) -> Result<String, String> 
                 let known: Vec<String> = members(&plain, at).map(|(known, _)| string(&plain, &known)).collect();
                 let names: Vec<&str> = known.iter().map(String::as_str).collect();
                 let meant = nearest_name(key, &names).map(|meant| format!("; did you mean {meant}?"));
-                let has = if names.is_empty() { String::new() } else { format!(", only {}", names.join(", ")) };
+                let has = match plain.as_bytes()[at] {
+                    b'{' if names.is_empty() => ": it is empty, so use another path".to_owned(),
+                    b'{' => format!(", only {}", names.join(", ")),
+                    b'[' => match (0..).take_while(|index| entry(&plain, at, *index).is_some()).count() {
+                        0 => ": it is an empty list, so use another path".to_owned(),
+                        1 => ": it is a list of one, so use the index 0".to_owned(),
+                        count => format!(": it is a list, so use an index from 0 to {}", count - 1),
+                    },
+                    _ => format!(": it is one value, so set {} itself", here()),
+                };
                 return Err(format!("{} has no {key}{}", here(), meant.unwrap_or(has)));
             }
         };

@@ -1,8 +1,11 @@
 //! Suggestions for unknown names, such as "did you mean `sphere`?": the nearest known name.
 
+use serde::de::DeserializeOwned;
 use strsim::{damerau_levenshtein, jaro_winkler};
 
-use crate::nodes::snake_case;
+use super::form::{self, FormErrorKind};
+use crate::materials::Material;
+use crate::nodes::{Node, snake_case};
 
 /// Maximum length of a list of names in a message.
 const MAX_LISTED: usize = 16;
@@ -14,7 +17,7 @@ const MAX_COMPARED_NAMES: usize = 2_000;
 const MIN_SIMILARITY: f64 = 0.88;
 
 /// Names from other tools and common usage, each with this language's name.
-const SYNONYMS: [(&str, &str); 84] = [
+const SYNONYMS: &[(&str, &str)] = &[
     ("aluminum", "surface"),
     ("amplitude", "height"),
     ("angle", "degrees"),
@@ -99,6 +102,38 @@ const SYNONYMS: [(&str, &str); 84] = [
     ("voronoi", "cellular"),
     ("worley", "cellular"),
     ("ring", "torus"),
+    ("name", "shape"),
+    ("around", "about"),
+    ("target", "at"),
+    ("target", "direction"),
+    ("position", "by"),
+    ("easing", "ease"),
+    ("formula", "expr"),
+    ("expression", "expr"),
+    ("radians", "degrees"),
+    ("r", "radius"),
+    ("axis", "normal"),
+    ("child", "of"),
+    ("gloss", "roughness"),
+    ("focal_length", "fov"),
+    ("temperature", "kelvin"),
+    ("intensity", "strength"),
+    ("intensity", "color"),
+    ("power", "color"),
+    ("sunlight", "directional"),
+    ("rectangle", "box"),
+    ("square", "rectangle"),
+    ("text", "string"),
+    ("musgrave", "perlin"),
+    ("jpg", "png"),
+    ("jpeg", "png"),
+    ("aces", "filmic"),
+    ("z", "depth"),
+    ("alternate", "ping_pong"),
+    ("forever", "repeat"),
+    ("quadratic", "ease_in_out"),
+    ("elastic_out", "bounce_out"),
+    ("elastic_in", "bounce_in"),
 ];
 
 /// The unknown name in a message of serde, and the known names; `prefix` begins the message.
@@ -146,13 +181,18 @@ fn plain(name: &str) -> String {
 }
 
 /// Message for an unknown name.
-pub(super) fn unknown_name(name: &str, known: &[&str], pointer: &str) -> String {
+pub(super) fn unknown_name(name: &str, known: &[&str]) -> String {
     let name = shortened(name);
     match nearest(&name, known) {
         Some(meant) => format!("there is no `{name}`: did you mean `{meant}`?"),
+        None if name == "type" || name == "kind" => {
+            format!("there is no `{name}`: the kind is the key itself, so write {{ \"KIND\": {{ … }} }}")
+        }
+        None if name.starts_with('#') && known.contains(&"color") => {
+            format!("there is no `{name}`: write {{ \"color\": \"{name}\" }}")
+        }
         None if known.len() > MAX_LISTED => {
-            let page = if pointer.contains("/shape") { "docs/nodes.md shows all of them, and " } else { "" };
-            format!("there is no `{name}`: {page}`sdfarm schema` lists all {}", known.len())
+            format!("there is no `{name}`: choose one of the {} in docs/nodes.md, or in `sdfarm schema`", known.len())
         }
         None => format!("there is no `{name}`: choose {}", listed(known)),
     }
@@ -163,6 +203,9 @@ pub(super) fn unknown_key(key: &str, known: &[&str]) -> String {
     let key = shortened(key);
     match nearest(&key, known) {
         Some(meant) => format!("unknown key `{key}`: did you mean `{meant}`?"),
+        None if known == ["material", "shape"] && is_kind::<Node>(&key) => {
+            format!("unknown key `{key}`: write {{ \"shape\": {{ \"{key}\": {{ … }} }} }}")
+        }
         None if known.is_empty() => format!("unknown key `{key}`: leave it out, because no keys are allowed here"),
         None => format!("unknown key `{key}`: leave it out, or choose {}", listed(known)),
     }
@@ -170,12 +213,27 @@ pub(super) fn unknown_key(key: &str, known: &[&str]) -> String {
 
 /// Message for a material name that is not defined.
 pub(super) fn unknown_material(name: &str, known: &[&str]) -> String {
+    if is_kind::<Material>(name) {
+        return format!(
+            "\"{name}\" is not in /scene/materials: write {{ \"{name}\": {{ … }} }} for a material in place"
+        );
+    }
     undefined(name, known, "materials", "material")
 }
 
 /// Message for a name of a shape that is not defined.
 pub(super) fn unknown_shape(name: &str, known: &[&str]) -> String {
+    if is_kind::<Node>(name) {
+        return format!("\"{name}\" is not in /scene/shapes: write {{ \"{name}\": {{ … }} }} without `use`");
+    }
     undefined(name, known, "shapes", "shape")
+}
+
+/// Whether a choice has a kind of this name.
+fn is_kind<T: DeserializeOwned>(name: &str) -> bool {
+    let text = format!("{{{}:{{}}}}", serde_json::Value::from(name));
+    let fault = form::read::<T>(&text).err();
+    fault.is_none_or(|fault| !matches!(fault.kind, FormErrorKind::UnknownName(_)))
 }
 
 /// Message for a name that is not a key of an object of the scene.
@@ -289,9 +347,9 @@ mod tests {
     fn long_lists_are_not_printed() {
         let names: Vec<String> = (0..99).map(|number| format!("name_{number}")).collect();
         let names: Vec<&str> = names.iter().map(String::as_str).collect();
-        let told = unknown_name("zzz", &names, "/scene/objects/0/shape");
+        let told = unknown_name("zzz", &names);
         assert!(told.contains("docs/nodes.md") && told.contains("99") && told.len() < 120, "{told}");
-        assert!(unknown_name("zzz", &names[..3], "").contains("one of `name_0`, `name_1`, `name_2`"));
+        assert!(unknown_name("zzz", &names[..3]).contains("one of `name_0`, `name_1`, `name_2`"));
         assert!(unknown_key("zzz", &[]).contains("no key"));
     }
 }

@@ -52,6 +52,8 @@ struct SyntaxOddity {
 enum Token {
     /// A string, a number, a word, or the end of a list or an object.
     Value,
+    /// A string that is a key.
+    Key,
     Colon,
     Comma,
     Open,
@@ -67,10 +69,13 @@ struct Scanner<'a> {
     before: Token,
     /// Byte offsets of the open lists and objects.
     open: Vec<usize>,
+    /// The first bracket whose line is not indented as that of the bracket that closes it.
+    suspect: Option<usize>,
 }
 
 fn first_oddity(text: &str) -> Option<SyntaxOddity> {
-    let mut scanner = Scanner { text, bytes: text.as_bytes(), at: 0, before: Token::Start, open: Vec::new() };
+    let mut scanner =
+        Scanner { text, bytes: text.as_bytes(), at: 0, before: Token::Start, open: Vec::new(), suspect: None };
     loop {
         scanner.at += scanner.blanks_at(scanner.at);
         let Some(&byte) = scanner.bytes.get(scanner.at) else { return Some(scanner.end()) };
@@ -88,13 +93,25 @@ impl Scanner<'_> {
     /// The oddity of the token here, if it is one; otherwise the scan moves past the token.
     fn token(&mut self, byte: u8) -> Option<String> {
         match byte {
-            b'/' if matches!(self.bytes.get(self.at + 1), Some(b'/' | b'*')) => Some(comment()),
-            b'#' => Some(comment()),
-            b',' => self.comma(),
+            b'/' if self.bytes.get(self.at + 1) == Some(&b'*') => {
+                Some("a comment that does not end: write */ after it".to_owned())
+            }
+            b'#' => Some("a comment begins with //: write // instead of #".to_owned()),
+            b'<' if self.text[self.at..].starts_with("<!--") => {
+                Some("a comment begins with //: write // instead of <!--".to_owned())
+            }
+            b':' if self.before == Token::Value && self.is_in_list() => Some(format!(
+                "a key in a list: the {}: write it, or remove the key",
+                self.lacks(self.open.last().copied().unwrap_or_default())
+            )),
             b':' => self.pass(1, Token::Colon),
-            b'}' | b']' => {
-                self.open.pop();
-                self.pass(1, Token::Value)
+            _ if self.before == Token::Key => {
+                Some("a colon is missing after a key: write : before its value".to_owned())
+            }
+            b',' => self.comma(),
+            b'}' | b']' => self.close(byte),
+            b'+' | b'*' | b'/' | b'^' | b'%' | b'(' if self.before == Token::Value && !self.open.is_empty() => {
+                Some(r#"a calculation is a formula: write { "expr": "1 / 2" }"#.to_owned())
             }
             _ if self.before == Token::Value => Some(if self.open.is_empty() {
                 "text after the end of the job: a file has one job, remove the rest".to_owned()
@@ -118,6 +135,36 @@ impl Scanner<'_> {
         None
     }
 
+    fn is_in_list(&self) -> bool {
+        self.open.last().is_some_and(|&open| self.bytes[open] == b'[')
+    }
+
+    fn close(&mut self, byte: u8) -> Option<String> {
+        let Some(open) = self.open.pop() else {
+            let (open, close) = if byte == b'}' { ("{", "}") } else { ("[", "]") };
+            return Some(format!("this `{close}` closes no `{open}`: remove it"));
+        };
+        if (self.bytes[open] == b'{') != (byte == b'}') {
+            return Some(format!("the {}: write it before this `{}`", self.lacks(open), char::from(byte)));
+        }
+        let indent = |at: usize| {
+            let line = self.text[..at].rfind('\n').map_or(0, |newline| newline + 1);
+            self.blanks_at(line)
+        };
+        let is_first = self.text[..self.at].trim_end_matches([' ', '\t', '\r']).ends_with('\n');
+        if is_first && indent(open) != indent(self.at) {
+            self.suspect.get_or_insert(open);
+        }
+        self.pass(1, Token::Value)
+    }
+
+    /// "`{` at 2:5 lacks its `}`".
+    fn lacks(&self, open: usize) -> String {
+        let place = LineIndex::new(&self.text[..open]).fault(open, String::new(), String::new());
+        let (bracket, close) = if self.bytes[open] == b'{' { ("{", "}") } else { ("[", "]") };
+        format!("`{bracket}` at {}:{} lacks its `{close}`", place.line, place.column)
+    }
+
     fn comma(&mut self) -> Option<String> {
         let next = self.at + 1 + self.blanks_at(self.at + 1);
         match self.bytes.get(next) {
@@ -136,7 +183,10 @@ impl Scanner<'_> {
         let mut end = self.at + 1;
         loop {
             match self.bytes.get(end) {
-                Some(b'"') => return self.pass(end + 1 - self.at, Token::Value),
+                Some(b'"') => {
+                    let is_key = matches!(self.before, Token::Open | Token::Comma) && !self.is_in_list();
+                    return self.pass(end + 1 - self.at, if is_key { Token::Key } else { Token::Value });
+                }
                 Some(b'\\') => end += 2,
                 Some(b'\n') | None => {
                     return Some("unterminated string: write \" at its end; a new line in it is \\n".to_owned());
@@ -164,6 +214,12 @@ impl Scanner<'_> {
             return self.pass(word.len(), Token::Value);
         }
         let behind = self.at + word.len();
+        if rest.starts_with(['“', '”', '„', '‘', '’', '«', '»']) {
+            return Some("typographic quotes are invalid in JSON: write \" instead".to_owned());
+        }
+        if self.bytes.get(behind) == Some(&b'(') {
+            return Some(format!(r#"a calculation is a formula: write {{ "expr": "{}(…)" }}"#, quoted(word)));
+        }
         if word.is_empty() {
             // The parser reports it.
             self.at = self.bytes.len();
@@ -184,14 +240,10 @@ impl Scanner<'_> {
     /// The text ends before the job is complete.
     fn end(&self) -> SyntaxOddity {
         let message = match self.open.last() {
-            Some(&open) => {
-                let place = LineIndex::new(&self.text[..open]).fault(open, String::new(), String::new());
-                let (bracket, close) = if self.bytes[open] == b'{' { ("{", "}") } else { ("[", "]") };
-                format!(
-                    "the text ends too early (EOF): the `{bracket}` at {}:{} lacks its `{close}`",
-                    place.line, place.column
-                )
-            }
+            Some(&open) => match self.suspect {
+                Some(suspect) => format!("the text ends too early (EOF): probably the {}", self.lacks(suspect)),
+                None => format!("the text ends too early (EOF): the {}", self.lacks(open)),
+            },
             None => "the text ends too early (EOF): write a job, which is one JSON object".to_owned(),
         };
         SyntaxOddity { offset: self.text.trim_end().len().saturating_sub(1), message }
@@ -208,10 +260,6 @@ fn is_number(text: &str) -> bool {
         && (whole == "0" || !whole.starts_with('0'))
         && fraction.is_none_or(is_digits)
         && exponent.is_none_or(|exponent| is_digits(exponent.strip_prefix(['+', '-']).unwrap_or(exponent)))
-}
-
-fn comment() -> String {
-    "JSON has no comments: remove this one".to_owned()
 }
 
 /// Text, shortened for a message.
@@ -249,11 +297,20 @@ mod tests {
         for (text, line, column, words) in [
             ("{\"a\": 1,\n}", 1, 8, "trailing comma"),
             ("[1, 2 , ]", 1, 7, "before `]`"),
-            ("{\n  // size\n  \"a\": 1}", 2, 3, "no comments"),
-            ("{\"a\": 1, /* b */ \"b\": 2}", 1, 10, "no comments"),
-            ("{\"a\": 1 # b\n}", 1, 9, "no comments"),
-            ("{\"a\": 1, // b\n}", 1, 10, "no comments"),
-            ("{\"a\": 1} // b", 1, 10, "no comments"),
+            ("{\"a\": 1, /* b \"b\": 2}", 1, 10, "write */"),
+            ("{\"a\": 1 # b\n}", 1, 9, "write // instead of #"),
+            ("{\"a\": [1}", 1, 9, "the `[` at 1:7 lacks its `]`"),
+            ("{\"a\": {\"b\": 1]", 1, 14, "the `{` at 1:7 lacks its `}`"),
+            ("{\"a\": [1, \"b\": 2}", 1, 15, "the `[` at 1:7 lacks its `]`"),
+            ("{} }", 1, 4, "closes no `{`"),
+            (
+                "{\n  \"a\": { \"b\": {\n    \"c\": 1\n  },\n  \"d\": {\n    \"e\": { \"f\": 1\n  }\n}",
+                8,
+                1,
+                "probably the `{` at 6:10",
+            ),
+            ("{\"a\": 1/2}", 1, 8, "a formula"),
+            ("{\"a\": sin(30)}", 1, 7, "a formula"),
             ("{'a': 1}", 1, 2, "single quotes"),
             ("{a: 1}", 1, 2, "write \"a\""),
             ("{\"a\": yes}", 1, 7, "double quotes"),
@@ -268,7 +325,7 @@ mod tests {
             ("{\"a\": \"b\n\"}", 1, 7, "unterminated string"),
             ("{\"a\": [1", 1, 8, "the `[` at 1:7 lacks its `]`"),
             ("", 1, 1, "EOF"),
-            ("{\"a\" 1}", 1, 6, "comma is missing"),
+            ("{\"a\" 1}", 1, 6, "colon is missing"),
             ("{\"a\": \"\\q\"}", 1, 9, "\\\\"),
             ("{1: 2}", 1, 2, "double quotes"),
         ] {

@@ -194,6 +194,15 @@ impl Member {
 }
 
 impl Value {
+    /// Whether a key in it is `use`.
+    pub(super) fn has_use(&self) -> bool {
+        match &self.body {
+            Body::Array(entries) => entries.iter().any(Self::has_use),
+            Body::Object(members) => members.iter().any(|member| member.read_as == "use" || member.value.has_use()),
+            Body::Scalar | Body::StandIn(_) => false,
+        }
+    }
+
     /// The value at a path of indices in lists and objects.
     pub(super) fn at(&self, path: &[usize]) -> Option<&Value> {
         path.iter().try_fold(self, |value, &index| match &value.body {

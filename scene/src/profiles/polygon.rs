@@ -38,7 +38,7 @@ pub struct PolygonVertices {
 
 /// Error returned for an invalid number of corners.
 #[derive(Debug, thiserror::Error)]
-#[error("has {0} points: a polygon has {MIN_POINTS} to {MAX_POINTS}")]
+#[error("has {0} points: a polygon needs {MIN_POINTS} to {MAX_POINTS}")]
 pub struct VertexCountError(usize);
 
 impl TryFrom<Vec<Point2>> for PolygonVertices {

@@ -15,6 +15,7 @@ use super::PeekedMap;
 use super::track::{KeyframeValue, Track, TrackSchema, WrittenTrack};
 use crate::formula::Formula;
 use crate::materials::Texture;
+use crate::parse::nearest_name;
 use crate::seek::FrameTime;
 
 /// A kind of number, with its range.
@@ -59,7 +60,7 @@ impl Motion {
                 formula.tracks().for_each(|track| clock.record_keyframes(track.keyframe_times()));
                 let value = formula.at(clock.frame, clock.seconds) + 0.0;
                 if !value.is_finite() {
-                    return Err("has no finite value: a formula divides by 0, or its numbers are too large".to_owned());
+                    return Err("has no finite value: a formula divides by 0, takes the root of a number below 0, or becomes too large; use max, min or clamp there".to_owned());
                 }
                 if !T::is_in_range(value) {
                     return Err(format!("must be {}, not {value}", T::EXPECTED));
@@ -126,6 +127,19 @@ impl<'de, T: RangedNumber> Visitor<'de> for ConstantVisitor<T> {
 pub(super) const CONSTANT_FORMULA: &str =
     "is the same for all frames: use a formula without t, frame and numbers that change";
 
+/// First keys of a formula and of a track.
+const FORMS: [&str; 4] = ["expr", "keys", "ease", "loop"];
+
+/// Message for an object that begins with another key.
+fn of_no_form(key: Option<&str>) -> String {
+    let meant = key.and_then(|key| nearest_name(key, &FORMS)).map(|meant| format!("; did you mean \"{meant}\"?"));
+    let written = key.map_or_else(|| "an empty object".to_owned(), |key| format!("an object with the key \"{key}\""));
+    format!(
+        "must be a number, a track: {{\"keys\": [[seconds, number], …]}}, or a formula: {{\"expr\": text}}, not {written}{}",
+        meant.unwrap_or_default()
+    )
+}
+
 /// Deserializes a number, a track or a formula.
 pub(super) struct NumberOrMotion<T>(PhantomData<T>);
 
@@ -144,6 +158,9 @@ impl<'de, T: RangedNumber> Visitor<'de> for NumberOrMotion<T> {
             return Err(A::Error::custom(
                 "takes no texture: write a number or a track; a material's numbers take textures",
             ));
+        }
+        if first.as_deref().is_none_or(|key| !FORMS.contains(&key)) {
+            return Err(A::Error::custom(of_no_form(first.as_deref())));
         }
         let is_formula = first.as_deref() == Some("expr");
         let map = MapAccessDeserializer::new(PeekedMap::new(first, map));

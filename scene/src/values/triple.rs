@@ -41,6 +41,11 @@ impl<'de, T: RangedNumber + Deserialize<'de>> Visitor<'de> for TripleVisitor<T> 
         if first.as_deref() == Some("expr") {
             return Err(A::Error::custom("must be a list of 3 numbers, each of which may be a formula"));
         }
+        if let Some(other) = first.as_deref().filter(|key| !["keys", "ease", "loop"].contains(key)) {
+            return Err(A::Error::custom(format_args!(
+                "must be a list of 3 numbers, or a track: {{\"keys\": [[seconds, [x, y, z]], …]}}, not an object with the key \"{other}\""
+            )));
+        }
         let map = MapAccessDeserializer::new(PeekedMap::new(first, map));
         of_track(&WrittenTrack::<Numbers<T>>::deserialize(map)?, |key, axis| key.0[axis].0.value())
     }

@@ -256,7 +256,7 @@ fn too_many_copies_are_rejected_before_they_are_made() {
 #[test]
 fn errors_in_placements_have_their_place_and_fix() {
     for (at, pointer, words) in [
-        (json!([]), "/at", "is empty: copies need a placement"),
+        (json!([]), "/at", "is empty: write a placement"),
         (json!({}), "/at", "is not one of the forms of placements: write a list"),
         (json!([{ "by": [0, 0, 0] }, { "by": [0, 2e6, 0] }]), "/at/1/by/1", "within ±1e6"),
         (json!([{ "by": [0, { "keys": [[0, 1]] }, 0] }]), "/at/0/by/1", "cannot be a track: write a number"),

@@ -174,7 +174,7 @@ fn found<'t>(text: &'t str, error: &ValidationError) -> &'t str {
 fn an_error_points_into_the_formula() {
     for (formula, at, words) in [
         ("1 + radius", "radius\"", "radius is not defined: add it to the scene's numbers; did you mean radios?"),
-        ("1 +", "\"", "a number, a name or a parenthesis is expected here"),
+        ("1 +", "\"", "ends too early: write a number, a name or a parenthesis"),
         ("(1 + 2", "(1", "not closed"),
         ("1 + 2)", ")\"", "remove it"),
         ("1 2", "2\"", "an operator is missing before this"),
@@ -185,11 +185,11 @@ fn an_error_points_into_the_formula() {
         ("sin(1, 2)", "sin(1,", "sin has 2 arguments: write sin(degrees)"),
         ("sin + 1", "sin", "sin is a function"),
         ("i + 1", "i", "counts copies"),
-        ("a = 1", "=", "compare by =="),
+        ("a = 1", "=", "use == to compare"),
         ("1 & 2", "&", "is no operator"),
         ("1e99", "1e99\"", "too large"),
         ("1,5", ",5\"", "use . in numbers"),
-        ("", "\"", "is expected here"),
+        ("", "\"", "is empty: write a formula"),
         ("-1", "{", "must be a size from 1e-6 to 1e6, not -1"),
         ("t - 1", "{", "must be a size from 1e-6 to 1e6, not -1"),
     ] {
@@ -213,8 +213,8 @@ fn all_errors_of_formulas_and_of_the_rest_are_reported_at_once() {
     let told: Vec<String> = all.iter().map(|error| format!("{} {}", error.pointer, error.message)).collect();
     for words in [
         "/scene/numbers/b is computed from itself (a → b → a): break this cycle",
-        "/scene/numbers/c a number, a name or a parenthesis is expected here",
-        "/scene/numbers/t is the time of the frame, in seconds, in every formula: use another name",
+        "/scene/numbers/c ends too early: write a number, a name or a parenthesis here",
+        "/scene/numbers/t stands for the time of the frame, in seconds, in every formula: use another name",
         "/scene/numbers/sin is the name of a function: use another",
         "/scene/numbers/x y cannot be named in formulas",
         "/scene/numbers/deep/keys is empty",
@@ -232,7 +232,7 @@ fn an_error_in_a_shape_with_numbers_is_at_the_shape() {
     let shapes = r#""ball": { "sphere": { "radius": { "expr": "girth" } } }"#;
     for (with, pointer, words) in [
         (r#""girth": -1"#, "/scene/shapes/ball/sphere/radius", "not -1"),
-        (r#""girth": "1 /""#, "/scene/objects/0/shape/use/with/girth", "is expected here"),
+        (r#""girth": "1 /""#, "/scene/objects/0/shape/use/with/girth", "ends too early"),
         (r#""girth": 1, "grith": 2"#, "/scene/objects/0/shape/use/with/grith", "did you mean \"girth\"?"),
         (
             r#""girth": true"#,

@@ -6,12 +6,14 @@ mod cells;
 mod contract;
 mod copies;
 mod extremes;
+mod forms;
 mod formulas;
 mod fractals;
 mod kinds;
 mod large;
 mod materials;
 mod noise;
+mod old_jobs;
 mod penumbra;
 mod profiles;
 mod repetition;
@@ -23,6 +25,7 @@ mod shapes;
 mod surface;
 mod warnings;
 mod witness;
+mod wrong_uses;
 
 // Some of these tests also run inside the crate, and refer to it by this name.
 use scene as subject;

@@ -148,7 +148,7 @@ fn polygon_fault(points: &str) -> (String, String) {
 #[test]
 fn an_invalid_polygon_is_reported_with_pointer_and_fix() {
     let cases = [
-        ("[[0, 0], [1, 0]]", "points", "has 2 points: a polygon has 3 to 256"),
+        ("[[0, 0], [1, 0]]", "points", "has 2 points: a polygon needs 3 to 256"),
         ("[[0, 0], [1, 0], [1, 1], [1, 1]]", "points/3", "is the same point as points/2"),
         ("[[0, 0], [1, 0], [1, 1], [0, 0]]", "points/3", "is the same point as points/0"),
         ("[[0, 0], [1, 1], [1, 0], [0, 1]]", "points/2", "crosses the one from points/0 to points/1"),

@@ -357,3 +357,29 @@ fn samples_without_visible_effect_are_reported() {
     none(&of(1024, r#", "format": "exr""#, matte));
     none(&of(1024, "", r#"{ "surface": {} }"#));
 }
+
+#[test]
+fn scattered_copies_that_miss_their_shape_are_reported() {
+    let scatter = |radius: f32| {
+        format!(
+            r#"{{ "scatter": {{ "of": [{{ "sphere": {{ "radius": 0.1 }} }}], "count": 200, "within": {{ "disc": {{ "radius": {radius} }} }},
+                "on": {{ "union": {{ "of": [
+                    {{ "box": {{ "size": [4, 1, 4] }} }},
+                    {{ "translate": {{ "by": [0, -200, 0], "child": {{ "box": {{ "size": [90, 1, 90] }} }} }} }} ] }} }} }} }}"#
+        )
+    };
+    let warnings = |shape: &str| {
+        let text = format!(
+            r#"{{ "scene": {{ "camera": {{ "position": [0, 3, 9], "look_at": [0, 0, 0] }}, "objects": [{{ "shape": {shape} }}] }},
+                "image": {{ "width": 8, "height": 8 }} }}"#
+        );
+        scene::parse(text.as_bytes()).unwrap_or_else(|error| panic!("{error}")).warnings()
+    };
+    let missed = warnings(&scatter(2.2));
+    assert!(
+        missed.iter().any(|text| text.starts_with("/scene/objects/0/shape/scatter puts copies at a height of -199.5")),
+        "{missed:?}"
+    );
+    let sound = warnings(&scatter(1.5));
+    assert!(!sound.iter().any(|text| text.contains("at a height of")), "{sound:?}");
+}

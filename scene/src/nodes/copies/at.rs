@@ -178,7 +178,7 @@ fn point([x, y, z]: &ConstantPoint) -> Vec3<f32> {
 
 fn listed(copies: Vec<Placement>) -> Result<AtPlacements, String> {
     if copies.is_empty() {
-        return Err("is empty: copies need a placement or more".to_owned());
+        return Err("is empty: write a placement or more".to_owned());
     }
     if copies.len() > MAX_NODES {
         return Err(format!("has {} placements: use at most {MAX_NODES}", copies.len()));

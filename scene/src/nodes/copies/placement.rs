@@ -77,6 +77,11 @@ impl Placement {
         Self { by, degrees, scale, inverse_rows: inverse_rows_of(degrees), material: None }
     }
 
+    /// Its height above the origin.
+    pub(crate) fn height(&self) -> f32 {
+        self.by.y
+    }
+
     /// The same placement with a material.
     pub(super) fn with_material(self, material: Option<MaterialRef>) -> Self {
         Self { material, ..self }

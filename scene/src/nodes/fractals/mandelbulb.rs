@@ -68,7 +68,7 @@ impl Primitive for Mandelbulb {
     fn validate(&self) -> Option<NodeError> {
         if self.julia.is_some() && as_integer(&self.power).is_none() {
             let cure = format!(
-                "must be a whole number for a Julia set, because other powers are discontinuous: make it {}",
+                "must be a whole number for a Julia set, because other powers are discontinuous: make it {}, the same in all frames",
                 self.power.get().round()
             );
             return Some(NodeError::new("power", cure));

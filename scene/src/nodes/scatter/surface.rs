@@ -22,6 +22,9 @@ pub(super) struct SurfaceBelow<'a> {
     top: f32,
     step_scale: f32,
     evaluations_left: u64,
+    /// Number of positions that were tried, and of those that are above no surface.
+    tried: u64,
+    missed: u64,
 }
 
 impl<'a> SurfaceBelow<'a> {
@@ -35,6 +38,8 @@ impl<'a> SurfaceBelow<'a> {
             top: top.min(MAX_LENGTH),
             step_scale: (1.0 / shape.stretch()).max(MIN_STEP_SCALE),
             evaluations_left,
+            tried: 0,
+            missed: 0,
         }
     }
 
@@ -43,8 +48,20 @@ impl<'a> SurfaceBelow<'a> {
         self.evaluations_left > 0
     }
 
+    /// Whether most positions are above no surface.
+    pub(super) fn is_missed(&self) -> bool {
+        self.missed > self.tried / 2
+    }
+
     /// The highest point of the surface at the position's x and z, if there is one.
     pub(super) fn below(&mut self, position: Vec3<f32>) -> Option<Vec3<f32>> {
+        let found = self.find(position);
+        self.tried += 1;
+        self.missed += u64::from(found.is_none());
+        found
+    }
+
+    fn find(&mut self, position: Vec3<f32>) -> Option<Vec3<f32>> {
         let mut p = vec3(position.x, self.top, position.z);
         let (mut is_above, mut above, mut below) = (false, self.top, None);
         for _ in 0..MAX_STEPS {

@@ -43,13 +43,22 @@ pub(super) struct Scope<'s> {
     with: &'s BTreeMap<String, Arc<Expr>>,
     /// Number of the copy, and of all copies.
     counter: Option<(u32, u32)>,
+    /// Whether this is inside a named shape.
+    pub(super) is_in_shape: bool,
+    /// Whether this is copied by copies that are counted.
+    pub(super) is_copied: bool,
     /// All names that were asked for.
     pub(super) asked: BTreeSet<String>,
 }
 
 impl<'s> Scope<'s> {
     pub(super) fn new(with: &'s BTreeMap<String, Arc<Expr>>) -> Self {
-        Self { with, counter: None, asked: BTreeSet::new() }
+        Self { with, counter: None, is_in_shape: false, is_copied: false, asked: BTreeSet::new() }
+    }
+
+    /// Number of the copy, if copies are counted.
+    pub(super) fn copy(&self) -> Option<u32> {
+        self.counter.map(|(index, _)| index)
     }
 
     /// Runs `walk` for one of `count` copies.
@@ -87,6 +96,18 @@ impl Names for InScope<'_, '_, '_> {
             _ => {}
         }
         self.scope.with.get(name).cloned().or_else(|| self.numbers.get(name, self.faults))
+    }
+
+    fn place(&self) -> &'static str {
+        if self.scope.is_in_shape {
+            "the scene's numbers, or to \"with\" in each use of this shape"
+        } else {
+            "the scene's numbers"
+        }
+    }
+
+    fn is_copied(&self) -> bool {
+        self.scope.is_copied
     }
 
     fn all(&self) -> Vec<String> {
@@ -135,7 +156,7 @@ impl<'t> Numbers<'t> {
                 let message = "cannot be named in formulas: use letters, digits and _, the first not a digit";
                 faults.insert((key.start, message.to_owned()));
             } else if let Some((_, about)) = NAMES.iter().find(|(known, _)| *known == name) {
-                faults.insert((key.start, format!("is the {about}, in every formula: use another name")));
+                faults.insert((key.start, format!("stands for {}, in every formula: use another name", the(about))));
             } else if FUNCTIONS.iter().any(|function| function.name == name) {
                 faults.insert((key.start, "is the name of a function: use another".to_owned()));
             }
@@ -187,6 +208,11 @@ impl<'t> Numbers<'t> {
             stand_in()
         })
     }
+}
+
+/// "the number of frames", but "3.14".
+fn the(about: &str) -> String {
+    if about.starts_with(|first: char| first.is_ascii_digit()) { about.to_owned() } else { format!("the {about}") }
 }
 
 /// A number, or a track, as written.

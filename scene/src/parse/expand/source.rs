@@ -46,17 +46,22 @@ impl Source {
         piece.map_or(0, |piece| if piece.is_copy { piece.from + (at - piece.start) } else { piece.from })
     }
 
+    /// Pointer and byte offset in the user's text of what is at a pointer and an offset of the replaced one.
+    pub(super) fn pointer(&self, text: &str, users: &str, pointer: &str, at: usize) -> (String, usize) {
+        let offset = self.offset(at);
+        let is_there = |found: Option<usize>| found == Some(offset);
+        let is_same = is_there(locate_value(users, pointer)) || is_there(locate_member(users, pointer));
+        let is_nowhere = at == 0 && locate_value(text, pointer).is_none();
+        let pointer = if is_same || is_nowhere { pointer.to_owned() } else { scan::pointer_at(users, offset) };
+        (pointer, offset)
+    }
+
     /// Errors in the replaced text, at their positions in the user's.
     pub(super) fn place(&self, text: &str, users: &str, errors: Vec<ValidationError>) -> Vec<ValidationError> {
         let (lines, users_lines) = (LineIndex::new(text), LineIndex::new(users));
         let place = |error: ValidationError| {
             let at = lines.offset(error.line as usize, error.column as usize);
-            let offset = self.offset(at);
-            let is_there = |found: Option<usize>| found == Some(offset);
-            let pointer = error.pointer;
-            let is_same = is_there(locate_value(users, &pointer)) || is_there(locate_member(users, &pointer));
-            let is_nowhere = at == 0 && locate_value(text, &pointer).is_none();
-            let pointer = if is_same || is_nowhere { pointer } else { scan::pointer_at(users, offset) };
+            let (pointer, offset) = self.pointer(text, users, &error.pointer, at);
             users_lines.fault(offset, pointer, error.message)
         };
         errors.into_iter().map(place).collect()

@@ -80,7 +80,9 @@ impl<'de, V: Deserialize<'de> + KeyframeValue> Visitor<'de> for KeyframeSeed<V> 
         let value = key.next_element::<V>()?.ok_or_else(|| A::Error::invalid_length(1, &self))?;
         let ease = key.next_element::<Ease>()?;
         if key.next_element::<IgnoredAny>()?.is_some() {
-            return Err(A::Error::invalid_length(4, &self));
+            let key = V::KEY.trim_end_matches(']');
+            let form = if V::KEY.ends_with("]]") { format!("{key}], easing]") } else { format!("{key}, easing]") };
+            return Err(A::Error::custom(format_args!("has more than 3 entries: write {form}")));
         }
         if is_first && ease.is_some() {
             return Err(A::Error::custom(

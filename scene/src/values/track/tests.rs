@@ -76,7 +76,7 @@ fn an_error_in_a_track_has_its_pointer() {
         (r#"{ "keys": [[0, 1], [1, 2, "fast"]] }"#, "keys[1][2]", "ease_in"),
         (r#"{ "keys": [[0, 1], [1, 2, [2, 0, 1, 1]]] }"#, "keys[1][2]", "x1 and x2 from 0 to 1"),
         (r#"{ "keys": [[0, 1], [1, 2, [0, 0, 1]]] }"#, "keys[1][2]", "invalid length 3"),
-        (r#"{ "keys": [[0, 1], [1, 2, "ease", 3]] }"#, "keys[1]", "[seconds, number]"),
+        (r#"{ "keys": [[0, 1], [1, 2, "ease", 3]] }"#, "keys[1]", "[seconds, number, easing]"),
         (r#"{ "keys": [[0, { "keys": [[0, 1]] }]] }"#, "keys[0][1]", "a number"),
         (r#"{ "keys": [[0, 1]], "ease": "bounce" }"#, "ease", "smooth"),
         (r#"{ "keys": [[0, 1]], "loop": true }"#, "loop", "expected value"),

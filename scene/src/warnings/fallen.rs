@@ -1,0 +1,31 @@
+//! Warnings about scattered copies that missed what they should be on.
+
+use crate::animation::JobAtFrame;
+use crate::nodes::Node;
+use crate::scene::child_pointers;
+
+/// A scatter of which some copies are far below most others.
+pub(super) fn copies(still: &JobAtFrame<'_>) -> Option<String> {
+    still.scene().objects.iter().enumerate().find_map(|(index, object)| {
+        let mut pointer = format!("/scene/objects/{index}/shape");
+        let (middle, lowest) = fallen(&object.shape, &mut pointer)?;
+        let place = still.pointer_in_document(&pointer);
+        Some(format!(
+            "{place} puts copies at a height of {lowest}, but most at {middle} or above: they missed what the others are on; make `within` smaller, or `on` larger"
+        ))
+    })
+}
+
+fn fallen(node: &Node, pointer: &mut String) -> Option<(f32, f32)> {
+    if let Some(heights) = node.fallen_copies() {
+        pointer.push('/');
+        pointer.push_str(node.name());
+        return Some(heights);
+    }
+    let length = pointer.len();
+    node.children().iter().zip(child_pointers(node)).find_map(|(child, step)| {
+        pointer.truncate(length);
+        step.push_to(pointer);
+        fallen(child, pointer)
+    })
+}
