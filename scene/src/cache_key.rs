@@ -33,6 +33,9 @@ struct CanonicalPicture<'a> {
     fps: Option<&'a FrameRate>,
     #[serde(skip_serializing_if = "Option::is_none")]
     graded: Option<(&'a ExposureStops, ToneMap)>,
+    /// Names of the objects, stored in an EXR with the layer of objects.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    object_names: Option<Vec<Option<String>>>,
 }
 
 fn hash(value: &impl Serialize) -> blake3::Hash {
@@ -100,6 +103,7 @@ impl JobAtFrame<'_> {
             precision,
             fps,
             graded: image.has_display_transform().then_some((exposure, *tone_map)),
+            object_names: self.stored_object_names(),
         })
     }
 }

@@ -8,6 +8,7 @@
 mod added;
 mod directional;
 mod local;
+mod placed;
 mod point;
 mod sky_light;
 mod sun;
@@ -19,6 +20,7 @@ use serde::{Deserialize, Serialize};
 pub use added::AddedLight;
 pub use directional::Directional;
 pub use local::{SphereLight, SpotLight};
+pub use placed::PlacedLight;
 pub use point::PointLight;
 pub use sky_light::SkyLight;
 pub use sun::Sun;

@@ -78,6 +78,26 @@ impl Integrator<'_> {
         if self.materials.single_slot.is_some() { 0.0 } else { 1.0 }
     }
 
+    /// Fraction of the background that is seen through shadow catchers at a hit; `None` if the scene has none.
+    pub(super) fn shadow_transparency<R: Real>(
+        &self,
+        hit: &Hit<R>,
+        ray: &Ray<R>,
+        light: &IncidentLight<R>,
+    ) -> Option<R> {
+        let zero = hit.t.constant(0.0);
+        let of_slot = |slot: usize| self.scene.used_materials()[slot].transparency(light);
+        if !self.catches_shadows {
+            return None;
+        }
+        if let Some(only) = self.materials.single_slot {
+            return of_slot(only);
+        }
+        let object = self.nearest_object(hit.position).1;
+        let add = |sum: R, clear: R, share: R| clear.mul_add(share, sum);
+        Some(self.blend(hit, ray, [hit.position; 2], object, zero, |slot, _| of_slot(slot).unwrap_or(zero), add))
+    }
+
     /// Shaded color at a hit.
     pub(super) fn shade<R: Real>(&self, hit: &Hit<R>, ray: &Ray<R>, light: &IncidentLight<R>) -> Vec3<R> {
         if let Some(only) = self.materials.single_slot {

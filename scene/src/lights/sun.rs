@@ -57,7 +57,7 @@ impl LightSource for Sun {
         background.day().is_none().then(|| {
             NodeError::new(
                 "",
-                "needs a background with a sun: make the background a `day`, or use a `directional` light",
+                "needs a sky with a sun: make the background or the `environment` a `day`, or use a `directional` light",
             )
         })
     }

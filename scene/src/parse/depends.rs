@@ -30,9 +30,9 @@ fn needed(pointer: &str) -> Vec<Needed> {
     let steps: Vec<&str> = pointer.split('/').skip(1).collect();
     match steps.as_slice() {
         ["scene", "camera", ..] => vec![whole("/scene/camera"), whole("/frames")],
-        ["scene", "background", ..] => vec![whole("/scene/background")],
+        ["scene", sky @ ("background" | "environment"), ..] => vec![whole(&format!("/scene/{sky}"))],
         ["scene", "lights", index, ..] => {
-            vec![whole(&format!("/scene/lights/{index}")), whole("/scene/background")]
+            vec![whole(&format!("/scene/lights/{index}")), whole("/scene/background"), whole("/scene/environment")]
         }
         ["scene", "objects", index, "shape", rest @ ..] => {
             of_node(pointer, format!("/scene/objects/{index}/shape"), rest)

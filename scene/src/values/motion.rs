@@ -4,6 +4,7 @@
 
 use std::fmt;
 use std::marker::PhantomData;
+use std::sync::Arc;
 
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::de::value::MapAccessDeserializer;
@@ -12,6 +13,7 @@ use serde::ser::SerializeStruct;
 use serde::{Deserialize, Deserializer, Serializer};
 
 use super::PeekedMap;
+use super::path::Path;
 use super::track::{KeyframeValue, Track, TrackSchema, WrittenTrack};
 use crate::formula::Formula;
 use crate::materials::Texture;
@@ -42,6 +44,8 @@ pub(super) enum Motion {
     Track(Track),
     /// Arithmetic.
     Formula(Formula),
+    /// One coordinate of a point on a path, and the fraction of the path's length over time.
+    Path { path: Arc<Path>, axis: usize, progress: Track },
 }
 
 impl Motion {
@@ -54,6 +58,12 @@ impl Motion {
             Self::Track(track) => {
                 clock.record_keyframes(track.keyframe_times());
                 Ok(track.at(clock.seconds, T::is_in_range))
+            }
+            Self::Path { path, axis, progress } => {
+                clock.record_keyframes(progress.keyframe_times());
+                let fraction = f64::from(progress.at(clock.seconds, f32::is_finite));
+                let value = path.at(fraction)[*axis] as f32 + 0.0;
+                if T::is_in_range(value) { Ok(value) } else { Err(format!("must be {}, not {value}", T::EXPECTED)) }
             }
             Self::Formula(formula) => {
                 formula.tracks().for_each(|track| clock.record_keyframes(track.keyframe_times()));

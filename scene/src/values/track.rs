@@ -72,6 +72,11 @@ impl From<WrittenTrack<f32>> for Track {
 }
 
 impl<V> WrittenTrack<V> {
+    /// A track of its parts.
+    pub(super) fn new(keys: Keyframes<V>, ease: Ease, cycle: Option<Loop>) -> Self {
+        Self { keys, ease, cycle }
+    }
+
     /// Its values.
     pub(super) fn values(&self) -> impl Iterator<Item = &V> {
         self.keys.0.iter().map(|key| &key.1)

@@ -2,6 +2,7 @@
 
 use std::fmt;
 use std::marker::PhantomData;
+use std::sync::Arc;
 
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::de::value::MapAccessDeserializer;
@@ -10,6 +11,7 @@ use serde::{Deserialize, Deserializer};
 
 use super::PeekedMap;
 use super::motion::{Motion, OfKind, RangedNumber};
+use super::path::{MovingAlong, PathSchema, WrittenPath};
 use super::track::{self, KeyframeValue, WrittenTrack};
 use crate::seek::FrameTime;
 
@@ -41,9 +43,20 @@ impl<'de, T: RangedNumber + Deserialize<'de>> Visitor<'de> for TripleVisitor<T> 
         if first.as_deref() == Some("expr") {
             return Err(A::Error::custom("must be a list of 3 numbers, each of which may be a formula"));
         }
+        let is_path = first.as_deref() == Some("path");
         let map = MapAccessDeserializer::new(PeekedMap::new(first, map));
+        if is_path {
+            return along(WrittenPath::deserialize(map)?.path);
+        }
         of_track(&WrittenTrack::<Numbers<T>>::deserialize(map)?, |key, axis| key.0[axis].0.value())
     }
+}
+
+/// The coordinates of a point that moves along a path.
+fn along<T: RangedNumber, E: Error>(MovingAlong { path, progress }: MovingAlong) -> Result<[T; 3], E> {
+    let path = Arc::new(path);
+    let coordinate = |axis| Motion::Path { path: Arc::clone(&path), axis, progress: progress.clone() }.start();
+    Ok([coordinate(0)?, coordinate(1)?, coordinate(2)?])
 }
 
 /// Three numbers of each value of a track.
@@ -76,7 +89,8 @@ impl<'de, T: RangedNumber> Deserialize<'de> for Numbers<T> {
 pub(super) fn schema(about: &str, number: &Schema, generator: &mut SchemaGenerator) -> Schema {
     let list = json_schema!({ "type": "array", "items": number, "minItems": 3, "maxItems": 3 });
     let track = generator.subschema_for::<PointTrack>();
-    json_schema!({ "description": about, "anyOf": [list, track] })
+    let path = generator.subschema_for::<PathSchema>();
+    json_schema!({ "description": about, "anyOf": [list, track, path] })
 }
 
 /// Schema of three numbers over time.

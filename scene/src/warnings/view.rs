@@ -75,7 +75,10 @@ fn inside(scene: &Scene, image: &Image, view: &View) -> Option<String> {
         return None;
     }
     let (what, cure) = scene.camera.projection.inside_warning();
-    Some(format!("{what} {}, so that only its inside is visible: {cure}, or cut a room into it", objects(&around)))
+    Some(format!(
+        "{what} {}, so that only its inside is visible: {cure}, or cut a room into it",
+        objects(scene, &around)
+    ))
 }
 
 /// Whether a part of a shape is painted with a transmissive material.
