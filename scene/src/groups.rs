@@ -7,7 +7,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::lights::Light;
-use crate::nodes::{Node, Translate, inverse_rows_about};
+use crate::nodes::{Node, inverse_rows_about};
 use crate::real::{Real, Vec3, vec3};
 use crate::scene::Object;
 use crate::seek::Seek;
@@ -113,7 +113,7 @@ impl Placement {
             names.push(shape.name());
         }
         if let Some(by) = by {
-            shape = Node::Translate(Translate { by: by.clone(), child: Box::new(shape) });
+            shape = Node::translated(by.clone(), shape);
             names.push(shape.name());
         }
         (shape, names)

@@ -52,6 +52,8 @@ pub struct Integrator<'a> {
     /// Bounds of all surfaces.
     bounds: Bounds,
     view: View,
+    /// Column and row of the picture's top left in the whole picture.
+    origin: [u32; 2],
     samples: u32,
     frame_key: u32,
     tolerance: Tolerance,
@@ -150,7 +152,8 @@ impl<'a> Integrator<'a> {
     /// Prepares the integrator for one frame and the objects that rays of a kind see.
     fn seen_by(still: &'a JobAtFrame<'_>, rays: RayKind) -> Self {
         let (scene, image, moves) = (still.scene(), still.image(), still.is_animated());
-        let view = scene.camera.view(image.width, image.height);
+        let [full_width, full_height] = image.full_size();
+        let view = scene.camera.view(full_width, full_height);
         let clothes = MaterialTable::new(scene);
         let is_worn = |of: fn(&Material) -> bool| clothes.slots().any(|slot| of(&scene.used_materials()[slot]));
         let (sends_on, lets_through) = (is_worn(Shade::is_specular), is_worn(Shade::is_transmissive));
@@ -184,6 +187,7 @@ impl<'a> Integrator<'a> {
             normal_epsilon: view.normal_epsilon(),
             seen: view.footprint().scaled(1.0 / Real::sqrt(image.samples as f32)),
             view,
+            origin: image.origin(),
             samples: image.samples,
             frame_key: frame_key(image.seed, still.frame()),
         }
@@ -204,6 +208,7 @@ impl<'a> Integrator<'a> {
             alpha: sum.alpha + seen.alpha,
             evaluations: sum.evaluations + seen.evaluations,
         };
+        let [x, y] = self.in_whole_picture(x, y);
         let zero = x.constant(0.0);
         let dice = Sampler { x, y, sample: zero, bounce: zero, frame_key: self.frame_key };
         if self.samples == 1 {
@@ -219,6 +224,12 @@ impl<'a> Integrator<'a> {
         sum
     }
 
+    /// Column and row in the whole picture, of which only a region may be rendered.
+    fn in_whole_picture<R: Real>(&self, x: R, y: R) -> [R; 2] {
+        let moved = |number: R, by: u32| if by == 0 { number } else { number + by as f32 };
+        [moved(x, self.origin[0]), moved(y, self.origin[1])]
+    }
+
     /// Color of a pixel whose samples have all been added to `sum`.
     pub fn mean<R: Real>(&self, sum: Radiance<R>) -> Radiance<R> {
         if self.samples == 1 {
@@ -230,6 +241,7 @@ impl<'a> Integrator<'a> {
 
     /// Layer (AOV) values of the ray through the center of the pixel in column `x` and row `y`.
     pub fn aovs<R: Real>(&self, x: R, y: R) -> Aovs<R> {
+        let [x, y] = self.in_whole_picture(x, y);
         let ray = self.view.ray(x + 0.5, y + 0.5);
         let marched = if self.fine.is_empty() { self.march(&ray) } else { self.march_to_depth(&ray) };
         let zero = x.constant(0.0);

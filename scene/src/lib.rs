@@ -47,7 +47,7 @@ pub use backgrounds::Background;
 pub use error::{ParseError, ValidationError};
 pub use formula::{FUNCTIONS, Function, NAMES as FORMULA_NAMES};
 pub use integrator::Integrator;
-pub use job::{Bits, Format, Frames, Image, Job, Layer, Precision, ToneMap};
+pub use job::{Bits, Crop, Format, Frames, Image, Job, Layer, Precision, Region, ToneMap};
 pub use parse::{parse, plain_json, set_value};
 pub use provenance::Provenance;
 pub use scene::Scene;

@@ -106,7 +106,7 @@ pub trait Shade {
     /// Albedo: the surface's own color, without light.
     fn albedo<R: Real>(&self, place: &ShadingPoint<R>) -> Vec3<R>;
 
-    /// Whether `shade` uses the lights.
+    /// Whether `shade` or `transparency` uses the lights.
     fn is_lit(&self) -> bool;
 
     /// Whether it uses the lights, on its surface or inside. If no material does, a scene with lights gets a warning.

@@ -163,6 +163,9 @@ fn validate(mut document: JobDocument) -> Result<(Job, Vec<f64>), SemanticErrors
     document.scene.camera.link();
     let mut faults = faults_of_document(&document);
     let (lights, groups) = groups::flatten(&mut document.scene, &mut faults);
+    if let Err(message) = document.image.apply_region() {
+        faults.push(("/image/region".to_owned(), message));
+    }
     let result = validate_flat(document, lights, &groups, faults);
     result.map_err(|mut faults| {
         let mut seen = BTreeSet::new();

@@ -55,6 +55,10 @@ impl LightSource for SkyLight {
         self.shadow
     }
 
+    fn is_of_environment(&self) -> bool {
+        true
+    }
+
     fn is_dark(&self) -> bool {
         self.strength.is_zero()
     }

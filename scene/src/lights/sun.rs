@@ -49,6 +49,10 @@ impl LightSource for Sun {
         self.shadow
     }
 
+    fn is_of_environment(&self) -> bool {
+        true
+    }
+
     fn is_dark(&self) -> bool {
         self.strength.is_zero()
     }

@@ -39,6 +39,7 @@ fn needed(pointer: &str) -> Vec<Needed> {
         }
         ["scene", "shapes", name, rest @ ..] => of_node(pointer, format!("/scene/shapes/{name}"), rest),
         ["scene", "objects", _, "material"] => vec![whole(pointer), alone("/scene/materials")],
+        ["image", "region", ..] => vec![whole(pointer), alone("/image/width"), alone("/image/height")],
         ["image", "layers" | "exposure" | "tone_map", ..] => {
             vec![whole(pointer), alone("/image/format"), alone("/image/layers")]
         }

@@ -6,7 +6,7 @@ use std::collections::BTreeMap;
 use super::{SemanticErrors, names};
 use crate::document::SceneDocument;
 use crate::groups::{Group, Placement};
-use crate::lights::{Light, PlacedLight};
+use crate::lights::{LightSource, PlacedLight};
 use crate::limits::MAX_GROUP_DEPTH;
 use crate::materials::{Material, MaterialRef, Shade};
 use crate::nodes::{Node, rotation_error};
@@ -87,7 +87,7 @@ impl Flat<'_> {
         }
         for (index, light) in lights.into_iter().enumerate() {
             let written = format!("{pointer}/lights/{index}");
-            if matches!(light, Light::Sun(_) | Light::Sky(_)) {
+            if light.is_of_environment() {
                 let message = "is the light of the environment, which is in no group: move it to the scene's lights";
                 self.faults.push((format!("/scene{written}"), message.to_owned()));
             }

@@ -21,6 +21,7 @@ mod scatter;
 mod seams;
 mod shapes;
 mod surface;
+mod together;
 mod warnings;
 mod witness;
 

@@ -195,6 +195,8 @@ fn unlit_materials_have_the_same_color_in_any_light() {
             let lit =
                 IncidentLight { lights: vec![random.light()], ambient: None, ambient_visibility: None, shadow: None };
             differs |= material.shade(&place, &lit) != material.shade(&place, &IncidentLight::default());
+            let behind = |shadow| material.transparency(&IncidentLight { shadow: Some(shadow), ..lit.clone() });
+            differs |= behind(0.2) != behind(0.7);
         }
         assert_eq!(differs, material.is_lit(), "{kind}");
     });

@@ -103,6 +103,7 @@ fn ungraded() -> Value {
 fn layered() -> Value {
     let mut job = plain();
     job["image"]["layers"] = json!(["depth", "object"]);
+    job["image"]["region"] = json!([1, 2, 5, 4]);
     job["scene"]["objects"][0]["name"] = json!("ball");
     job
 }
@@ -156,7 +157,7 @@ fn surroundings() -> Vec<Value> {
 fn seen_by_some() -> Vec<Value> {
     let at = |by: [f64; 3], shape: Value| json!({ "translate": { "by": by, "child": shape } });
     let floor = || at([0.0, -0.8, 0.0], json!({ "box": { "size": [4, 0.2, 4] } }));
-    let part = || at([-0.6, -0.2, 0.5], json!({ "sphere": { "radius": 0.5 } }));
+    let part = || at([0.5, 0.6, 0.6], json!({ "sphere": { "radius": 0.5 } }));
     let mirror = || json!({ "surface": { "base_color": [0.9, 0.9, 0.9], "metallic": 1, "roughness": 0.1 } });
     let catcher = json!({ "shadow_catcher": { "opacity": 0.8 } });
     let seen = json!({ "camera": true, "shadow": true, "reflection": true });
@@ -175,7 +176,31 @@ fn seen_by_some() -> Vec<Value> {
     flags["objects"].as_array_mut().unwrap().push(json!({ "material": gray(), "shape": part(), "visible": seen }));
     let mut caught = scene(&floor(), &catcher, &sun(), &gradient());
     caught["objects"].as_array_mut().unwrap().push(json!({ "material": gray(), "shape": part() }));
-    vec![around, day, flags, caught]
+    vec![around, day, flags, caught, group(), flight()]
+}
+
+/// A group with everything that moves with one.
+fn group() -> Value {
+    let inner =
+        json!({ "by": [0.5, 0.4, 0], "objects": [{ "material": gray(), "shape": { "sphere": { "radius": 0.4 } } }] });
+    let mut scene = scene(&ball(), &gray(), &sun(), &gradient());
+    scene["groups"] = json!([{
+        "by": [0.2, 0.1, 0], "degrees": 30, "axis": [0, 1, 0.2], "about": [0.1, 0, 0.3], "camera": true,
+        "objects": [{ "material": gray(), "shape": { "box": { "size": [0.5, 0.5, 0.5] } } }],
+        "lights": [{ "point": { "position": [1, 2, 2], "color": [4, 4, 4], "shadow": true } }],
+        "groups": [inner]
+    }]);
+    scene
+}
+
+/// A camera on a path that looks ahead. In the rendered frame it is between two of its points.
+fn flight() -> Value {
+    let mut scene = scene(&ball(), &gray(), &sun(), &gradient());
+    let path = json!({ "through": [[-1, 1, 4], [1, 1.4, 5], [2, 1, 2]], "closed": true,
+        "keys": [[0, 0], [0.8, 0.5], [1.3, 0.9]], "ease": "smooth", "loop": "ping_pong" });
+    scene["camera"] = json!({ "position": { "path": path }, "look_at": { "ahead": 0.4, "bank": 0.3 }, "fov": 60,
+        "up": [0, 1, 0] });
+    scene
 }
 
 /// Materials with textures as parameters, and numbers that textures vary.
