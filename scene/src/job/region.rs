@@ -99,13 +99,10 @@ impl JsonSchema for Region {
     }
 
     fn json_schema(_: &mut SchemaGenerator) -> Schema {
-        let (start, length) = (
-            json_schema!({ "type": "integer", "minimum": 0, "maximum": MAX_EDGE_PX }),
-            json_schema!({ "type": "integer", "minimum": 1, "maximum": MAX_EDGE_PX }),
-        );
         json_schema!({
             "description": "Part of a picture, in pixels: x, y, width and height, from the picture's top left.",
-            "type": "array", "prefixItems": [start, start, length, length], "items": start, "minItems": 4, "maxItems": 4
+            "type": "array", "minItems": 4, "maxItems": 4,
+            "items": { "type": "integer", "minimum": 0, "maximum": MAX_EDGE_PX }
         })
     }
 }

@@ -85,12 +85,21 @@ impl<'de, T: RangedNumber> Deserialize<'de> for Numbers<T> {
     }
 }
 
-/// Schema of three numbers with the schema `number`, or a track of such.
+/// Schema of three numbers with the schema `number`, a track of such, or a path.
 pub(super) fn schema(about: &str, number: &Schema, generator: &mut SchemaGenerator) -> Schema {
+    let mut schema = schema_without_path(about, number, generator);
+    let path = generator.subschema_for::<PathSchema>();
+    if let Some(forms) = schema.get_mut("anyOf").and_then(serde_json::Value::as_array_mut) {
+        forms.push(path.into());
+    }
+    schema
+}
+
+/// Schema of three numbers with the schema `number`, or a track of such.
+pub(super) fn schema_without_path(about: &str, number: &Schema, generator: &mut SchemaGenerator) -> Schema {
     let list = json_schema!({ "type": "array", "items": number, "minItems": 3, "maxItems": 3 });
     let track = generator.subschema_for::<PointTrack>();
-    let path = generator.subschema_for::<PathSchema>();
-    json_schema!({ "description": about, "anyOf": [list, track, path] })
+    json_schema!({ "description": about, "anyOf": [list, track] })
 }
 
 /// Schema of three numbers over time.

@@ -174,9 +174,12 @@ fn seen_by_some() -> Vec<Value> {
         json!({ "day": { "sun": [0.5, 0.4, 0.3], "turbidity": 3, "ground": [0.3, 0.2, 0.1], "strength": 1 } });
     let mut flags = scene(&floor(), &mirror(), &sun(), &gradient());
     flags["objects"].as_array_mut().unwrap().push(json!({ "material": gray(), "shape": part(), "visible": seen }));
+    let mut reflected = scene(&ball(), &mirror(), &sun(), &gradient());
+    let beside = at([1.5, 0.3, 1.0], json!({ "sphere": { "radius": 0.7 } }));
+    reflected["objects"].as_array_mut().unwrap().push(json!({ "material": gray(), "shape": beside, "visible": seen }));
     let mut caught = scene(&floor(), &catcher, &sun(), &gradient());
     caught["objects"].as_array_mut().unwrap().push(json!({ "material": gray(), "shape": part() }));
-    vec![around, day, flags, caught, group(), flight()]
+    vec![around, day, flags, reflected, caught, group(), flight()]
 }
 
 /// A group with everything that moves with one.
@@ -200,6 +203,8 @@ fn flight() -> Value {
         "keys": [[0, 0], [0.8, 0.5], [1.3, 0.9]], "ease": "smooth", "loop": "ping_pong" });
     scene["camera"] = json!({ "position": { "path": path }, "look_at": { "ahead": 0.4, "bank": 0.3 }, "fov": 60,
         "up": [0, 1, 0] });
+    let turning = json!({ "through": [[1, 1, 0], [0, 1, 1], [-1, 1, 0]], "keys": [[0, 0.1], [2, 0.9]] });
+    scene["lights"][0]["directional"]["direction"] = json!({ "path": turning });
     scene
 }
 
