@@ -109,9 +109,13 @@ fn dash_is_standard_input_and_standard_output() {
 fn render_prints_its_summary_as_json_with_the_flag() {
     let folder = folder_with(&jobs::quick());
     let output = run_in(folder.path(), &["render", "job.json", "-o", "a.png", "--json"]);
-    let summary: Value = serde_json::from_slice(&output.stderr).expect("only JSON");
+    let summary: Value = serde_json::from_slice(&output.stdout).expect("only JSON");
+    assert!(output.stderr.is_empty(), "{}", text(&output.stderr));
     assert_eq!((&summary["width"], &summary["output"]), (&Value::from(96), &Value::from("a.png")));
     assert!(summary["render_ms"].as_f64().is_some_and(|ms| ms > 0.0) && summary["encode_ms"].is_f64(), "{summary}");
+    let piped = run_in(folder.path(), &["render", "job.json", "-o", "-", "--json"]);
+    assert!(serde_json::from_slice::<Value>(&piped.stderr).is_ok_and(|summary| summary["output"] == "-"));
+    assert!(piped.stdout == fs::read(folder.path().join("a.png")).expect("written"), "only the picture");
 }
 
 #[test]
@@ -220,8 +224,8 @@ fn usage_errors_exit_with_2_and_help_with_0() {
     }
     assert!(succeed(&["--help"]).contains("sdfarm demo"));
     for command in [
-        "serve", "worker", "render", "submit", "watch", "fetch", "jobs", "cancel", "pool", "check", "schema", "bench",
-        "selftest", "demo",
+        "serve", "worker", "render", "submit", "watch", "fetch", "jobs", "cancel", "pool", "check", "new", "fmt",
+        "diff", "schema", "bench", "selftest", "demo",
     ] {
         assert!(succeed(&[command, "--help"]).contains("Usage: sdfarm"), "{command}");
     }

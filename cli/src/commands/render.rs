@@ -21,7 +21,7 @@ use crate::output_file::{OutputFile, check_format, format_of};
 use crate::overrides::OverrideArguments;
 use crate::progress::Progress;
 use crate::signals::Signals;
-use crate::terminal::{escape_line, print_note};
+use crate::terminal::{escape_line, print_line, print_note};
 
 /// Arguments of `render`.
 #[derive(Debug, Args)]
@@ -41,7 +41,7 @@ pub(crate) struct Arguments {
     /// Edge of the rendered tiles, in pixels; every choice gives the same picture.
     #[arg(long, value_name = "PIXELS", env = "SDFARM_TILE", value_parser = clap::value_parser!(u32).range(1..))]
     tile: Option<u32>,
-    /// Print the summary as JSON, and no progress.
+    /// Print the summary as JSON, and no progress; to standard error if the picture goes to standard output.
     #[arg(long, env = "SDFARM_JSON", value_parser = clap::builder::FalseyValueParser::new(), action = clap::ArgAction::SetTrue)]
     json: bool,
 }
@@ -104,7 +104,9 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
         warnings,
     };
     if arguments.json {
-        print_note(&serde_json::to_string(&summary)?);
+        let line = serde_json::to_string(&summary)?;
+        // If the picture goes to standard output, nothing else may.
+        if arguments.output == "-" { print_note(&line) } else { print_line(&line)? }
     } else {
         print_note(&summary.words());
         if let (count @ 2.., frame) = (job.frames.count, arguments.frame) {
