@@ -119,6 +119,37 @@ fn render_prints_its_summary_as_json_with_the_flag() {
 }
 
 #[test]
+fn several_frames_are_rendered_to_a_folder_or_by_a_pattern() {
+    let mut job = jobs::quick();
+    job["name"] = "turn".into();
+    job["frames"] = serde_json::json!({ "count": 12 });
+    job["scene"]["camera"]["turntable"] = serde_json::json!({});
+    let folder = folder_with(&job);
+    let render = |arguments: &[&str]| {
+        let output = run_in(folder.path(), &[&["render", "job.json", "--scale", "20%"], arguments].concat());
+        assert!(output.status.success(), "{}", text(&output.stderr));
+        text(&output.stdout)
+    };
+    render(&["--frames", "10-11,0", "-o", "all/"]);
+    assert_eq!(names_in(&folder.path().join("all")), ["turn.0000.png", "turn.0010.png", "turn.0011.png"]);
+    let said = render(&["--frames", "10", "-o", "shot.##.exr", "--json"]);
+    let summary: Value = serde_json::from_str(&said).expect("one line");
+    assert_eq!((&summary["frame"], &summary["output"]), (&Value::from(10), &Value::from("shot.10.exr")));
+    // The time of a frame is that in the whole animation.
+    render(&["--frame", "10", "-o", "one.png"]);
+    let read = |name: &str| fs::read(folder.path().join(name)).expect("written");
+    assert!(read("one.png") == read("all/turn.0010.png") && read("one.png") != read("all/turn.0011.png"));
+    for (arguments, says) in [
+        (["--frames", "0-2", "-o", "a.png"], "a pattern such as shot.####.png"),
+        (["--frames", "0-12", "-o", "other/"], "no frame 12"),
+        (["--frames", "2-0", "-o", "other/"], "0,4,8-11"),
+    ] {
+        assert_misuse(&run_in(folder.path(), &[&["render", "job.json"], arguments.as_slice()].concat()), says);
+    }
+    assert!(!folder.path().join("other").exists());
+}
+
+#[test]
 fn interrupted_render_leaves_no_file_and_keeps_the_old_one() {
     for signal in [Signal::INT, Signal::TERM] {
         let folder = folder_with(&jobs::endless());
