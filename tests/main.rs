@@ -18,6 +18,7 @@ mod faults;
 mod first_steps;
 mod follow;
 mod fuzz;
+mod job_files;
 mod jobs;
 mod kills;
 mod operating;

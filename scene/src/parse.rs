@@ -44,8 +44,7 @@ const MAX_ERRORS: usize = 100;
 
 /// Parses a job strictly, and reports the position of every error. Comments and trailing commas are ignored.
 pub fn parse(text: &[u8]) -> Result<Job, ParseError> {
-    let text = std::str::from_utf8(text).map_err(|error| not_utf8(text, error.valid_up_to()))?;
-    let text = &plain_json(text);
+    let text: &str = &plain_json(utf8(text)?);
     parse_json(text).map_err(|error| match error {
         ParseError::Invalid(errors) => ParseError::Invalid(names::add_object_names(text, errors)),
         ParseError::NotJson(_) => error,
@@ -54,19 +53,7 @@ pub fn parse(text: &[u8]) -> Result<Job, ParseError> {
 
 /// Parses a text that has no comments and no trailing commas.
 fn parse_json(text: &str) -> Result<Job, ParseError> {
-    let outline = json_scan::check(text, MAX_JSON_DEPTH);
-    if text.starts_with('\u{feff}') {
-        let message = "begins with a byte order mark: save the file as UTF-8 without one";
-        return Err(ParseError::NotJson(ValidationError::at(text, Some(0), String::new(), message)));
-    }
-    let outline = outline.map_err(|fault| of_outline(text, fault));
-    if let Err(error) = serde_json::from_str::<IgnoredAny>(text) {
-        return Err(match outline {
-            // The nesting depth and long keys are reported before any syntax error.
-            Err((refusal, ScanErrorKind::TooDeep | ScanErrorKind::LongMember(_))) => refusal,
-            Err((_, ScanErrorKind::DuplicateMember(_))) | Ok(()) => ParseError::NotJson(syntax::fault(text, &error)),
-        });
-    }
+    let outline = outline(text)?;
     if let Err((refusal, ScanErrorKind::LongMember(_))) = outline {
         return Err(refusal);
     }
@@ -85,6 +72,37 @@ fn parse_json(text: &str) -> Result<Job, ParseError> {
         Err(refusal) => return Err(refusal),
     };
     Err(ParseError::Invalid(expanded.place(text, errors)))
+}
+
+/// Checks that a text is JSON with comments and trailing commas, and nests no deeper than a job may; returns it.
+pub(crate) fn check_json(text: &[u8]) -> Result<&str, ParseError> {
+    let text = utf8(text)?;
+    match outline(&plain_json(text))? {
+        Err((refusal, ScanErrorKind::TooDeep | ScanErrorKind::LongMember(_))) => Err(refusal),
+        Err((_, ScanErrorKind::DuplicateMember(_))) | Ok(()) => Ok(text),
+    }
+}
+
+/// Scans a text, which must be JSON; returns the error of the scan.
+fn outline(text: &str) -> Result<Result<(), (ParseError, ScanErrorKind)>, ParseError> {
+    let mut outline = json_scan::check(text, MAX_JSON_DEPTH);
+    // Values after a duplicate key may nest deeper than a parser can follow.
+    if let Err(ScanError { kind: ScanErrorKind::DuplicateMember(_), .. }) = outline {
+        outline = json_scan::check_depth(text, MAX_JSON_DEPTH).and(outline);
+    }
+    if text.starts_with('\u{feff}') {
+        let message = "begins with a byte order mark: save the file as UTF-8 without one";
+        return Err(ParseError::NotJson(ValidationError::at(text, Some(0), String::new(), message)));
+    }
+    let outline = outline.map_err(|fault| of_outline(text, fault));
+    if let Err(error) = serde_json::from_str::<IgnoredAny>(text) {
+        return Err(match outline {
+            // The nesting depth and long keys are reported before any syntax error.
+            Err((refusal, ScanErrorKind::TooDeep | ScanErrorKind::LongMember(_))) => refusal,
+            Err((_, ScanErrorKind::DuplicateMember(_))) | Ok(()) => ParseError::NotJson(syntax::fault(text, &error)),
+        });
+    }
+    Ok(outline)
 }
 
 /// Parses a text without formulas that is valid JSON, but may have errors of its outline.
@@ -146,6 +164,10 @@ fn read(text: &str) -> Result<(Job, Vec<f64>), ParseError> {
         faults.truncate(MAX_ERRORS);
         ParseError::Invalid(ValidationError::at_values(text, faults))
     })
+}
+
+fn utf8(text: &[u8]) -> Result<&str, ParseError> {
+    std::str::from_utf8(text).map_err(|error| not_utf8(text, error.valid_up_to()))
 }
 
 fn not_utf8(text: &[u8], offset: usize) -> ParseError {

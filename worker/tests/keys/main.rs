@@ -50,7 +50,7 @@ fn shot(renderer: &CpuRenderer, job: &Value) -> Option<Shot> {
 }
 
 /// Fields that change no byte of any picture. Every other field must be covered.
-const WITHOUT_EFFECT: [&str; 5] = [
+const WITHOUT_EFFECT: [&str; 6] = [
     "#/$defs/Group/properties/name",
     "#/properties/$schema",
     "#/properties/name",
