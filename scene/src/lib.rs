@@ -47,7 +47,7 @@ pub use integrator::Integrator;
 pub use job::{Bits, Format, Frames, Image, Job, Layer, Precision, ToneMap};
 pub use parse::{parse, plain_json, set_value};
 pub use scene::Scene;
-pub use schema::schema;
+pub use schema::{editor_schema, schema};
 
 // Some tests of the public interface also run inside the crate, and refer to it by this name.
 #[cfg(test)]
