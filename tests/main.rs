@@ -27,5 +27,6 @@ mod pictures;
 mod previews;
 mod repository;
 mod runaway;
+mod schema_readers;
 mod skip;
 mod support;

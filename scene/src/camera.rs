@@ -34,9 +34,11 @@ pub struct Camera {
     pub up: Direction,
     /// Vertical field of view of a perspective, in degrees; 40 when absent.
     #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(extend("examples" = [40]))]
     pub fov: Option<FieldOfView>,
     /// Projection of space onto the picture.
     #[serde(default, skip_serializing_if = "Projection::is_default")]
+    #[schemars(extend("default" = "perspective"))]
     pub projection: Projection,
     /// Rotates the camera around `look_at` over the frames of the job.
     #[serde(default, skip_serializing_if = "Option::is_none")]

@@ -53,7 +53,7 @@ pub use job::{Bits, Crop, Format, Frames, Image, Job, Layer, Precision, Region, 
 pub use parse::{parse, plain_json, set_value};
 pub use provenance::Provenance;
 pub use scene::Scene;
-pub use schema::schema;
+pub use schema::{editor_schema, schema};
 
 // Some tests of the public interface also run inside the crate, and refer to it by this name.
 #[cfg(test)]

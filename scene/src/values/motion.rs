@@ -216,11 +216,13 @@ impl JsonSchema for FormulaSchema {
 
     fn json_schema(_: &mut SchemaGenerator) -> Schema {
         json_schema!({
-            "description": "A number as arithmetic: + - * / % ^, comparisons, the scene's numbers, t (seconds), frame, frames, pi, i and n among counted copies, and functions; angles in degrees.",
+            "description": "A number as arithmetic.",
+            "examples": [{ "expr": "1 + 0.2 * sin(360 * t)" }],
             "type": "object",
             "properties": {
                 "expr": { "type": "string", "minLength": 1, "maxLength": crate::formula::MAX_FORMULA_BYTES,
-                    "description": "The formula.", "examples": ["0.2 * sin(360 * t)", "r + gap / 2"] }
+                    "description": "The formula: + - * / % ^, comparisons, the scene's numbers, t (seconds), frame, frames, pi, i and n among counted copies, and functions; angles in degrees.",
+                    "examples": ["0.2 * sin(360 * t)", "r + gap / 2"] }
             },
             "required": ["expr"],
             "additionalProperties": false

@@ -179,9 +179,14 @@ impl JsonSchema for PathSchema {
         let mut along = track::schema(
             "A smooth path through points, and how far the point is on it over time: 0 at its start, 1 at its end.",
             &fraction,
+            [0.into(), 1.into()],
             generator,
         );
         let point = json_schema!({ "type": "array", "items": { "type": "number" }, "minItems": 3, "maxItems": 3 });
+        along.insert(
+            "examples".to_owned(),
+            serde_json::json!([{ "through": [[0, 1, 5], [3, 1, 0], [0, 1, -5]], "keys": [[0, 0], [4, 1]] }]),
+        );
         if let Some(properties) = along.get_mut("properties").and_then(serde_json::Value::as_object_mut) {
             properties.insert(
                 "through".to_owned(),

@@ -112,6 +112,7 @@ impl JsonSchema for PointTrack {
 
     fn json_schema(generator: &mut SchemaGenerator) -> Schema {
         let value = json_schema!({ "type": "array", "items": { "type": "number" }, "minItems": 3, "maxItems": 3 });
-        track::schema("Three numbers over time.", &value, generator)
+        let example = [serde_json::json!([0, 1, 0]), serde_json::json!([1, 1, 0])];
+        track::schema("Three numbers over time.", &value, example, generator)
     }
 }
