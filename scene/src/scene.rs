@@ -61,6 +61,7 @@ pub struct Object {
     pub name: Option<String>,
     /// Which rays see the object: the camera's, shadows', reflected and refracted ones.
     #[serde(default, skip_serializing_if = "Visible::is_full")]
+    #[schemars(extend("default" = { "camera": true, "shadow": true, "reflection": true }))]
     pub visible: Visible,
 }
 
@@ -102,7 +103,7 @@ impl Scene {
         self.objects.iter().map(|object| object.shape.node_count()).sum()
     }
 
-    /// What lights and deflected rays meet: the environment, or else the background.
+    /// The environment that lights and deflected rays meet; the background, if the scene names none.
     pub(crate) fn environment(&self) -> &Background {
         self.environment.as_ref().unwrap_or(&self.background)
     }

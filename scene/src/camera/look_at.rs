@@ -30,11 +30,12 @@ pub enum LookAt {
 #[serde(deny_unknown_fields)]
 pub struct Ahead {
     /// How many seconds ahead the camera looks; its `position` must change.
+    #[schemars(extend("examples" = [0.5]))]
     pub ahead: LookAheadSeconds,
     /// How far the camera leans into a turn: degrees for each degree per second that its view turns.
     #[serde(default = "default_bank")]
     pub bank: RollFactor,
-    /// The position so many seconds later, and so many seconds before.
+    /// The positions `ahead` seconds later and before.
     #[serde(skip_deserializing)]
     #[schemars(skip)]
     later: Option<[Point; 2]>,

@@ -174,8 +174,8 @@ fn seen_by_some() -> Vec<Value> {
         json!({ "day": { "sun": [0.5, 0.4, 0.3], "turbidity": 3, "ground": [0.3, 0.2, 0.1], "strength": 1 } });
     let mut flags = scene(&floor(), &mirror(), &sun(), &gradient());
     flags["objects"].as_array_mut().unwrap().push(json!({ "material": gray(), "shape": part(), "visible": seen }));
-    let mut reflected = scene(&ball(), &mirror(), &sun(), &gradient());
-    let beside = at([1.5, 0.3, 1.0], json!({ "sphere": { "radius": 0.7 } }));
+    let mut reflected = scene(&floor(), &mirror(), &sun(), &gradient());
+    let beside = at([0.3, -0.2, 0.2], json!({ "sphere": { "radius": 0.5 } }));
     reflected["objects"].as_array_mut().unwrap().push(json!({ "material": gray(), "shape": beside, "visible": seen }));
     let mut caught = scene(&floor(), &catcher, &sun(), &gradient());
     caught["objects"].as_array_mut().unwrap().push(json!({ "material": gray(), "shape": part() }));
