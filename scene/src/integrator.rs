@@ -66,8 +66,6 @@ pub struct Integrator<'a> {
     fine: Vec<usize>,
     /// The surfaces' cells, in a picture of many shapes.
     cells: Option<Cells<'a>>,
-    /// Whether some surface shows the shadows on it and nothing else.
-    catches_shadows: bool,
     /// Names of the functions that depend on the objects that are seen.
     names: &'static CallNames,
     /// The scene as shadow rays see it, if they see other objects.
@@ -168,7 +166,6 @@ impl<'a> Integrator<'a> {
         Self {
             scene,
             cells: None,
-            catches_shadows: is_worn(Shade::is_shadow_catcher),
             names: CallNames::of(rays),
             of_shadows: None,
             of_reflections: None,
@@ -259,7 +256,7 @@ impl<'a> Integrator<'a> {
     /// Radiance along the ray through a point of the picture, in pixels from its top left.
     fn radiance<R: Real>(&self, x: R, y: R, dice: &Sampler<R>) -> Radiance<R> {
         let ray = self.view.ray(x, y);
-        if self.sends_on || self.catches_shadows || self.media.is_some() || self.scene.fog.is_some() {
+        if self.sends_on || self.materials.catches_shadows || self.media.is_some() || self.scene.fog.is_some() {
             return self.path(&ray, dice);
         }
         let marched = self.march(&ray);

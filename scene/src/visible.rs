@@ -19,6 +19,7 @@ pub struct Visible {
 
 impl Visible {
     /// Whether all rays see the object.
+    #[expect(clippy::trivially_copy_pass_by_ref, reason = "serde calls it with a reference")]
     pub(crate) fn is_full(&self) -> bool {
         *self == Self::default()
     }

@@ -80,14 +80,14 @@ pub(crate) fn of(job: &Job) -> Vec<String> {
         let is_of_all = kind == WarningKind::NothingInView || !job.is_animated();
         if is_of_all { text } else { format!("{text} (in frame {frame})") }
     }));
-    warnings.into_iter().map(|text| with_object_names(&job.scene, text)).collect()
+    warnings.into_iter().map(|text| with_object_names(&job.scene, &text)).collect()
 }
 
 /// A warning with the names of the objects that it mentions by their JSON pointers.
-fn with_object_names(scene: &Scene, text: String) -> String {
+fn with_object_names(scene: &Scene, text: &str) -> String {
     const OBJECT: &str = "/scene/objects/";
     let mut named = String::with_capacity(text.len());
-    let mut rest = text.as_str();
+    let mut rest = text;
     while let Some(start) = rest.find(OBJECT) {
         let digits = rest[start + OBJECT.len()..].bytes().take_while(u8::is_ascii_digit).count();
         let (before, after) = rest.split_at(start + OBJECT.len() + digits);
@@ -98,7 +98,7 @@ fn with_object_names(scene: &Scene, text: String) -> String {
         named.push_str(before);
         named.push_str(pointer);
         if let Some(name) = index.and_then(|index| scene.objects.get(index)?.name.as_deref()) {
-            named.push_str(&format!(" (\"{name}\")"));
+            named.extend([" (\"", name, "\")"]);
         }
         rest = after;
     }

@@ -67,7 +67,7 @@ impl Integrator<'_> {
                 light.ambient = Some(light.ambient.map_or(around, |sum| sum + around));
             }
         }
-        light.shadow = self.catches_shadows.then(|| caught.shadow());
+        light.shadow = self.materials.catches_shadows.then(|| caught.shadow());
         (light, evaluations)
     }
 

@@ -125,14 +125,12 @@ impl Integrator<'_> {
 
     /// Color of the fog in a direction.
     pub(super) fn fog_color<R: Real>(&self, fog: &Fog, direction: Vec3<R>) -> Vec3<R> {
-        match &fog.color {
-            Some(color) => Vec3::uniform(direction.x, color.get()),
-            None => {
-                let scene = self.scene;
-                let sky = if scene.background.is_transparent() { scene.environment() } else { &scene.background };
-                sky.radiance(Fog::direction_of_color(direction))
-            }
+        if let Some(color) = &fog.color {
+            return Vec3::uniform(direction.x, color.get());
         }
+        let scene = self.scene;
+        let sky = if scene.background.is_transparent() { scene.environment() } else { &scene.background };
+        sky.radiance(Fog::direction_of_color(direction))
     }
 
     /// Shades the surface that a path has hit and continues the path.

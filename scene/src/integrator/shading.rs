@@ -21,6 +21,8 @@ pub(super) struct MaterialTable {
     needs_own_normal: bool,
     /// Whether some texture needs the footprint in its own space.
     needs_footprint: bool,
+    /// Whether some surface shows the shadows on it and nothing else.
+    pub(super) catches_shadows: bool,
 }
 
 /// A material at a hit.
@@ -44,7 +46,15 @@ impl MaterialTable {
         };
         let needs_own_normal = worn.iter().any(|&slot| slots[slot].needs_local_normal());
         let needs_footprint = worn.iter().any(|&slot| slots[slot].needs_footprint());
-        Self { has_own_materials: painted, surface_slots: worn, single_slot: only, needs_own_normal, needs_footprint }
+        let catches_shadows = worn.iter().any(|&slot| slots[slot].is_shadow_catcher());
+        Self {
+            catches_shadows,
+            has_own_materials: painted,
+            surface_slots: worn,
+            single_slot: only,
+            needs_own_normal,
+            needs_footprint,
+        }
     }
 
     /// Index of a slot among those of surfaces.
@@ -87,7 +97,7 @@ impl Integrator<'_> {
     ) -> Option<R> {
         let zero = hit.t.constant(0.0);
         let of_slot = |slot: usize| self.scene.used_materials()[slot].transparency(light);
-        if !self.catches_shadows {
+        if !self.materials.catches_shadows {
             return None;
         }
         if let Some(only) = self.materials.single_slot {

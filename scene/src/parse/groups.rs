@@ -58,7 +58,7 @@ pub(super) fn flatten(scene: &mut SceneDocument, faults: &mut SemanticErrors) ->
         faults,
     };
     for (index, group) in std::mem::take(&mut scene.groups).into_iter().enumerate() {
-        flat.group(group, format!("/groups/{index}"), &mut Vec::new());
+        flat.group(group, &format!("/groups/{index}"), &mut Vec::new());
     }
     let Flat { lights, objects, camera, pointers, .. } = flat;
     scene.objects = objects;
@@ -77,9 +77,9 @@ struct Flat<'a> {
 
 impl Flat<'_> {
     /// Adds what is in a group; `outer` has the groups around it.
-    fn group(&mut self, group: Group, pointer: String, outer: &mut Vec<(Placement, String)>) {
-        self.check(&group, &pointer, outer.len());
-        outer.push((Placement::of(&group), pointer.clone()));
+    fn group(&mut self, group: Group, pointer: &str, outer: &mut Vec<(Placement, String)>) {
+        self.check(&group, pointer, outer.len());
+        outer.push((Placement::of(&group), pointer.to_owned()));
         let Group { objects, lights, camera, groups, name: _, by: _, degrees: _, axis: _, about: _ } = group;
         let placements = || outer.iter().map(|(placement, _)| placement.clone()).collect::<Vec<_>>();
         if camera && self.camera.is_none() {
@@ -105,7 +105,7 @@ impl Flat<'_> {
         }
         for (index, inner) in groups.into_iter().enumerate() {
             if outer.len() < MAX_GROUP_DEPTH {
-                self.group(inner, format!("{pointer}/groups/{index}"), outer);
+                self.group(inner, &format!("{pointer}/groups/{index}"), outer);
             }
         }
         outer.pop();

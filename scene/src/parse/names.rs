@@ -26,7 +26,7 @@ pub(super) fn add_object_names(text: &str, mut errors: Vec<ValidationError>) -> 
         if let Some(Ok(name)) = name
             && object_name_error(&name).is_none()
         {
-            error.message.push_str(&format!(" (in object \"{name}\")"));
+            error.message = format!("{} (in object \"{name}\")", error.message);
         }
     }
     errors

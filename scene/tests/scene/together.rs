@@ -1,6 +1,6 @@
 //! Groups, paths, a camera that looks ahead, environments, visibility, shadow catchers and names of objects.
 
-use scene::real::vec3;
+use scene::real::{Real, vec3};
 use scene::{Integrator, Job, ParseError, parse};
 use serde_json::{Value, json};
 
@@ -159,7 +159,7 @@ fn a_camera_on_a_path_looks_ahead_and_leans_into_turns() {
     assert!(forward.x < -0.99 && up.y > 0.99, "{forward:?} {up:?}");
     let (_, _, leaning) = view(&around(0.2), 1);
     // About 90 degrees in a second, so it leans about 18 degrees, toward the ring's middle.
-    let degrees = leaning.z.atan2(leaning.y) * 180.0 / std::f32::consts::PI;
+    let degrees = Real::atan2(leaning.z, leaning.y) * 180.0 / std::f32::consts::PI;
     assert!((degrees - 18.0).abs() < 4.0, "{leaning:?} {degrees}");
     let told = errors(&scene(json!({ "camera": { "position": [0, 1, 5], "look_at": { "ahead": 1 } } })));
     assert!(told[0].starts_with("/scene/camera/look_at: ") && told[0].contains("path"), "{told:?}");
