@@ -59,6 +59,7 @@ pub(crate) struct SceneDocument {
     /// The environment, whose light sky lights and suns give and which reflected and refracted rays see; the
     /// background when absent.
     #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(extend("examples" = [{ "gradient": { "bottom": "#3a3530", "top": "#dfe9ff" } }]))]
     pub environment: Option<Background>,
     /// The lights; an empty list means no light.
     #[serde(default = "default_lights")]

@@ -23,15 +23,19 @@ pub(crate) struct Group {
     pub name: Option<String>,
     /// Offset, in scene units.
     #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(extend("examples" = [[0, 1, 0]]))]
     pub by: Option<Point>,
     /// Angles about x, y and z, in degrees; or one angle about `axis`, counter-clockwise seen from its tip.
     #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(extend("examples" = [[0, 30, 0]]))]
     pub degrees: Option<Angles>,
     /// Axis of the rotation, if there is one angle; y when absent.
     #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(extend("examples" = [[0, 1, 0]]))]
     pub axis: Option<Direction>,
     /// Point that the rotation leaves in place, in scene units; the origin when absent.
     #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(extend("examples" = [[0, 1, 0]]))]
     pub about: Option<Point>,
     /// Objects of the group.
     #[serde(default)]

