@@ -109,9 +109,44 @@ fn dash_is_standard_input_and_standard_output() {
 fn render_prints_its_summary_as_json_with_the_flag() {
     let folder = folder_with(&jobs::quick());
     let output = run_in(folder.path(), &["render", "job.json", "-o", "a.png", "--json"]);
-    let summary: Value = serde_json::from_slice(&output.stderr).expect("only JSON");
+    let summary: Value = serde_json::from_slice(&output.stdout).expect("only JSON");
+    assert!(output.stderr.is_empty(), "{}", text(&output.stderr));
     assert_eq!((&summary["width"], &summary["output"]), (&Value::from(96), &Value::from("a.png")));
     assert!(summary["render_ms"].as_f64().is_some_and(|ms| ms > 0.0) && summary["encode_ms"].is_f64(), "{summary}");
+    let piped = run_in(folder.path(), &["render", "job.json", "-o", "-", "--json"]);
+    assert!(serde_json::from_slice::<Value>(&piped.stderr).is_ok_and(|summary| summary["output"] == "-"));
+    assert!(piped.stdout == fs::read(folder.path().join("a.png")).expect("written"), "only the picture");
+}
+
+#[test]
+fn several_frames_are_rendered_to_a_folder_or_by_a_pattern() {
+    let mut job = jobs::quick();
+    job["name"] = "turn".into();
+    job["frames"] = serde_json::json!({ "count": 12 });
+    job["scene"]["camera"]["turntable"] = serde_json::json!({});
+    let folder = folder_with(&job);
+    let render = |arguments: &[&str]| {
+        let output = run_in(folder.path(), &[&["render", "job.json", "--scale", "20%"], arguments].concat());
+        assert!(output.status.success(), "{}", text(&output.stderr));
+        text(&output.stdout)
+    };
+    render(&["--frames", "10-11,0", "-o", "all/"]);
+    assert_eq!(names_in(&folder.path().join("all")), ["turn.0000.png", "turn.0010.png", "turn.0011.png"]);
+    let said = render(&["--frames", "10", "-o", "shot.##.exr", "--json"]);
+    let summary: Value = serde_json::from_str(&said).expect("one line");
+    assert_eq!((&summary["frame"], &summary["output"]), (&Value::from(10), &Value::from("shot.10.exr")));
+    // The time of a frame is that in the whole animation.
+    render(&["--frame", "10", "-o", "one.png"]);
+    let read = |name: &str| fs::read(folder.path().join(name)).expect("written");
+    assert!(read("one.png") == read("all/turn.0010.png") && read("one.png") != read("all/turn.0011.png"));
+    for (arguments, says) in [
+        (["--frames", "0-2", "-o", "a.png"], "a pattern such as shot.####.png"),
+        (["--frames", "0-12", "-o", "other/"], "no frame 12"),
+        (["--frames", "2-0", "-o", "other/"], "0,4,8-11"),
+    ] {
+        assert_misuse(&run_in(folder.path(), &[&["render", "job.json"], arguments.as_slice()].concat()), says);
+    }
+    assert!(!folder.path().join("other").exists());
 }
 
 #[test]
@@ -220,8 +255,8 @@ fn usage_errors_exit_with_2_and_help_with_0() {
     }
     assert!(succeed(&["--help"]).contains("sdfarm demo"));
     for command in [
-        "serve", "worker", "render", "submit", "watch", "fetch", "jobs", "cancel", "pool", "check", "schema", "bench",
-        "selftest", "demo",
+        "serve", "worker", "render", "submit", "watch", "fetch", "jobs", "cancel", "pool", "check", "new", "fmt",
+        "diff", "schema", "bench", "selftest", "demo",
     ] {
         assert!(succeed(&[command, "--help"]).contains("Usage: sdfarm"), "{command}");
     }

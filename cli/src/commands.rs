@@ -7,15 +7,18 @@ mod cancel;
 mod check;
 mod delete;
 mod demo;
+mod diff;
 mod doctor;
 mod explain;
 mod fetch;
 mod file;
+mod fmt;
 mod forget;
 mod gc;
 mod jobs;
 mod key;
 mod link;
+mod new;
 mod pause;
 mod pool;
 mod preview;
@@ -105,8 +108,14 @@ pub(crate) enum Command {
     Key(key::Arguments),
     /// List the audit log: who changed what.
     Audit(audit::Arguments),
+    /// Write a first job file to start from.
+    New(new::Arguments),
     /// Check a job file: report every error with its line and column.
     Check(check::Arguments),
+    /// Format job files; their comments are kept.
+    Fmt(fmt::Arguments),
+    /// Say how two job files differ, and whether their pictures do.
+    Diff(diff::Arguments),
     /// Print the JSON Schema of a job file.
     Schema(schema::Arguments),
     /// Show a job's size in nodes, rays and operations, or its GPU program (--cuda).
@@ -166,7 +175,10 @@ impl Command {
             Self::Pool(arguments) => run_async(interruptible(pool::run(arguments))),
             Self::Key(arguments) => run_async(key::run(arguments)),
             Self::Audit(arguments) => run_async(interruptible(audit::run(arguments))),
+            Self::New(arguments) => new::run(&arguments),
             Self::Check(arguments) => check::run(&arguments),
+            Self::Fmt(arguments) => fmt::run(&arguments),
+            Self::Diff(arguments) => diff::run(&arguments),
             Self::Schema(arguments) => schema::run(&arguments),
             Self::Explain(arguments) => explain::run(&arguments),
             Self::Bench(arguments) => bench::run(&arguments),

@@ -19,12 +19,19 @@ pub(crate) struct UsageError(pub(crate) String);
 #[error("{0}")]
 pub(crate) struct UnusableDevice(pub(crate) anyhow::Error);
 
+/// Jobs that were compared differ: the exit code says so, and no message.
+#[derive(Debug, thiserror::Error)]
+#[error("the jobs differ")]
+pub(crate) struct JobsDiffer;
+
 /// Invalid job file, with its errors.
 #[derive(Debug, thiserror::Error)]
-#[error("{} {}: nothing was rendered; fix the file and try again", .file, count(.faults.len()))]
+#[error("{} {}: {}; fix the file and try again", .file, count(.faults.len()), .consequence)]
 pub(crate) struct InvalidJob {
     /// The file, as the user named it.
     pub(crate) file: String,
+    /// The consequence, as in "nothing was rendered".
+    pub(crate) consequence: &'static str,
     /// Its errors.
     pub(crate) faults: Vec<ValidationErrorView>,
 }
@@ -40,7 +47,9 @@ pub(crate) fn report(error: &anyhow::Error) -> u8 {
             print_note(&line(&bad.file, fault));
         }
     }
-    print_note(&format!("error: {}", message(error)));
+    if !error.is::<JobsDiffer>() {
+        print_note(&format!("error: {}", message(error)));
+    }
     exit_code(error)
 }
 

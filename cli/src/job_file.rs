@@ -43,20 +43,28 @@ impl JobFile {
 
     /// Parses the job.
     pub(crate) fn parse(&self) -> anyhow::Result<Job> {
-        scene::parse(&self.text).map_err(|refusal| {
-            let faults = match &refusal {
-                ParseError::NotJson(fault) => vec![ValidationErrorView::from(fault)],
-                ParseError::Invalid(faults) => faults.iter().map(ValidationErrorView::from).collect(),
-            };
-            InvalidJob { file: self.name.clone(), faults }.into()
-        })
+        scene::parse(&self.text).map_err(|refusal| self.refused(&refusal, "nothing was rendered"))
+    }
+
+    /// The text, formatted.
+    pub(crate) fn format(&self) -> anyhow::Result<String> {
+        scene::format(&self.text).map_err(|refusal| self.refused(&refusal, "it was not changed"))
+    }
+
+    fn refused(&self, refusal: &ParseError, consequence: &'static str) -> anyhow::Error {
+        let faults = match refusal {
+            ParseError::NotJson(fault) => vec![ValidationErrorView::from(fault)],
+            ParseError::Invalid(faults) => faults.iter().map(ValidationErrorView::from).collect(),
+        };
+        InvalidJob { file: self.name.clone(), consequence, faults }.into()
     }
 
     /// Adds the file's name to a server's rejection.
     pub(crate) fn invalid(&self, error: ClientError) -> anyhow::Error {
         match error {
             ClientError::Problem(problem) if !problem.errors.is_empty() => {
-                InvalidJob { file: self.name.clone(), faults: problem.errors }.into()
+                let (file, consequence) = (self.name.clone(), "nothing was rendered");
+                InvalidJob { file, consequence, faults: problem.errors }.into()
             }
             other => anyhow::Error::new(other).context(format!("could not submit {}", self.name)),
         }

@@ -9,6 +9,7 @@ mod counted;
 mod error;
 mod follow;
 mod frame_files;
+mod frame_list;
 mod job_file;
 mod job_name;
 mod logs;

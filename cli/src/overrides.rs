@@ -1,4 +1,4 @@
-//! Values that a command sets in a job: `--set`, `--samples`, `--scale`.
+//! Values that a command sets in a job: `--set`, `--samples`, `--region`, `--scale`.
 
 use clap::Args;
 
@@ -14,6 +14,9 @@ pub(crate) struct OverrideArguments {
     /// Sets the rays per pixel.
     #[arg(long, value_name = "N", env = "SDFARM_SAMPLES", value_parser = clap::value_parser!(u32).range(1..=i64::from(scene::limits::MAX_SAMPLES)))]
     samples: Option<u32>,
+    /// Renders only a part of the picture: its left column, top row, width and height in pixels.
+    #[arg(long, value_name = "X,Y,WIDTH,HEIGHT", env = "SDFARM_REGION", value_parser = region)]
+    region: Option<String>,
     /// Scales the picture's width and height, as in 25%.
     #[arg(long, value_name = "PERCENT", env = "SDFARM_SCALE", value_parser = percentage)]
     scale: Option<f64>,
@@ -22,8 +25,8 @@ pub(crate) struct OverrideArguments {
 impl OverrideArguments {
     /// The job file with these values.
     pub(crate) fn apply(&self, file: JobFile) -> anyhow::Result<JobFile> {
-        let Self { set, samples, scale } = self;
-        if set.is_empty() && samples.is_none() && scale.is_none() {
+        let Self { set, samples, region, scale } = self;
+        if set.is_empty() && samples.is_none() && region.is_none() && scale.is_none() {
             return Ok(file);
         }
         let JobFile { name, text } = file;
@@ -34,11 +37,17 @@ impl OverrideArguments {
         if let Some(samples) = samples {
             text = replaced(&text, "image.samples", &samples.to_string())?;
         }
+        if let Some(region) = region {
+            text = replaced(&text, "image.region", region)?;
+        }
         if let Some(scale) = scale {
             let image = JobFile { name: name.clone(), text: text.clone().into_bytes() }.parse()?.image;
-            for (path, edge) in [("image.width", image.width), ("image.height", image.height)] {
-                let edge = (f64::from(edge) * scale).round().max(1.0);
+            let [width, height] = image.full_size().map(|edge| (f64::from(edge) * scale).round().max(1.0));
+            for (path, edge) in [("image.width", width), ("image.height", height)] {
                 text = replaced(&text, path, &edge.to_string())?;
+            }
+            if let Some(crop) = image.crop {
+                text = replaced(&text, "image.region", &scaled_region(crop.region, *scale, [width, height]))?;
             }
         }
         Ok(JobFile { name, text: text.into_bytes() })
@@ -52,6 +61,27 @@ fn replaced(text: &str, path: &str, value: &str) -> anyhow::Result<String> {
 fn assignment(text: &str) -> Result<(String, String), String> {
     let (path, value) = text.split_once('=').ok_or("write PATH=VALUE, as in numbers.r=0.3")?;
     Ok((path.trim().to_owned(), value.trim().to_owned()))
+}
+
+/// A region of a picture that is scaled to this width and height.
+fn scaled_region(region: scene::Region, scale: f64, [full_width, full_height]: [f64; 2]) -> String {
+    let axis = |start: u32, length: u32, full: f64| {
+        let start = (f64::from(start) * scale).floor().min(full - 1.0);
+        (start, (f64::from(length) * scale).round().clamp(1.0, full - start))
+    };
+    let (x, width) = axis(region.x, region.width, full_width);
+    let (y, height) = axis(region.y, region.height, full_height);
+    format!("[{x}, {y}, {width}, {height}]")
+}
+
+/// Four whole numbers as a JSON list.
+fn region(text: &str) -> Result<String, String> {
+    let list = text.trim().trim_start_matches('[').trim_end_matches(']');
+    let numbers: Vec<u32> = list.split(',').filter_map(|number| number.trim().parse().ok()).collect();
+    if numbers.len() != 4 || list.split(',').count() != 4 {
+        return Err("write X,Y,WIDTH,HEIGHT in pixels, as in 640,360,320,180".to_owned());
+    }
+    Ok(format!("{numbers:?}"))
 }
 
 fn percentage(text: &str) -> Result<f64, String> {

@@ -4,7 +4,7 @@ use serde::Serialize;
 
 use crate::PICTURE_VERSION;
 use crate::animation::JobAtFrame;
-use crate::job::{Bits, Format, Image, Job, Layer, Precision, ToneMap};
+use crate::job::{Bits, Crop, Format, Image, Job, Layer, Precision, ToneMap};
 use crate::scene::Scene;
 use crate::values::{ExposureStops, FrameRate};
 
@@ -19,6 +19,8 @@ struct CanonicalPixels<'a> {
     seed: u32,
     frame: u32,
     layers: &'a [Layer],
+    #[serde(skip_serializing_if = "Option::is_none")]
+    crop: Option<Crop>,
 }
 
 /// Everything that decides the bytes of a frame's picture.
@@ -33,6 +35,9 @@ struct CanonicalPicture<'a> {
     fps: Option<&'a FrameRate>,
     #[serde(skip_serializing_if = "Option::is_none")]
     graded: Option<(&'a ExposureStops, ToneMap)>,
+    /// Names of the objects, stored in an EXR with the layer of objects.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    object_names: Option<Vec<Option<String>>>,
 }
 
 fn hash(value: &impl Serialize) -> blake3::Hash {
@@ -65,8 +70,20 @@ impl JobAtFrame<'_> {
 
     fn pixels_key_of_version(&self, version: u32) -> blake3::Hash {
         // Without `..`, so that a new field does not compile until it is handled here and in `cache_key`.
-        let Image { width, height, samples, seed, layers, format: _, bits: _, precision: _, exposure: _, tone_map: _ } =
-            self.image();
+        let Image {
+            width,
+            height,
+            samples,
+            seed,
+            layers,
+            crop,
+            region: _,
+            format: _,
+            bits: _,
+            precision: _,
+            exposure: _,
+            tone_map: _,
+        } = self.image();
         hash(&CanonicalPixels {
             version,
             scene: self.scene(),
@@ -76,6 +93,7 @@ impl JobAtFrame<'_> {
             seed: *seed,
             frame: self.frame(),
             layers,
+            crop: *crop,
         })
     }
 
@@ -87,8 +105,20 @@ impl JobAtFrame<'_> {
     /// Hash of everything that decides the bytes of the frame's picture.
     pub fn cache_key(&self) -> blake3::Hash {
         let image = self.image();
-        let Image { format, bits, precision, exposure, tone_map, width: _, height: _, samples: _, seed: _, layers: _ } =
-            image;
+        let Image {
+            format,
+            bits,
+            precision,
+            exposure,
+            tone_map,
+            width: _,
+            height: _,
+            samples: _,
+            seed: _,
+            layers: _,
+            region: _,
+            crop: _,
+        } = image;
         let (bits, precision, fps) = match format {
             Format::Png => (Some(*bits), None, None),
             Format::Exr => (None, Some(*precision), Some(&self.frames().fps)),
@@ -100,6 +130,7 @@ impl JobAtFrame<'_> {
             precision,
             fps,
             graded: image.has_display_transform().then_some((exposure, *tone_map)),
+            object_names: self.stored_object_names(),
         })
     }
 }

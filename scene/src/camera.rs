@@ -1,17 +1,20 @@
 //! Camera: turns a point of the picture into a ray.
 
 mod culling;
+mod look_at;
 mod matrices;
 mod projections;
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+pub use look_at::{Ahead, LookAt};
 pub use matrices::Matrix;
 pub use projections::{
     CameraAxes, Example, Extent, HasExamples, Orthographic, Panorama, Perspective, Project, Projection,
 };
 
+use crate::groups::Placement;
 use crate::job::Frames;
 use crate::march::Tolerance;
 use crate::real::{Real, Vec3, bundle, vec3};
@@ -24,20 +27,26 @@ use crate::values::{Direction, FieldOfView, Point, Revolutions, sin_cos_degrees}
 pub struct Camera {
     /// Position of the camera.
     pub position: Point,
-    /// Point at the center of the picture; different from `position`.
-    pub look_at: Point,
+    /// Point at the center of the picture, different from `position`; or how far ahead on its way the camera looks.
+    pub look_at: LookAt,
     /// Direction that is up in the picture; not parallel to the view.
     #[serde(default = "default_up")]
     pub up: Direction,
     /// Vertical field of view of a perspective, in degrees; 40 when absent.
     #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(extend("examples" = [40]))]
     pub fov: Option<FieldOfView>,
     /// Projection of space onto the picture.
     #[serde(default, skip_serializing_if = "Projection::is_default")]
+    #[schemars(extend("default" = "perspective"))]
     pub projection: Projection,
     /// Rotates the camera around `look_at` over the frames of the job.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub turntable: Option<Turntable>,
+    /// Placements of the groups that the camera belongs to, the outermost first.
+    #[serde(skip_deserializing, skip_serializing_if = "Vec::is_empty")]
+    #[schemars(skip)]
+    pub(crate) placements: Vec<Placement>,
 }
 
 /// Rotation of the camera around `look_at`, about its `up` direction.
@@ -87,8 +96,18 @@ impl<R: Real> Ray<R> {
 impl Camera {
     /// Error in the camera, if there is one: the JSON member and the message.
     pub(crate) fn validate(&self) -> Option<(&'static str, &'static str)> {
-        let (from, to) = (self.position.get(), self.look_at.get());
+        let from = self.position.get();
+        let to = self.target();
         let away = vec3(to.x - from.x, to.y - from.y, to.z - from.z);
+        if self.look_at.is_ahead() && self.turntable.is_some() {
+            return Some(("turntable", "circles the point look_at: give look_at a point, or leave turntable out"));
+        }
+        if self.look_at.is_ahead() && away.length() < 1e-6 {
+            return Some((
+                "look_at",
+                "looks ahead of a camera that does not move: give position a path, a track or formulas, or look_at a point",
+            ));
+        }
         if away.length() < 1e-6 {
             return Some((
                 "look_at",
@@ -105,6 +124,16 @@ impl Camera {
         self.fov.as_ref().and(self.projection.validate_fov()).map(|message| ("fov", message))
     }
 
+    /// Point at the center of the picture.
+    pub fn target(&self) -> Vec3<f32> {
+        self.look_at.point(self.position.get())
+    }
+
+    /// Tells a camera that looks ahead where it will be.
+    pub(crate) fn link(&mut self) {
+        self.look_at.follow(&self.position);
+    }
+
     /// Fills in defaults, so that cameras with the same view are equal.
     pub(crate) fn fill_defaults(&mut self) {
         self.fov = self.fov.take().or_else(|| self.projection.default_fov());
@@ -116,7 +145,7 @@ impl Camera {
         let share = f64::from(frame) / f64::from(frames.count);
         let degrees = (360.0 * f64::from(turns.get()) * share % 360.0) as f32;
         if degrees != 0.0 {
-            let middle = self.look_at.get();
+            let middle = self.target();
             let moved = rotate_about_axis(self.position.get() - middle, self.up.unit(), degrees) + middle;
             self.position = Point::clamped(moved);
         }
@@ -126,9 +155,16 @@ impl Camera {
     /// Prepares the camera for a picture of this size, in pixels from the top left; the center of pixel (0, 0) is
     /// (0.5, 0.5).
     pub fn view(&self, width: u32, height: u32) -> View {
-        let (origin, to) = (self.position.get(), self.look_at.get());
+        let origin = self.position.get();
+        let (to, up) = (self.target(), self.up.unit());
+        let roll = self.look_at.roll(origin, up);
+        let inward = self.placements.iter().rev();
+        let (origin, to, up) = inward.fold((origin, to, up), |(origin, to, up), placement| {
+            (placement.to_scene(origin), placement.to_scene(to), placement.direction_to_scene(up))
+        });
         let forward = vec3(to.x - origin.x, to.y - origin.y, to.z - origin.z).normalize();
-        let right = forward.cross(self.up.unit()).normalize();
+        let right = forward.cross(up).normalize();
+        let right = if roll == 0.0 { right } else { rotate_about_axis(right, forward, roll) };
         let up = right.cross(forward);
         let (width, height) = (width as f32, height as f32);
         let aspect = width / height;

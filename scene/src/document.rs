@@ -12,9 +12,10 @@ use crate::ambient_occlusion::AmbientOcclusion;
 use crate::backgrounds::Background;
 use crate::camera::Camera;
 use crate::fog::Fog;
+use crate::groups::Group;
 use crate::job::{Frames, Image, priority};
 use crate::json_scan;
-use crate::lights::{Light, default_lights};
+use crate::lights::{Light, PlacedLight, default_lights};
 use crate::limits::MAX_LIGHTS;
 use crate::materials::{Material, MaterialRef, MaterialSlots};
 use crate::nodes::{Node, material_pointer};
@@ -55,6 +56,11 @@ pub(crate) struct SceneDocument {
     /// The background, seen by rays that hit nothing.
     #[serde(default)]
     pub background: Background,
+    /// The environment, whose light sky lights and suns give and which reflected and refracted rays see; the
+    /// background when absent.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(extend("examples" = [{ "gradient": { "bottom": "#3a3530", "top": "#dfe9ff" } }]))]
+    pub environment: Option<Background>,
     /// The lights; an empty list means no light.
     #[serde(default = "default_lights")]
     #[schemars(length(max = MAX_LIGHTS))]
@@ -74,6 +80,9 @@ pub(crate) struct SceneDocument {
     /// Shapes by name: `{ "use": name }` stands for one anywhere in an object or in another shape.
     #[serde(default)]
     pub shapes: BTreeMap<String, Node>,
+    /// Groups of objects, lights and the camera that move together.
+    #[serde(default)]
+    pub groups: Vec<Group>,
     /// The objects, one or more. The nearest one is visible; if several are equally near, the first of them.
     #[schemars(length(min = 1))]
     pub objects: Vec<Object>,
@@ -109,18 +118,21 @@ pub(crate) struct Resolved {
 }
 
 impl SceneDocument {
-    /// Scene with every material in its slot and defaults filled in. Each `use` has been replaced.
-    pub(crate) fn resolve(self, shapes: &mut NamedShapes) -> Resolved {
+    /// Scene with every material in its slot and defaults filled in. Each `use` and all groups have been replaced;
+    /// `lights` are all lights.
+    pub(crate) fn resolve(self, lights: Vec<PlacedLight>, shapes: &mut NamedShapes) -> Resolved {
         // Without `..`, so that a new field does not compile until it is stored in the scene.
         let Self {
             mut camera,
             background,
-            lights,
+            environment,
+            lights: _,
             fog,
             ambient_occlusion,
             numbers: _,
             materials: named,
             shapes: _,
+            groups: _,
             mut objects,
             march,
         } = self;
@@ -138,7 +150,8 @@ impl SceneDocument {
         unknown.extend(in_unused.unknown);
         let MaterialSlots { used: materials, count: material_count, by_name, .. } = slots;
         let unused = named.keys().filter(|name| !by_name.contains_key(*name)).cloned().collect();
-        let scene = Scene { camera, background, lights, fog, ambient_occlusion, materials, objects, march };
+        let scene =
+            Scene { camera, background, environment, lights, fog, ambient_occlusion, materials, objects, march };
         Resolved { scene, material_count, material_pointers: places, unused_names: unused, unknown }
     }
 }

@@ -20,7 +20,8 @@ pub struct Fog {
     /// Rate at which the density decreases with height, per unit; 0 means constant density.
     #[serde(default = "default_falloff")]
     pub falloff: Density,
-    /// Color of the fog. When absent, the background's color in each direction, and the horizon's below the horizon.
+    /// Color of the fog. When absent, the background's color in each direction, and the horizon's below the horizon;
+    /// the environment's if the background is transparent.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub color: Option<Color>,
 }

@@ -5,6 +5,7 @@ mod by_cells;
 mod lighting;
 mod media;
 mod path;
+mod ray_kinds;
 mod scene_distance;
 mod shading;
 mod step_budget;
@@ -20,7 +21,9 @@ use crate::materials::{Material, Shade, ShadingPoint};
 use crate::real::{MaskValue, Real, Vec3, bundle, vec3};
 use crate::sampling::{PixelJitter, Sampler, frame_key};
 use crate::scene::Scene;
+use crate::visible::RayKind;
 use media::Media;
+use ray_kinds::CallNames;
 use scene_distance::AlongRay;
 use shading::MaterialTable;
 
@@ -49,6 +52,8 @@ pub struct Integrator<'a> {
     /// Bounds of all surfaces.
     bounds: Bounds,
     view: View,
+    /// Column and row of the picture's top left in the whole picture.
+    origin: [u32; 2],
     samples: u32,
     frame_key: u32,
     tolerance: Tolerance,
@@ -61,6 +66,12 @@ pub struct Integrator<'a> {
     fine: Vec<usize>,
     /// The surfaces' cells, in a picture of many shapes.
     cells: Option<Cells<'a>>,
+    /// Names of the functions that depend on the objects that are seen.
+    names: &'static CallNames,
+    /// The scene as shadow rays see it, if they see other objects.
+    of_shadows: Option<Box<Self>>,
+    /// The scene as reflected and refracted rays see it, if they see other objects.
+    of_reflections: Option<Box<Self>>,
 }
 
 /// From this number of nodes on, separate formulas for the distance and for the nearest object would be too much code.
@@ -125,12 +136,26 @@ impl<R: Real> ShadingPoint<R> {
 impl<'a> Integrator<'a> {
     /// Prepares the integrator for one frame, without cells: every formula is written out.
     pub fn new(still: &'a JobAtFrame<'_>) -> Self {
+        let scene = still.scene();
+        let seen_by = |rays| Self::seen_by(still, rays);
+        let differ = |one, other| scene.objects.iter().any(|object| object.visible.to(one) != object.visible.to(other));
+        let of_shadows = |rays| differ(rays, RayKind::Shadow).then(|| Box::new(seen_by(RayKind::Shadow)));
+        let of_reflections = differ(RayKind::Camera, RayKind::Reflection).then(|| {
+            let of_shadows = of_shadows(RayKind::Reflection);
+            Box::new(Self { of_shadows, ..seen_by(RayKind::Reflection) })
+        });
+        Self { of_shadows: of_shadows(RayKind::Camera), of_reflections, ..seen_by(RayKind::Camera) }
+    }
+
+    /// Prepares the integrator for one frame and the objects that rays of a kind see.
+    fn seen_by(still: &'a JobAtFrame<'_>, rays: RayKind) -> Self {
         let (scene, image, moves) = (still.scene(), still.image(), still.is_animated());
-        let view = scene.camera.view(image.width, image.height);
+        let [full_width, full_height] = image.full_size();
+        let view = scene.camera.view(full_width, full_height);
         let clothes = MaterialTable::new(scene);
         let is_worn = |of: fn(&Material) -> bool| clothes.slots().any(|slot| of(&scene.used_materials()[slot]));
         let (sends_on, lets_through) = (is_worn(Shade::is_specular), is_worn(Shade::is_transmissive));
-        let surfaces: Vec<usize> = surfaces_of(scene).collect();
+        let surfaces: Vec<usize> = surfaces_of(scene).filter(|&index| scene.objects[index].visible.to(rays)).collect();
         let boxes: Vec<Option<Bounds>> =
             scene.objects.iter().map(|object| object.shape.culling_bounds(moves)).collect();
         let shapes = surfaces.iter().map(|&index| scene.objects[index].shape.bounds(0.0));
@@ -141,11 +166,14 @@ impl<'a> Integrator<'a> {
         Self {
             scene,
             cells: None,
+            names: CallNames::of(rays),
+            of_shadows: None,
+            of_reflections: None,
             cull_bounds: if boxes.iter().all(Option::is_none) { Vec::new() } else { boxes },
             shares_nearest: scene.nodes() >= SHARED_DISTANCE_NODES,
             bounds,
             step_scales,
-            media: Media::new(scene, view.origin()),
+            media: Media::new(scene, rays, view.origin()),
             sends_on,
             lets_through,
             materials: clothes,
@@ -156,6 +184,7 @@ impl<'a> Integrator<'a> {
             normal_epsilon: view.normal_epsilon(),
             seen: view.footprint().scaled(1.0 / Real::sqrt(image.samples as f32)),
             view,
+            origin: image.origin(),
             samples: image.samples,
             frame_key: frame_key(image.seed, still.frame()),
         }
@@ -176,6 +205,7 @@ impl<'a> Integrator<'a> {
             alpha: sum.alpha + seen.alpha,
             evaluations: sum.evaluations + seen.evaluations,
         };
+        let [x, y] = self.in_whole_picture(x, y);
         let zero = x.constant(0.0);
         let dice = Sampler { x, y, sample: zero, bounce: zero, frame_key: self.frame_key };
         if self.samples == 1 {
@@ -191,6 +221,12 @@ impl<'a> Integrator<'a> {
         sum
     }
 
+    /// Column and row in the whole picture, of which only a region may be rendered.
+    fn in_whole_picture<R: Real>(&self, x: R, y: R) -> [R; 2] {
+        let moved = |number: R, by: u32| if by == 0 { number } else { number + by as f32 };
+        [moved(x, self.origin[0]), moved(y, self.origin[1])]
+    }
+
     /// Color of a pixel whose samples have all been added to `sum`.
     pub fn mean<R: Real>(&self, sum: Radiance<R>) -> Radiance<R> {
         if self.samples == 1 {
@@ -202,6 +238,7 @@ impl<'a> Integrator<'a> {
 
     /// Layer (AOV) values of the ray through the center of the pixel in column `x` and row `y`.
     pub fn aovs<R: Real>(&self, x: R, y: R) -> Aovs<R> {
+        let [x, y] = self.in_whole_picture(x, y);
         let ray = self.view.ray(x + 0.5, y + 0.5);
         let marched = if self.fine.is_empty() { self.march(&ray) } else { self.march_to_depth(&ray) };
         let zero = x.constant(0.0);
@@ -219,7 +256,7 @@ impl<'a> Integrator<'a> {
     /// Radiance along the ray through a point of the picture, in pixels from its top left.
     fn radiance<R: Real>(&self, x: R, y: R, dice: &Sampler<R>) -> Radiance<R> {
         let ray = self.view.ray(x, y);
-        if self.sends_on || self.media.is_some() || self.scene.fog.is_some() {
+        if self.sends_on || self.materials.catches_shadows || self.media.is_some() || self.scene.fog.is_some() {
             return self.path(&ray, dice);
         }
         let marched = self.march(&ray);
@@ -237,8 +274,20 @@ impl<'a> Integrator<'a> {
         (self.scene.background.radiance(direction), direction.x.constant(alpha))
     }
 
+    /// Radiance that a ray meets behind all surfaces: of the environment if surfaces have deflected it, so that
+    /// nothing straight behind is seen, else of the background.
+    fn radiance_behind<R: Real>(&self, direction: Vec3<R>, background_weight: R) -> Vec3<R> {
+        let background = self.scene.background.radiance(direction);
+        match &self.scene.environment {
+            Some(environment) if self.sends_on => {
+                Vec3::select(background_weight.above(0.0), background, environment.radiance(direction))
+            }
+            _ => background,
+        }
+    }
+
     fn march<R: Real>(&self, ray: &Ray<R>) -> MarchResult<R> {
-        ray.direction.x.call("march", *ray, |ray| {
+        ray.direction.x.call(self.names.march, *ray, |ray| {
             let Tolerance { slope, floor } = self.tolerance;
             self.march_in_bounds(&ray, ray.direction.x.uniform(slope), ray.direction.x.uniform(floor), false)
         })
@@ -246,7 +295,7 @@ impl<'a> Integrator<'a> {
 
     /// Like `march`, but to an exact root also on surfaces with fine detail. Only the depth layer is worth its cost.
     fn march_to_depth<R: Real>(&self, ray: &Ray<R>) -> MarchResult<R> {
-        ray.direction.x.call("march_to_depth", *ray, |ray| {
+        ray.direction.x.call(self.names.march_to_depth, *ray, |ray| {
             let Tolerance { slope, floor } = self.tolerance;
             self.march_in_bounds(&ray, ray.direction.x.uniform(slope), ray.direction.x.uniform(floor), true)
         })
@@ -299,7 +348,7 @@ impl<'a> Integrator<'a> {
 
     /// Refines a march that came near the surface to the exact intersection, and computes the normal there.
     fn hit<R: Real>(&self, ray: &Ray<R>, marched: &MarchResult<R>) -> Hit<R> {
-        marched.t.call("hit", (*ray, *marched), |(ray, marched)| {
+        marched.t.call(self.names.hit, (*ray, *marched), |(ray, marched)| {
             let MarchResult { t: root, near, distance: gap, .. } = marched;
             let fine = self.is_fine(ray.at(near));
             let from = fine.map_or(root, |fine| R::select(fine, near, root));

@@ -1,5 +1,7 @@
 //! A job: a scene, and the pictures to render of it.
 
+mod region;
+
 use std::sync::Arc;
 
 use schemars::JsonSchema;
@@ -11,6 +13,8 @@ use crate::seek::Seek;
 use crate::shapes::WrittenNodes;
 use crate::values::{ExposureStops, FrameRate, integer, integer_in_range};
 use crate::warnings;
+
+pub use region::{Crop, Region};
 
 /// A parsed and validated job: a scene, and the pictures to render of it.
 #[derive(Clone, Debug, PartialEq)]
@@ -75,6 +79,13 @@ pub struct Image {
     /// Tone map of a PNG, for light that is too bright for it.
     #[serde(default)]
     pub tone_map: ToneMap,
+    /// Part of the picture that is rendered; all of it when absent. A job that has been parsed has `crop` instead.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub region: Option<Region>,
+    /// The region and the whole picture's size, if only a region is rendered: width and height are the region's.
+    #[serde(skip_deserializing, skip_serializing_if = "Option::is_none")]
+    #[schemars(skip)]
+    pub crop: Option<Crop>,
 }
 
 /// A file format.

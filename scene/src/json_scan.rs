@@ -103,6 +103,21 @@ pub(crate) fn check(text: &str, max_depth: usize) -> Result<(), ScanError> {
     fault.map_or(Ok(()), Err)
 }
 
+/// Scans for values that nest too deep, also after other errors.
+pub(crate) fn check_depth(text: &str, max_depth: usize) -> Result<(), ScanError> {
+    let mut fault = None;
+    walk(text, |levels, event| {
+        if let JsonToken::Value { offset } = event
+            && levels.len() > max_depth
+        {
+            let pointer = pointer(&levels[..max_depth]);
+            fault = Some(ScanError { offset, pointer, kind: ScanErrorKind::TooDeep });
+        }
+        fault.is_none()
+    });
+    fault.map_or(Ok(()), Err)
+}
+
 /// Whether a text has more values than this, counting those in arrays and objects.
 pub(crate) fn has_more_values_than(text: &str, limit: usize) -> bool {
     let mut count = 0;

@@ -17,7 +17,9 @@ mod document;
 pub mod effects;
 mod error;
 pub mod fog;
+mod format;
 mod formula;
+mod groups;
 pub mod integrator;
 pub mod job;
 mod json_scan;
@@ -30,6 +32,7 @@ pub mod nodes;
 pub mod noise;
 mod parse;
 pub mod profiles;
+mod provenance;
 pub mod real;
 pub mod sampling;
 pub mod scene;
@@ -37,17 +40,20 @@ pub mod schema;
 mod seek;
 mod shapes;
 pub mod values;
+mod visible;
 mod warnings;
 
 pub use animation::{FrameError, JobAtFrame};
 pub use backgrounds::Background;
 pub use error::{ParseError, ValidationError};
+pub use format::format;
 pub use formula::{FUNCTIONS, Function, NAMES as FORMULA_NAMES};
 pub use integrator::Integrator;
-pub use job::{Bits, Format, Frames, Image, Job, Layer, Precision, ToneMap};
+pub use job::{Bits, Crop, Format, Frames, Image, Job, Layer, Precision, Region, ToneMap};
 pub use parse::{parse, plain_json, set_value};
+pub use provenance::Provenance;
 pub use scene::Scene;
-pub use schema::schema;
+pub use schema::{editor_schema, schema};
 
 // Some tests of the public interface also run inside the crate, and refer to it by this name.
 #[cfg(test)]

@@ -8,6 +8,7 @@
 mod added;
 mod directional;
 mod local;
+mod placed;
 mod point;
 mod sky_light;
 mod sun;
@@ -19,6 +20,7 @@ use serde::{Deserialize, Serialize};
 pub use added::AddedLight;
 pub use directional::Directional;
 pub use local::{SphereLight, SpotLight};
+pub use placed::PlacedLight;
 pub use point::PointLight;
 pub use sky_light::SkyLight;
 pub use sun::Sun;
@@ -73,6 +75,11 @@ pub trait LightSource {
     /// Whether objects cast shadows in this light.
     fn casts_shadows(&self) -> bool;
 
+    /// Whether it is light of the environment, which has no place of its own.
+    fn is_of_environment(&self) -> bool {
+        false
+    }
+
     /// Whether the light is black in every frame. If all lights are, the scene gets a warning.
     fn is_dark(&self) -> bool;
 
@@ -113,6 +120,10 @@ macro_rules! lights {
 
             fn casts_shadows(&self) -> bool {
                 match self { $($(#[$attribute])* Self::$Kind(light) => light.casts_shadows()),* }
+            }
+
+            fn is_of_environment(&self) -> bool {
+                match self { $($(#[$attribute])* Self::$Kind(light) => light.is_of_environment()),* }
             }
 
             fn is_dark(&self) -> bool {

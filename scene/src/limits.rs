@@ -6,6 +6,10 @@ pub const MAX_BODY_BYTES: usize = 32 << 20;
 pub const MAX_JSON_DEPTH: usize = 256;
 /// Maximum bytes of a key, checked before parsing: the pointer of each error in its value has it.
 pub const MAX_KEY_BYTES: usize = 4_096;
+/// Maximum nesting of groups.
+pub const MAX_GROUP_DEPTH: usize = 8;
+/// Maximum number of points of a path.
+pub const MAX_PATH_POINTS: usize = 1_000;
 /// Maximum nesting of nodes.
 pub const MAX_NODE_DEPTH: usize = 64;
 /// Maximum number of nodes of a scene.

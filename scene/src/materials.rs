@@ -8,6 +8,7 @@ mod diffuse;
 mod material_ref;
 pub mod microfacet;
 mod param;
+mod shadow_catcher;
 mod surface;
 pub mod texture;
 mod unlit;
@@ -22,6 +23,7 @@ pub use diffuse::Diffuse;
 pub use material_ref::MaterialRef;
 pub(crate) use material_ref::MaterialSlots;
 pub use param::{ColorParam, ScalarKind, ScalarParam, TexturedScalar};
+pub use shadow_catcher::ShadowCatcher;
 pub use surface::Surface;
 pub use texture::Texture;
 pub use unlit::{Flat, Normals};
@@ -76,6 +78,9 @@ pub struct IncidentLight<R> {
     pub ambient: Option<Vec3<R>>,
     /// Ambient visibility at the point, 0 (occluded) to 1; `None` if the scene has no `ambient_occlusion`.
     pub ambient_visibility: Option<R>,
+    /// Fraction of the light on a matte surface that shadows and ambient occlusion take away; `None` if no material
+    /// shows shadows alone.
+    pub shadow: Option<R>,
 }
 
 /// Specular BSDF at a shading point: F0, roughness, transmission and index of refraction. Direct light is in `shade`.
@@ -101,7 +106,7 @@ pub trait Shade {
     /// Albedo: the surface's own color, without light.
     fn albedo<R: Real>(&self, place: &ShadingPoint<R>) -> Vec3<R>;
 
-    /// Whether `shade` uses the lights.
+    /// Whether `shade` or `transparency` uses the lights.
     fn is_lit(&self) -> bool;
 
     /// Whether it uses the lights, on its surface or inside. If no material does, a scene with lights gets a warning.
@@ -133,6 +138,17 @@ pub trait Shade {
     /// Whether it is a medium inside an object instead of covering its surface.
     fn is_medium(&self) -> bool {
         self.as_medium().is_some()
+    }
+
+    /// Whether it shows the shadows on it and nothing else.
+    fn is_shadow_catcher(&self) -> bool {
+        false
+    }
+
+    /// Fraction of the background that is seen through a shadow catcher; `None` for other materials.
+    fn transparency<R: Real>(&self, light: &IncidentLight<R>) -> Option<R> {
+        let _ = light;
+        None
     }
 
     /// The medium inside an object, if it is one.
@@ -203,6 +219,14 @@ macro_rules! materials {
                 match self { $($(#[$attribute])* Self::$Kind(material) => material.is_black_without_light()),* }
             }
 
+            fn is_shadow_catcher(&self) -> bool {
+                match self { $($(#[$attribute])* Self::$Kind(material) => material.is_shadow_catcher()),* }
+            }
+
+            fn transparency<R: Real>(&self, light: &IncidentLight<R>) -> Option<R> {
+                match self { $($(#[$attribute])* Self::$Kind(material) => material.transparency(light)),* }
+            }
+
             fn as_medium(&self) -> Option<MediumMaterial<'_>> {
                 match self { $($(#[$attribute])* Self::$Kind(material) => material.as_medium()),* }
             }
@@ -239,6 +263,7 @@ materials![
     Normals,
     Diffuse,
     Surface,
+    ShadowCatcher,
     Clouds,
     Volume,
     #[cfg(test)]

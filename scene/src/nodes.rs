@@ -63,6 +63,7 @@ pub use primitives::{
     RoundedCylinder, SchwarzP, SolidAngle, Sphere, Tetrahedron, Torus, Triangle, TriangularPrism, U, Vesica,
 };
 pub use rotations::{Aim, Rotate};
+pub(crate) use rotations::{inverse_rows_about, rotation_error};
 pub use scatter::{BallRegion, BoxRegion, DiscRegion, Scatter, ScatterRegion};
 pub use sdf::{Exactness, NodeError, Primitive, Sdf};
 pub use sweeps::{Extrude, Revolve};

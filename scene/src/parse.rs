@@ -5,7 +5,9 @@ mod comments;
 mod depends;
 mod expand;
 mod form;
+mod groups;
 mod messages;
+mod names;
 mod nodes;
 mod set;
 mod stand_ins;
@@ -17,6 +19,7 @@ mod tests;
 mod tree;
 
 pub use self::comments::plain_json;
+pub(crate) use self::groups::GroupPointers;
 pub use self::set::set_value;
 pub(crate) use self::suggest::nearest as nearest_name;
 
@@ -30,6 +33,7 @@ use crate::document::{JobDocument, NamedShapes, Resolved};
 use crate::error::{ParseError, ValidationError};
 use crate::job::{Format, Job, ToneMap};
 use crate::json_scan::{self, ScanError, ScanErrorKind};
+use crate::lights::PlacedLight;
 use crate::limits::{
     MAX_JSON_DEPTH, MAX_KEY_BYTES, MAX_LIGHTS, MAX_MATERIALS, MAX_NAME_CHARS, MAX_NODE_DEPTH, MAX_PIXELS, MAX_RAYS,
 };
@@ -40,21 +44,16 @@ const MAX_ERRORS: usize = 100;
 
 /// Parses a job strictly, and reports the position of every error. Comments and trailing commas are ignored.
 pub fn parse(text: &[u8]) -> Result<Job, ParseError> {
-    let text = std::str::from_utf8(text).map_err(|error| not_utf8(text, error.valid_up_to()))?;
-    let text = &plain_json(text);
-    let outline = json_scan::check(text, MAX_JSON_DEPTH);
-    if text.starts_with('\u{feff}') {
-        let message = "begins with a byte order mark: save the file as UTF-8 without one";
-        return Err(ParseError::NotJson(ValidationError::at(text, Some(0), String::new(), message)));
-    }
-    let outline = outline.map_err(|fault| of_outline(text, fault));
-    if let Err(error) = serde_json::from_str::<IgnoredAny>(text) {
-        return Err(match outline {
-            // The nesting depth and long keys are reported before any syntax error.
-            Err((refusal, ScanErrorKind::TooDeep | ScanErrorKind::LongMember(_))) => refusal,
-            Err((_, ScanErrorKind::DuplicateMember(_))) | Ok(()) => ParseError::NotJson(syntax::fault(text, &error)),
-        });
-    }
+    let text: &str = &plain_json(utf8(text)?);
+    parse_json(text).map_err(|error| match error {
+        ParseError::Invalid(errors) => ParseError::Invalid(names::add_object_names(text, errors)),
+        ParseError::NotJson(_) => error,
+    })
+}
+
+/// Parses a text that has no comments and no trailing commas.
+fn parse_json(text: &str) -> Result<Job, ParseError> {
+    let outline = outline(text)?;
     if let Err((refusal, ScanErrorKind::LongMember(_))) = outline {
         return Err(refusal);
     }
@@ -77,6 +76,37 @@ pub fn parse(text: &[u8]) -> Result<Job, ParseError> {
         Err(refusal) => return Err(refusal),
     };
     Err(ParseError::Invalid(expanded.place(text, errors)))
+}
+
+/// Checks that a text is JSON with comments and trailing commas, and nests no deeper than a job may; returns it.
+pub(crate) fn check_json(text: &[u8]) -> Result<&str, ParseError> {
+    let text = utf8(text)?;
+    match outline(&plain_json(text))? {
+        Err((refusal, ScanErrorKind::TooDeep | ScanErrorKind::LongMember(_))) => Err(refusal),
+        Err((_, ScanErrorKind::DuplicateMember(_))) | Ok(()) => Ok(text),
+    }
+}
+
+/// Scans a text, which must be JSON; returns the error of the scan.
+fn outline(text: &str) -> Result<Result<(), (ParseError, ScanErrorKind)>, ParseError> {
+    let mut outline = json_scan::check(text, MAX_JSON_DEPTH);
+    // Values after a duplicate key may nest deeper than a parser can follow.
+    if let Err(ScanError { kind: ScanErrorKind::DuplicateMember(_), .. }) = outline {
+        outline = json_scan::check_depth(text, MAX_JSON_DEPTH).and(outline);
+    }
+    if text.starts_with('\u{feff}') {
+        let message = "begins with a byte order mark: save the file as UTF-8 without one";
+        return Err(ParseError::NotJson(ValidationError::at(text, Some(0), String::new(), message)));
+    }
+    let outline = outline.map_err(|fault| of_outline(text, fault));
+    if let Err(error) = serde_json::from_str::<IgnoredAny>(text) {
+        return Err(match outline {
+            // The nesting depth and long keys are reported before any syntax error.
+            Err((refusal, ScanErrorKind::TooDeep | ScanErrorKind::LongMember(_))) => refusal,
+            Err((_, ScanErrorKind::DuplicateMember(_))) | Ok(()) => ParseError::NotJson(syntax::fault(text, &error)),
+        });
+    }
+    Ok(outline)
 }
 
 /// Parses a text without formulas that is valid JSON, but may have errors of its outline. `is_sure` tells of an error of
@@ -146,6 +176,10 @@ fn read(text: &str) -> Result<(Job, Vec<f64>), ParseError> {
     })
 }
 
+fn utf8(text: &[u8]) -> Result<&str, ParseError> {
+    std::str::from_utf8(text).map_err(|error| not_utf8(text, error.valid_up_to()))
+}
+
 fn not_utf8(text: &[u8], offset: usize) -> ParseError {
     let valid = String::from_utf8_lossy(&text[..offset]);
     let message = "is not UTF-8: save the file as UTF-8 text";
@@ -157,12 +191,38 @@ type SemanticErrors = Vec<(String, String)>;
 
 /// Validates the parts of a document together, and creates a job that is ready to be rendered, with the times of all
 /// keyframes.
-fn validate(document: JobDocument) -> Result<(Job, Vec<f64>), SemanticErrors> {
+fn validate(mut document: JobDocument) -> Result<(Job, Vec<f64>), SemanticErrors> {
+    document.scene.camera.link();
     let mut faults = faults_of_document(&document);
+    let (lights, groups) = groups::flatten(&mut document.scene, &mut faults);
+    if let Err(message) = document.image.apply_region() {
+        faults.push(("/image/region".to_owned(), message));
+    }
+    let result = validate_flat(document, lights, &groups, faults);
+    result.map_err(|mut faults| {
+        let mut seen = BTreeSet::new();
+        for (pointer, _) in &mut faults {
+            if let Some(in_scene) = pointer.strip_prefix("/scene") {
+                *pointer = format!("/scene{}", groups.written(in_scene));
+            }
+        }
+        // An error of a group is one of each object in it.
+        faults.retain(|fault| seen.insert(fault.clone()));
+        faults
+    })
+}
+
+/// Validates a document whose groups have been replaced.
+fn validate_flat(
+    document: JobDocument,
+    lights: Vec<PlacedLight>,
+    groups: &GroupPointers,
+    mut faults: SemanticErrors,
+) -> Result<(Job, Vec<f64>), SemanticErrors> {
     let JobDocument { schema: _, name, mut scene, mut image, frames, priority } = document;
-    let mut shapes = nodes::expand(&mut scene, &mut faults);
+    let mut shapes = nodes::expand(&mut scene, groups, &mut faults);
     let names: Vec<String> = scene.materials.keys().cloned().collect();
-    let resolved = scene.resolve(&mut shapes);
+    let resolved = scene.resolve(lights, &mut shapes);
     let Resolved { mut scene, material_count, material_pointers: places, unused_names: unused, unknown } = resolved;
     let NamedShapes { written, unused_names: unused_shapes, unused: _ } = shapes;
     let in_document = |pointer: String| written.as_ref().map_or(pointer.clone(), |written| written.pointer(&pointer));
@@ -214,11 +274,17 @@ fn faults_of_document(document: &JobDocument) -> SemanticErrors {
     if let Some((key, message)) = scene.camera.validate() {
         fault(&format!("/scene/camera/{key}"), message.to_owned());
     }
-    if scene.lights.len() > MAX_LIGHTS {
-        fault("/scene/lights", format!("has {} lights: use at most {MAX_LIGHTS}", scene.lights.len()));
+    let light_count = scene.lights.len() + groups::light_count(&scene.groups);
+    if light_count > MAX_LIGHTS {
+        fault("/scene/lights", format!("has {light_count} lights: use at most {MAX_LIGHTS}"));
     }
     if scene.objects.is_empty() {
         fault("/scene/objects", "is empty: a scene needs an object or more".to_owned());
+    }
+    for (index, object) in scene.objects.iter().enumerate() {
+        if let Some(message) = object.name.as_deref().and_then(names::object_name_error) {
+            fault(&format!("/scene/objects/{index}/name"), message);
+        }
     }
     image(document, &mut fault);
     faults

@@ -9,12 +9,13 @@ use crate::ambient_occlusion::AmbientOcclusion;
 use crate::backgrounds::{Backdrop, Background};
 use crate::camera::Camera;
 use crate::fog::Fog;
-use crate::lights::{Light, LightSource};
+use crate::lights::{LightSource, PlacedLight};
 use crate::limits::{MAX_BOUNCES, MAX_STEPS};
 use crate::materials::{Material, MaterialRef, Shade};
 use crate::nodes::{Node, NodeError, material_pointer};
 use crate::seek::Seek;
 use crate::values::{Length, integer_in_range};
+use crate::visible::Visible;
 
 /// The scene to render: materials are in slots, and every number is evaluated at one time.
 ///
@@ -25,8 +26,12 @@ pub struct Scene {
     pub camera: Camera,
     /// The background, seen by rays that hit nothing.
     pub background: Background,
+    /// The environment, whose light sky lights and suns give and which reflected and refracted rays see; the
+    /// background when absent.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub environment: Option<Background>,
     /// The lights; an empty list means no light.
-    pub lights: Vec<Light>,
+    pub lights: Vec<PlacedLight>,
     /// Fog, if there is any.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub fog: Option<Fog>,
@@ -50,6 +55,14 @@ pub struct Object {
     pub material: MaterialRef,
     /// The shape.
     pub shape: Node,
+    /// Name of the object, for people: errors, warnings and the object layer of an EXR mention it.
+    #[serde(default, skip_serializing)]
+    #[schemars(length(min = 1, max = crate::limits::MAX_NAME_CHARS))]
+    pub name: Option<String>,
+    /// Which rays see the object: the camera's, shadows', reflected and refracted ones.
+    #[serde(default, skip_serializing_if = "Visible::is_full")]
+    #[schemars(extend("default" = { "camera": true, "shadow": true, "reflection": true }))]
+    pub visible: Visible,
 }
 
 /// Limits of ray marching.
@@ -90,6 +103,11 @@ impl Scene {
         self.objects.iter().map(|object| object.shape.node_count()).sum()
     }
 
+    /// The environment that lights and deflected rays meet; the background, if the scene names none.
+    pub(crate) fn environment(&self) -> &Background {
+        self.environment.as_ref().unwrap_or(&self.background)
+    }
+
     /// Whether some pixel may be less than opaque.
     pub fn is_transparent(&self) -> bool {
         self.background.is_transparent()
@@ -100,7 +118,8 @@ impl Scene {
     pub(crate) fn prepare(&mut self, moves: bool) {
         self.objects.iter_mut().for_each(|object| object.shape.precompute(moves));
         self.background.precompute();
-        self.lights.iter_mut().for_each(LightSource::precompute);
+        self.environment.iter_mut().for_each(Backdrop::precompute);
+        self.lights.iter_mut().for_each(PlacedLight::precompute);
     }
 
     /// Errors from the combination of lights, sky and materials: JSON pointers in the scene, and messages.
@@ -109,8 +128,17 @@ impl Scene {
         if let Some(NodeError { pointer: place, message }) = self.background.validate() {
             faults.push((format!("/background/{place}"), message));
         }
+        if let Some(environment) = &self.environment {
+            if let Some(NodeError { pointer: place, message }) = environment.validate() {
+                faults.push((format!("/environment/{place}"), message));
+            }
+            if environment.is_transparent() {
+                let message = "emits no light: choose a color, a gradient or a day";
+                faults.push(("/environment".to_owned(), message.to_owned()));
+            }
+        }
         for (index, light) in self.lights.iter().enumerate() {
-            if let Some(NodeError { pointer: place, message }) = light.validate(&self.background) {
+            if let Some(NodeError { pointer: place, message }) = light.validate(self.environment()) {
                 faults.push((format!("/lights/{index}/{place}"), message));
             }
         }

@@ -7,6 +7,7 @@ use std::collections::BTreeMap;
 
 use crate::json_scan;
 use crate::nodes::Node;
+use crate::parse::GroupPointers;
 use crate::scene::{base_pointer, child_at, child_pointers};
 
 /// Size of a tree of nodes in which every `use` is replaced.
@@ -106,12 +107,14 @@ pub(crate) struct WrittenNodes {
     pub ends: BTreeMap<String, String>,
     /// Names of shapes that stand for a shape with numbers, with the name of that shape.
     pub instances: BTreeMap<String, String>,
+    /// Where objects and lights of groups are written.
+    pub groups: GroupPointers,
 }
 
 impl WrittenNodes {
     /// JSON pointer in the document's scene of a position in the scene, in which every `use` has been replaced.
     pub(crate) fn pointer(&self, in_scene: &str) -> String {
-        let Some((mut node, start)) = self.root(in_scene) else { return in_scene.to_owned() };
+        let Some((mut node, start)) = self.root(in_scene) else { return self.groups.written(in_scene) };
         let (start, mut rest) = in_scene.split_at(start);
         let mut pointer = start.to_owned();
         loop {
@@ -120,7 +123,7 @@ impl WrittenNodes {
                 pointer = format!("/shapes/{}", json_scan::escape(name));
                 node = shape;
             }
-            let Some((child, length)) = child_at(node, rest) else { return pointer + rest };
+            let Some((child, length)) = child_at(node, rest) else { return self.groups.written(&(pointer + rest)) };
             pointer.push_str(&rest[..length]);
             rest = &rest[length..];
             node = child;

@@ -8,6 +8,7 @@ mod angles;
 mod color;
 mod motion;
 mod named_number;
+mod path;
 mod peeked_map;
 mod points;
 pub(crate) mod track;
@@ -184,6 +185,12 @@ animatable_numbers! {
     /// An angle, in degrees.
     Degrees: |v| v.abs() <= 36_000.0, "an angle within ±36000 degrees",
         { "type": "number", "minimum": -36000, "maximum": 36000, "description": "An angle, in degrees." };
+    /// Seconds that a camera looks ahead.
+    LookAheadSeconds: |v| (0.01..=1000.0).contains(&v), "a time from 0.01 to 1000 seconds",
+        { "type": "number", "minimum": 0.01, "maximum": 1000, "description": "A time, in seconds." };
+    /// Degrees that a camera leans for each degree per second that its view turns.
+    RollFactor: |v| v.abs() <= 100.0, "a factor within ±100",
+        { "type": "number", "minimum": -100, "maximum": 100, "description": "Degrees of roll for each degree per second of turning." };
     /// Revolutions of a turntable.
     Revolutions: |v| v.abs() <= 1000.0, "a number of revolutions within ±1000",
         { "type": "number", "minimum": -1000, "maximum": 1000, "description": "Revolutions, counter-clockwise from above." };

@@ -14,6 +14,7 @@ mod view;
 use crate::animation::JobAtFrame;
 use crate::camera::Project;
 use crate::job::Job;
+use crate::scene::Scene;
 
 /// Subject of a warning: a job gets at most one warning of each kind.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -82,7 +83,30 @@ pub(crate) fn of(job: &Job) -> Vec<String> {
         let is_of_all = kind == WarningKind::NothingInView || !job.is_animated();
         if is_of_all { text } else { format!("{text} (in frame {frame})") }
     }));
-    warnings
+    warnings.into_iter().map(|text| with_object_names(&job.scene, &text)).collect()
+}
+
+/// A warning with the names of the objects that it mentions by their JSON pointers.
+fn with_object_names(scene: &Scene, text: &str) -> String {
+    const OBJECT: &str = "/scene/objects/";
+    let mut named = String::with_capacity(text.len());
+    let mut rest = text;
+    while let Some(start) = rest.find(OBJECT) {
+        let digits = rest[start + OBJECT.len()..].bytes().take_while(u8::is_ascii_digit).count();
+        let (before, after) = rest.split_at(start + OBJECT.len() + digits);
+        let index = before[start + OBJECT.len()..].parse::<usize>().ok();
+        let pointer_end =
+            after.bytes().take_while(|&byte| byte == b'/' || byte == b'_' || byte.is_ascii_alphanumeric()).count();
+        let (pointer, after) = after.split_at(pointer_end);
+        named.push_str(before);
+        named.push_str(pointer);
+        if let Some(name) = index.and_then(|index| scene.objects.get(index)?.name.as_deref()) {
+            named.extend([" (\"", name, "\")"]);
+        }
+        rest = after;
+    }
+    named.push_str(rest);
+    named
 }
 
 fn job_warnings(job: &Job) -> Vec<String> {
@@ -128,13 +152,17 @@ fn frame_warnings(still: &JobAtFrame<'_>) -> Vec<Warning> {
     seen.into_iter().chain(known).collect()
 }
 
-/// Names some objects: "object 3", or "objects 3, 5 and 7 others".
-fn objects(indices: &[usize]) -> String {
+/// Names some objects: "object 3", or "object 3 (\"leg\"), 5 and 7 others".
+fn objects(scene: &Scene, indices: &[usize]) -> String {
+    let one = |index: &usize| match scene.objects.get(*index).and_then(|object| object.name.as_deref()) {
+        Some(name) => format!("{index} (\"{name}\")"),
+        None => index.to_string(),
+    };
     match indices {
-        [only] => format!("object {only}"),
-        [one, other] => format!("objects {one} and {other}"),
-        [one, other, third] => format!("objects {one}, {other} and {third}"),
-        [one, other, rest @ ..] => format!("objects {one}, {other} and {} others", rest.len()),
+        [only] => format!("object {}", one(only)),
+        [first, second] => format!("objects {} and {}", one(first), one(second)),
+        [first, second, third] => format!("objects {}, {} and {}", one(first), one(second), one(third)),
+        [first, second, rest @ ..] => format!("objects {}, {} and {} others", one(first), one(second), rest.len()),
         [] => String::new(),
     }
 }

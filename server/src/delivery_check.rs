@@ -11,8 +11,7 @@ mod png;
 
 use bytes::Bytes;
 use proto::Rect;
-use scene::{Bits, Format, FrameError, Job, Precision};
-use serde::Serialize;
+use scene::{Bits, Format, FrameError, Job, Precision, Provenance};
 
 /// Number of bytes at a file's start that a check reads; the headers of this program's pictures are smaller.
 pub(crate) const HEAD_BYTES: u64 = 16 << 10;
@@ -78,26 +77,11 @@ impl ExrSample {
     }
 }
 
-/// Provenance of a picture, as workers write it: see `worker::image::Provenance`.
-#[derive(Serialize)]
-struct Provenance {
-    scene: String,
-    picture_version: u32,
-    frame: u32,
-    seed: u32,
-}
-
 impl ExpectedPicture {
     /// Picture of a frame of a job. For an animated job this copies the scene.
     pub(crate) fn new(job: &Job, frame: u32) -> Result<Self, FrameError> {
         let still = job.at(frame)?;
         let image = still.image();
-        let provenance = Provenance {
-            scene: still.scene_hash().to_hex().to_string(),
-            picture_version: scene::PICTURE_VERSION,
-            frame,
-            seed: image.seed,
-        };
         let format = match image.format {
             Format::Png => PictureFormat::Png {
                 opaque: !still.scene().is_transparent(),
@@ -122,7 +106,7 @@ impl ExpectedPicture {
                 PictureFormat::Exr(channels)
             }
         };
-        let provenance = serde_json::to_string(&provenance).expect("strings and numbers are JSON");
+        let provenance = Provenance::new(&still).json();
         Ok(Self { width_px: image.width, height_px: image.height, format, provenance })
     }
 

@@ -235,7 +235,12 @@ fn materials() -> Vec<Case> {
 
 fn surroundings() -> Vec<Case> {
     vec![
-        scene("sun without a day", r#""lights": [{ "sun": ¤{} }]"#, "/lights/0/sun", "make the background a `day`"),
+        scene(
+            "sun without a day",
+            r#""lights": [{ "sun": ¤{} }]"#,
+            "/lights/0/sun",
+            "make the background or the `environment` a `day`",
+        ),
         scene(
             "light of a transparent sky",
             r#""background": "transparent", "lights": [{ "sky": ¤{} }]"#,

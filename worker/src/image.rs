@@ -6,7 +6,6 @@ pub mod encoders;
 pub mod exr;
 pub mod metadata;
 pub mod png;
-pub mod provenance;
 
 use std::io::{self, Seek, Write};
 
@@ -15,7 +14,10 @@ use ::scene::{Bits, Format, JobAtFrame, Precision};
 
 pub use encoders::Encoders;
 pub use metadata::Metadata;
-pub use provenance::Provenance;
+pub use scene::Provenance;
+
+/// Name of the PNG chunk and of the EXR attribute that store a picture's provenance.
+pub const PROVENANCE_KEYWORD: &str = "sdfarm";
 
 use crate::renderer::CancelFlag;
 use crate::stitch::{RowSource, StitchError};

@@ -1,4 +1,4 @@
-//! `sdfarm schema`: the JSON Schema of a job file, for editors and generators.
+//! `sdfarm schema`: the JSON Schema of a job file, for editors and validators.
 
 use clap::Args;
 
@@ -10,5 +10,5 @@ pub(crate) struct Arguments {}
 
 /// Prints the schema.
 pub(crate) fn run(_: &Arguments) -> anyhow::Result<()> {
-    print_line(&serde_json::to_string_pretty(&scene::schema())?)
+    print_line(&serde_json::to_string_pretty(&scene::editor_schema())?)
 }

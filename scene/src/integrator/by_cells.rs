@@ -9,10 +9,10 @@ use crate::real::Table;
 /// the shipped scenes, the largest of which has 88).
 const MIN_LEAVES: usize = 96;
 
-/// The program of a scene that is rendered by cells: of many leaves, in few families.
+/// The program of a scene that is rendered by cells: of many leaves, in few families, which all rays see.
 fn program<'a>(still: &'a JobAtFrame<'_>) -> Option<Program<'a>> {
     let (scene, moves) = (still.scene(), still.is_animated());
-    if (scene.nodes() as usize) < MIN_LEAVES {
+    if (scene.nodes() as usize) < MIN_LEAVES || scene.objects.iter().any(|object| !object.visible.is_full()) {
         return None;
     }
     let objects: Vec<_> =

@@ -5,7 +5,7 @@ use super::{Hit, Integrator};
 use crate::ambient_occlusion::AmbientOcclusion;
 use crate::backgrounds::Backdrop;
 use crate::camera::Ray;
-use crate::lights::{AmbientLight, Light, LightSample, LightSource};
+use crate::lights::{AmbientLight, LightSample, LightSource, PlacedLight};
 use crate::march::{MarchRange, MarchResult, RELAXATION, march};
 use crate::materials::microfacet::orthonormal_basis;
 use crate::materials::{IncidentLight, Shade};
@@ -36,7 +36,7 @@ impl Integrator<'_> {
     pub(super) fn incident_light<R: Real>(&self, hit: &Hit<R>, dice: &Sampler<R>) -> (IncidentLight<R>, R) {
         let zero = hit.t.constant(0.0);
         let mut evaluations = zero;
-        let mut light = IncidentLight { lights: Vec::new(), ambient: None, ambient_visibility: None };
+        let mut light = IncidentLight { lights: Vec::new(), ambient: None, ambient_visibility: None, shadow: None };
         if !self.materials.slots().any(|slot| self.scene.used_materials()[slot].is_lit()) {
             return (light, evaluations);
         }
@@ -45,31 +45,38 @@ impl Integrator<'_> {
             evaluations = evaluations + AmbientOcclusion::SAMPLES;
         }
         let farthest = zero.uniform(self.scene.march.max_distance.get());
+        let mut caught = CaughtLight { all: zero, arriving: zero };
         for (index, source) in self.scene.lights.iter().enumerate() {
             let pair = || dice.get_2d(DIM_LIGHTS + index as u32);
-            let background = &self.scene.background;
-            if let Some((mut incoming, distance)) = source.sample(hit.position, farthest, background.day(), pair) {
+            let environment = self.scene.environment();
+            if let Some((mut incoming, distance)) = source.sample_at(hit.position, farthest, environment.day(), pair) {
+                let unoccluded = incoming.radiance;
                 if source.casts_shadows() {
                     let (visible, of_shadow) = self.shadow_visibility(hit, incoming.direction, distance);
                     incoming.radiance = incoming.radiance * visible;
                     evaluations = evaluations + of_shadow;
                 }
+                let cosine = hit.normal.dot(incoming.direction).at_least(0.0);
+                caught.add(unoccluded * cosine, incoming.radiance * cosine);
                 light.lights.push(incoming);
-            } else if let Some(sky) = source.ambient(background) {
-                let (around, of_sky) = self.sky_light(sky, source.casts_shadows(), hit, light.ambient_visibility, pair);
+            } else if let Some(sky) = source.ambient(environment) {
+                let (around, unoccluded, of_sky) =
+                    self.sky_light(sky, source.casts_shadows(), hit, light.ambient_visibility, pair);
                 evaluations = evaluations + of_sky;
+                caught.add(unoccluded, around);
                 light.ambient = Some(light.ambient.map_or(around, |sum| sum + around));
             }
         }
+        light.shadow = self.materials.catches_shadows.then(|| caught.shadow());
         (light, evaluations)
     }
 
     fn ambient_visibility<R: Real>(&self, hit: &Hit<R>) -> Option<R> {
         let occlusion = self.scene.ambient_occlusion.as_ref()?;
-        Some(occlusion.visibility(hit.position, hit.normal, |p| self.distance(p)))
+        Some(occlusion.visibility(hit.position, hit.normal, |p| self.of_shadow_rays().distance(p)))
     }
 
-    /// Ambient light, and the number of distance evaluations for its occlusion.
+    /// Ambient light, the same without occlusion, and the number of distance evaluations for the occlusion.
     fn sky_light<R: Real>(
         &self,
         sky: AmbientLight<'_>,
@@ -77,36 +84,37 @@ impl Integrator<'_> {
         hit: &Hit<R>,
         openness: Option<R>,
         pair: impl FnOnce() -> (R, R),
-    ) -> (Vec3<R>, R) {
+    ) -> (Vec3<R>, Vec3<R>, R) {
         let strength = hit.t.uniform(sky.strength);
         if !casts_shadows && let Some(mean) = sky.from.cosine_mean(hit.normal) {
             let mean = mean * strength;
-            return (openness.map_or(mean, |openness| mean * openness), hit.t.constant(0.0));
+            return (openness.map_or(mean, |openness| mean * openness), mean, hit.t.constant(0.0));
         }
         let direction = sample_cosine_hemisphere(hit.normal, pair());
         let seen = sky.from.radiance(direction) * strength;
         if !casts_shadows {
-            return (openness.map_or(seen, |openness| seen * openness), hit.t.constant(0.0));
+            return (openness.map_or(seen, |openness| seen * openness), seen, hit.t.constant(0.0));
         }
         let farthest = hit.t.uniform(self.scene.march.max_distance.get());
         let (visible, evaluations) = self.shadow_visibility(hit, direction, farthest);
-        (seen * visible, evaluations)
+        (seen * visible, seen, evaluations)
     }
 
     /// Fraction of the light from `direction` that reaches the hit, and the number of distance evaluations it took.
     pub(super) fn shadow_visibility<R: Real>(&self, hit: &Hit<R>, direction: Vec3<R>, farthest: R) -> (R, R) {
-        farthest.call("visibility", (*hit, direction, farthest), |(hit, direction, farthest)| {
+        let shadows = self.of_shadow_rays();
+        farthest.call(shadows.names.visibility, (*hit, direction, farthest), |(hit, direction, farthest)| {
             let zero = farthest.constant(0.0);
             // Start farther from the surface than the march ended.
             let near = self.tolerance.at(hit.t);
             let ray = Ray { origin: hit.normal.mul_add(near * 4.0, hit.position), direction };
             let faces = hit.normal.dot(direction).above(0.0);
             R::when(faces, (zero, zero), || {
-                let (visible, evaluations) = self.is_unoccluded(&ray, near, farthest);
-                match &self.media {
+                let (visible, evaluations) = shadows.is_unoccluded(&ray, near, farthest);
+                match &shadows.media {
                     None => (visible, evaluations),
                     Some(media) => R::when(visible.above(0.0), (visible, evaluations), || {
-                        (self.transmittance(media, &ray, farthest), evaluations)
+                        (shadows.transmittance(media, &ray, farthest), evaluations)
                     }),
                 }
             })
@@ -131,6 +139,25 @@ impl Integrator<'_> {
     }
 }
 
+/// Light on a matte surface, for shadow catchers: the mean of the channels.
+struct CaughtLight<R> {
+    /// Without occlusion.
+    all: R,
+    arriving: R,
+}
+
+impl<R: Real> CaughtLight<R> {
+    fn add(&mut self, all: Vec3<R>, arriving: Vec3<R>) {
+        self.all = self.all + all.mean();
+        self.arriving = self.arriving + arriving.mean();
+    }
+
+    /// Fraction of the light that does not arrive; 0 where there is no light at all.
+    fn shadow(&self) -> R {
+        ((self.all - self.arriving) / self.all.at_least(1e-9)).at_least(0.0)
+    }
+}
+
 /// Cosine-weighted direction around a normal: a point of the unit disk, projected onto the hemisphere.
 fn sample_cosine_hemisphere<R: Real>(normal: Vec3<R>, (u, v): (R, R)) -> Vec3<R> {
     let (right, up) = orthonormal_basis(normal);
@@ -146,11 +173,11 @@ pub(super) fn sample_lights<'a, R: Real>(
     program: &'a Integrator<'_>,
     p: Vec3<R>,
     dice: &'a Sampler<R>,
-) -> impl Iterator<Item = (&'a Light, LightSample<R>, R)> {
+) -> impl Iterator<Item = (&'a PlacedLight, LightSample<R>, R)> {
     let farthest = p.x.uniform(program.scene.march.max_distance.get());
     program.scene.lights.iter().enumerate().filter_map(move |(index, source)| {
-        let day = program.scene.background.day();
-        let (incoming, distance) = source.sample(p, farthest, day, || dice.get_2d(DIM_LIGHTS + index as u32))?;
+        let day = program.scene.environment().day();
+        let (incoming, distance) = source.sample_at(p, farthest, day, || dice.get_2d(DIM_LIGHTS + index as u32))?;
         Some((source, incoming, distance))
     })
 }

@@ -12,6 +12,7 @@ use crate::materials::{MediumMaterial, Shade};
 use crate::real::{Real, Vec3, bundle, vec3};
 use crate::sampling::Sampler;
 use crate::scene::Scene;
+use crate::visible::RayKind;
 
 /// Media of a scene.
 #[derive(Clone, Debug)]
@@ -63,13 +64,16 @@ const MIN_TRANSMITTANCE: f32 = 1.0 / 256.0;
 const MAX_EMPTY_STEPS: u32 = 96;
 
 impl<'a> Media<'a> {
-    /// The media, if the scene has any; `origin` is the camera position.
-    pub(super) fn new(scene: &'a Scene, origin: Vec3<f32>) -> Option<Self> {
+    /// The media that rays of a kind see, if there are any; `origin` is the camera position.
+    pub(super) fn new(scene: &'a Scene, rays: RayKind, origin: Vec3<f32>) -> Option<Self> {
         let mut all = Vec::new();
         let mut bounds = Bounds::EMPTY;
         let (mut max_steps, mut light_steps) = (0, 0);
         for (object, tree) in scene.objects.iter().enumerate() {
             let Some(filling) = scene.material_of(object).as_medium() else { continue };
+            if !tree.visible.to(rays) {
+                continue;
+            }
             let own = tree.shape.bounds(0.0);
             let within = if own.is_finite() { own.diagonal() } else { scene.march.max_distance.get() };
             all.push(Medium { object, step: within / filling.steps() as f32, material: filling });
@@ -178,7 +182,7 @@ impl Integrator<'_> {
         (stuff.source, stuff.evaluations) = R::when(thick, (stuff.source, zero), || {
             let (mut sent, mut evaluations) = (stuff.source, zero);
             for (source, incoming, distance) in sample_lights(self, p, dice) {
-                let (lit, of_shadow) = self.light_optical_depth(media, source, p, incoming.direction, distance);
+                let (lit, of_shadow) = self.light_optical_depth(source, p, incoming.direction, distance);
                 evaluations = evaluations + of_shadow;
                 let cosine = direction.dot(incoming.direction);
                 for (volume, extinction) in &scattering {
@@ -190,7 +194,7 @@ impl Integrator<'_> {
                 }
             }
             for source in &self.scene.lights {
-                let Some(AmbientLight { from, strength }) = source.ambient(&self.scene.background) else {
+                let Some(AmbientLight { from, strength }) = source.ambient(self.scene.environment()) else {
                     continue;
                 };
                 let (up, down) = (vec3(zero, zero.constant(1.0), zero), vec3(zero, zero.constant(-1.0), zero));
@@ -206,26 +210,20 @@ impl Integrator<'_> {
 
     /// Optical depth τ between a light and `p`; 80 if a surface is in between, so that exp(−τ) is 0. And the number of
     /// evaluations of the scene's distance that it took.
-    fn light_optical_depth<R: Real>(
-        &self,
-        media: &Media<'_>,
-        source: &Light,
-        p: Vec3<R>,
-        direction: Vec3<R>,
-        distance: R,
-    ) -> (R, R) {
+    fn light_optical_depth<R: Real>(&self, source: &Light, p: Vec3<R>, direction: Vec3<R>, distance: R) -> (R, R) {
         const OPAQUE_DEPTH: f32 = 80.0;
         let zero = p.x.constant(0.0);
         if !source.casts_shadows() {
             return (zero, zero);
         }
         let ray = Ray { origin: p, direction };
-        let depth = self.optical_depth(media, &ray, distance);
-        if self.surfaces.is_empty() {
+        let shadows = self.of_shadow_rays();
+        let depth = shadows.media.as_ref().map_or(zero, |media| shadows.optical_depth(media, &ray, distance));
+        if shadows.surfaces.is_empty() {
             return (depth, zero);
         }
         let near = p.x.uniform(self.tolerance.floor) + p.x.uniform(self.tolerance.slope);
-        let (visible, evaluations) = self.is_unoccluded(&ray, near, distance);
+        let (visible, evaluations) = shadows.is_unoccluded(&ray, near, distance);
         (depth + (visible.constant(1.0) - visible) * OPAQUE_DEPTH, evaluations)
     }
 
@@ -236,7 +234,7 @@ impl Integrator<'_> {
 
     /// Optical depth along a ray up to `farthest`: the integral of the extinction.
     fn optical_depth<R: Real>(&self, media: &Media<'_>, ray: &Ray<R>, farthest: R) -> R {
-        farthest.call("optical_depth", (*ray, farthest), |(ray, farthest)| {
+        farthest.call(self.names.optical_depth, (*ray, farthest), |(ray, farthest)| {
             let zero = farthest.constant(0.0);
             let (near, far) = media.bounds.intersect_ray(&ray, farthest);
             R::when(near.lt(far), zero, || {

@@ -2,6 +2,7 @@
 
 use super::lighting::{DIM_BSDF, DIM_LOBE};
 use super::{Hit, Integrator, Radiance};
+use crate::backgrounds::Backdrop;
 use crate::camera::Ray;
 use crate::fog::Fog;
 use crate::march::MarchResult;
@@ -61,20 +62,29 @@ impl Integrator<'_> {
             bounce: zero,
             is_active: MaskValue(zero.below(1.0)),
         };
-        let end = if self.sends_on {
-            R::repeat(self.scene.march.max_bounces + 1, start, |path| {
-                let next = self.trace_segment(path, dice);
-                (next.is_active.0, next)
-            })
-        } else {
-            self.trace_segment(start, dice)
+        let max_bounces = self.scene.march.max_bounces;
+        let end = match &self.of_reflections {
+            None if self.sends_on => self.trace_segments(max_bounces + 1, start, dice),
+            Some(onward) if self.sends_on && max_bounces > 0 => {
+                let first = self.trace_segment(start, dice);
+                R::when(first.is_active.0, first, || onward.trace_segments(max_bounces, first, dice))
+            }
+            _ => self.trace_segment(start, dice),
         };
-        // After the last bounce, the background's radiance is used.
-        let rest = end.throughput.mul_elementwise(self.background(end.ray.direction).0);
+        // After the last bounce, the radiance behind all surfaces is used.
+        let rest = end.throughput.mul_elementwise(self.radiance_behind(end.ray.direction, end.background_weight));
         let color = Vec3::select(end.is_active.0, end.color + rest, end.color);
         let alpha = self.background(end.ray.direction).1;
         let alpha = end.background_weight.mul_add(alpha - 1.0, one);
         Radiance { color, alpha, evaluations: end.evaluations }
+    }
+
+    /// Traces a path over at most `limit` segments.
+    fn trace_segments<R: Real>(&self, limit: u32, path: PathState<R>, dice: &Sampler<R>) -> PathState<R> {
+        R::repeat(limit, path, |path| {
+            let next = self.trace_segment(path, dice);
+            (next.is_active.0, next)
+        })
     }
 
     /// Traces a path to its next surface, and samples the bounce there.
@@ -84,9 +94,9 @@ impl Integrator<'_> {
         let mut path = path;
         path.evaluations = path.evaluations + marched.evaluations;
         self.apply_media(&mut path, &marched, &dice);
-        let (background, _) = self.background(path.ray.direction);
+        let behind = self.radiance_behind(path.ray.direction, path.background_weight);
         let missed = PathState {
-            color: path.color + path.throughput.mul_elementwise(background),
+            color: path.color + path.throughput.mul_elementwise(behind),
             is_active: MaskValue(path.epsilon.below(0.0)),
             ..path
         };
@@ -115,10 +125,12 @@ impl Integrator<'_> {
 
     /// Color of the fog in a direction.
     pub(super) fn fog_color<R: Real>(&self, fog: &Fog, direction: Vec3<R>) -> Vec3<R> {
-        match &fog.color {
-            Some(color) => Vec3::uniform(direction.x, color.get()),
-            None => self.background(Fog::direction_of_color(direction)).0,
+        if let Some(color) = &fog.color {
+            return Vec3::uniform(direction.x, color.get());
         }
+        let scene = self.scene;
+        let sky = if scene.background.is_transparent() { scene.environment() } else { &scene.background };
+        sky.radiance(Fog::direction_of_color(direction))
     }
 
     /// Shades the surface that a path has hit and continues the path.
@@ -128,12 +140,19 @@ impl Integrator<'_> {
         let hit = Hit { t: met.t + path.t, ..met };
         let (light, evaluations) = self.incident_light(&hit, dice);
         let evaluations = path.evaluations + evaluations + self.surface_evaluations();
+        let clear = self.shadow_transparency(&hit, &path.ray, &light);
+        let mut path = path;
+        if let Some(clear) = clear {
+            let behind = self.radiance_behind(path.ray.direction, path.background_weight);
+            path.color = path.color + path.throughput.mul_elementwise(behind) * clear;
+        }
+        let through = clear.map_or(zero, |clear| path.background_weight * clear);
         if !self.sends_on {
             let color = path.color + path.throughput.mul_elementwise(self.shade(&hit, &path.ray, &light));
             return PathState {
                 color,
                 evaluations,
-                background_weight: zero,
+                background_weight: through,
                 is_active: MaskValue(zero.above(0.0)),
                 ..path
             };
@@ -155,7 +174,7 @@ impl Integrator<'_> {
             t: hit.t,
             throughput,
             color,
-            background_weight: see_through,
+            background_weight: if clear.is_some() { see_through + through } else { see_through },
             evaluations,
             bounce: path.bounce + 1.0,
             is_active: MaskValue(throughput.max_element().above(MIN_THROUGHPUT)),
@@ -217,7 +236,7 @@ impl Integrator<'_> {
 
     /// Marches from a surface, or from the camera. `near` is the tolerance at the start.
     fn march_from<R: Real>(&self, ray: &Ray<R>, near: R) -> MarchResult<R> {
-        near.call("march_on", (*ray, near), |(ray, near)| {
+        near.call(self.names.march_on, (*ray, near), |(ray, near)| {
             self.march_in_bounds(&ray, near.uniform(self.tolerance.slope), near, false)
         })
     }

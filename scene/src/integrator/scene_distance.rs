@@ -12,7 +12,7 @@ impl Integrator<'_> {
     /// Distance of the whole scene at `p`: at most the distance to the nearest surface.
     pub fn distance<R: Real>(&self, p: Vec3<R>) -> R {
         if let Some(cells) = &self.cells {
-            p.x.call("distance", p, |p| cells.distance(p))
+            p.x.call(self.names.distance, p, |p| cells.distance(p))
         } else if self.shares_nearest {
             self.nearest_object(p).0
         } else if self.cull_bounds.is_empty() {
@@ -23,7 +23,7 @@ impl Integrator<'_> {
     }
 
     fn distance_unculled<R: Real>(&self, p: Vec3<R>) -> R {
-        p.x.call("distance", p, |p| {
+        p.x.call(self.names.distance, p, |p| {
             let Some((&first, others)) = self.surfaces.split_first() else { return p.x.constant(MISS_DISTANCE) };
             let mut nearest = self.object_distance(first, p);
             for &index in others {
@@ -34,7 +34,7 @@ impl Integrator<'_> {
     }
 
     fn distance_culled<R: Real>(&self, p: Vec3<R>) -> R {
-        p.x.call("distance", p, |p| {
+        p.x.call(self.names.distance, p, |p| {
             let Some((&first, others)) = self.surfaces.split_first() else { return p.x.constant(MISS_DISTANCE) };
             let mut nearest = self.object_distance(first, p);
             for &index in others {
@@ -48,7 +48,7 @@ impl Integrator<'_> {
     /// Distance of the whole scene at `p`, and the index of the nearest object; if several are equally near, of the
     /// first.
     pub(super) fn nearest_object<R: Real>(&self, p: Vec3<R>) -> (R, R) {
-        p.x.call("nearest", p, |p| {
+        p.x.call(self.names.nearest, p, |p| {
             if let Some(cells) = &self.cells {
                 return cells.nearest(p);
             }

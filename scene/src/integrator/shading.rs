@@ -21,6 +21,8 @@ pub(super) struct MaterialTable {
     needs_own_normal: bool,
     /// Whether some texture needs the footprint in its own space.
     needs_footprint: bool,
+    /// Whether some surface shows the shadows on it and nothing else.
+    pub(super) catches_shadows: bool,
 }
 
 /// A material at a hit.
@@ -44,7 +46,15 @@ impl MaterialTable {
         };
         let needs_own_normal = worn.iter().any(|&slot| slots[slot].needs_local_normal());
         let needs_footprint = worn.iter().any(|&slot| slots[slot].needs_footprint());
-        Self { has_own_materials: painted, surface_slots: worn, single_slot: only, needs_own_normal, needs_footprint }
+        let catches_shadows = worn.iter().any(|&slot| slots[slot].is_shadow_catcher());
+        Self {
+            catches_shadows,
+            has_own_materials: painted,
+            surface_slots: worn,
+            single_slot: only,
+            needs_own_normal,
+            needs_footprint,
+        }
     }
 
     /// Index of a slot among those of surfaces.
@@ -76,6 +86,26 @@ impl Integrator<'_> {
     /// Evaluations of the scene's distance in one call of `shade` or `shade_with_specular`.
     pub(super) fn shade_evaluations(&self) -> f32 {
         if self.materials.single_slot.is_some() { 0.0 } else { 1.0 }
+    }
+
+    /// Fraction of the background that is seen through shadow catchers at a hit; `None` if the scene has none.
+    pub(super) fn shadow_transparency<R: Real>(
+        &self,
+        hit: &Hit<R>,
+        ray: &Ray<R>,
+        light: &IncidentLight<R>,
+    ) -> Option<R> {
+        let zero = hit.t.constant(0.0);
+        let of_slot = |slot: usize| self.scene.used_materials()[slot].transparency(light);
+        if !self.materials.catches_shadows {
+            return None;
+        }
+        if let Some(only) = self.materials.single_slot {
+            return of_slot(only);
+        }
+        let object = self.nearest_object(hit.position).1;
+        let add = |sum: R, clear: R, share: R| clear.mul_add(share, sum);
+        Some(self.blend(hit, ray, [hit.position; 2], object, zero, |slot, _| of_slot(slot).unwrap_or(zero), add))
     }
 
     /// Shaded color at a hit.

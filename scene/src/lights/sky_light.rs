@@ -17,10 +17,10 @@ use crate::values::Strength;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct SkyLight {
-    /// Factor of the background's radiance.
+    /// Factor of the environment's radiance.
     #[serde(default = "default_strength")]
     pub strength: Strength,
-    /// Background that emits the light; the scene's when absent.
+    /// Background that emits the light; the scene's `environment` or background when absent.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub from: Option<Background>,
     /// Whether objects cast shadows in this light.
@@ -55,6 +55,10 @@ impl LightSource for SkyLight {
         self.shadow
     }
 
+    fn is_of_environment(&self) -> bool {
+        true
+    }
+
     fn is_dark(&self) -> bool {
         self.strength.is_zero()
     }
@@ -64,7 +68,7 @@ impl LightSource for SkyLight {
             None => background.is_transparent().then(|| {
                 NodeError::new(
                     "",
-                    "uses the scene's background, which is transparent: set `from` to a color, a gradient or a day",
+                    "uses the scene's background, which is transparent: set `from` or the scene's `environment` to a color, a gradient or a day",
                 )
             }),
             Some(from) if from.is_transparent() => {

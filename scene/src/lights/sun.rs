@@ -49,6 +49,10 @@ impl LightSource for Sun {
         self.shadow
     }
 
+    fn is_of_environment(&self) -> bool {
+        true
+    }
+
     fn is_dark(&self) -> bool {
         self.strength.is_zero()
     }
@@ -57,7 +61,7 @@ impl LightSource for Sun {
         background.day().is_none().then(|| {
             NodeError::new(
                 "",
-                "needs a background with a sun: make the background a `day`, or use a `directional` light",
+                "needs a sky with a sun: make the background or the `environment` a `day`, or use a `directional` light",
             )
         })
     }

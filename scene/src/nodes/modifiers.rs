@@ -41,6 +41,13 @@ pub struct Paint {
     pub child: Child,
 }
 
+impl Node {
+    /// A shape with a material of its own.
+    pub(crate) fn painted(material: MaterialRef, child: Self) -> Self {
+        Self::Paint(Paint { material, child: Box::new(child) })
+    }
+}
+
 impl Sdf for Paint {
     const EXAMPLE: &str = r##"{
         "material": { "diffuse": { "kd": "#d9481c" } },

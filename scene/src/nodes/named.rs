@@ -18,6 +18,7 @@ use crate::values::NamedNumber;
 /// `{ "use": { "shape": "leg", "with": { "bend": 30 } } }`.
 #[derive(Clone, Debug, PartialEq, Serialize, JsonSchema, Seek)]
 #[serde(untagged)]
+#[schemars(extend("examples" = ["leg"]))]
 pub enum Use {
     /// The name of a shape.
     Name(String),

@@ -71,10 +71,30 @@ impl Rotate {
 
 /// Rows of the inverse of a rotation about a unit axis: the columns of Rodrigues' matrix
 /// cos θ·I + sin θ·[k]× + (1 − cos θ)·k·kᵀ.
-fn inverse_rows_about(k: Vec3<f32>, degrees: f32) -> [Vec3<f32>; 3] {
+pub(crate) fn inverse_rows_about(k: Vec3<f32>, degrees: f32) -> [Vec3<f32>; 3] {
     let (s, c) = sin_cos_degrees(degrees);
     [vec3(1.0, 0.0, 0.0), vec3(0.0, 1.0, 0.0), vec3(0.0, 0.0, 1.0)]
         .map(|e| e * c + k.cross(e) * s + k * ((1.0 - c) * k.dot(e)))
+}
+
+/// Error in the combination of angles and an axis, if there is one.
+pub(crate) fn rotation_error(degrees: &Angles, axis: Option<&Direction>) -> Option<NodeError> {
+    match (degrees, axis) {
+        (Angles::Fixed(_), Some(_)) => {
+            Some(NodeError::new("axis", "is for one angle: write degrees as one number, or leave axis out"))
+        }
+        (Angles::About(_), None) => {
+            Some(NodeError::new("degrees", "is one angle: give it an axis, or write [x, y, z]"))
+        }
+        (Angles::Fixed(_), None) | (Angles::About(_), Some(_)) => None,
+    }
+}
+
+impl Node {
+    /// A shape rotated by angles.
+    pub(crate) fn rotated(degrees: Angles, axis: Option<Direction>, about: Option<Point>, child: Self) -> Self {
+        Self::Rotate(Box::new(Rotate { degrees, axis, about, child: Box::new(child), rows: Cached::default() }))
+    }
 }
 
 fn rotated<R: Real>(p: Vec3<R>, [x, y, z]: [Vec3<f32>; 3]) -> Vec3<R> {
@@ -129,15 +149,7 @@ impl Sdf for Rotate {
     }
 
     fn validate(&self) -> Option<NodeError> {
-        match (&self.degrees, &self.axis) {
-            (Angles::Fixed(_), Some(_)) => {
-                Some(NodeError::new("axis", "is for one angle: write degrees as one number, or leave axis out"))
-            }
-            (Angles::About(_), None) => {
-                Some(NodeError::new("degrees", "is one angle: give it an axis, or write [x, y, z]"))
-            }
-            (Angles::Fixed(_), None) | (Angles::About(_), Some(_)) => None,
-        }
+        rotation_error(&self.degrees, self.axis.as_ref())
     }
 
     fn is_placement_animated(&self) -> bool {

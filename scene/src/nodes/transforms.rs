@@ -20,6 +20,13 @@ pub struct Translate {
     pub child: Child,
 }
 
+impl Node {
+    /// A shape moved by an offset.
+    pub(crate) fn translated(by: Point, child: Self) -> Self {
+        Self::Translate(Translate { by, child: Box::new(child) })
+    }
+}
+
 /// Scales a shape uniformly.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]

@@ -31,15 +31,16 @@ fn needed(pointer: &str, has_use: &dyn Fn(&str) -> bool) -> Vec<Needed> {
     let steps: Vec<&str> = pointer.split('/').skip(1).collect();
     match steps.as_slice() {
         ["scene", "camera", ..] => vec![whole("/scene/camera"), whole("/frames")],
-        ["scene", "background", ..] => vec![whole("/scene/background")],
+        ["scene", sky @ ("background" | "environment"), ..] => vec![whole(&format!("/scene/{sky}"))],
         ["scene", "lights", index, ..] => {
-            vec![whole(&format!("/scene/lights/{index}")), whole("/scene/background")]
+            vec![whole(&format!("/scene/lights/{index}")), whole("/scene/background"), whole("/scene/environment")]
         }
         ["scene", "objects", index, "shape", rest @ ..] => {
             of_node(pointer, format!("/scene/objects/{index}/shape"), rest, has_use)
         }
         ["scene", "shapes", name, rest @ ..] => of_node(pointer, format!("/scene/shapes/{name}"), rest, has_use),
         ["scene", "objects", _, "material"] => vec![whole(pointer), alone("/scene/materials")],
+        ["image", "region", ..] => vec![whole(pointer), alone("/image/width"), alone("/image/height")],
         ["image", "layers" | "exposure" | "tone_map", ..] => {
             vec![whole(pointer), alone("/image/format"), alone("/image/layers")]
         }

@@ -4,7 +4,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use super::{MAX_ERRORS, SemanticErrors, suggest};
+use super::{GroupPointers, MAX_ERRORS, SemanticErrors, suggest};
 use crate::document::{NamedShapes, SceneDocument};
 use crate::json_scan::escape;
 use crate::limits::{MAX_NODE_DEPTH, MAX_NODES, MAX_PLACING_COST};
@@ -18,7 +18,7 @@ const MAX_EVALUATED_NODES: u64 = 4 * MAX_NODES as u64;
 const MAX_LISTED: usize = 8;
 
 /// Validates all nodes of a scene, and replaces each `use` in its objects.
-pub(super) fn expand(scene: &mut SceneDocument, faults: &mut SemanticErrors) -> NamedShapes {
+pub(super) fn expand(scene: &mut SceneDocument, groups: &GroupPointers, faults: &mut SemanticErrors) -> NamedShapes {
     let shapes = std::mem::take(&mut scene.shapes);
     unknown_uses(scene, &shapes, faults);
     let limits = limits(scene, &shapes, faults);
@@ -33,13 +33,20 @@ pub(super) fn expand(scene: &mut SceneDocument, faults: &mut SemanticErrors) -> 
         nodes_left: MAX_EVALUATED_NODES,
         faults,
     };
-    let written = (!shapes.is_empty()).then(|| scene.objects.iter().map(|object| object.shape.clone()).collect());
+    let has_own_pointers = !shapes.is_empty() || *groups != GroupPointers::default();
+    let written = has_own_pointers.then(|| scene.objects.iter().map(|object| object.shape.clone()).collect());
     for (index, object) in scene.objects.iter_mut().enumerate() {
         expansion.node(&mut object.shape, &mut Some(format!("/scene/objects/{index}/shape")), 1);
     }
     let unused_names = shapes.keys().filter(|name| !expansion.used.contains(name.as_str())).cloned().collect();
     let unused = expansion.unused();
-    let written = written.map(|objects| WrittenNodes { objects, shapes, ends, instances: BTreeMap::new() });
+    let written = written.map(|objects| WrittenNodes {
+        objects,
+        shapes,
+        ends,
+        instances: BTreeMap::new(),
+        groups: groups.clone(),
+    });
     NamedShapes { written, unused_names, unused }
 }
 

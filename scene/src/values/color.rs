@@ -223,7 +223,7 @@ impl JsonSchema for Color {
                 plain_text(),
                 {
                     "type": "object", "properties": { "kelvin": kelvin }, "required": ["kelvin"], "additionalProperties": false,
-                    "description": "The color of a black body, its brightest channel 1."
+                    "description": "The color of a black body, its brightest channel 1.", "examples": [{ "kelvin": 3200 }]
                 },
                 track
             ]
@@ -232,7 +232,9 @@ impl JsonSchema for Color {
 }
 
 fn plain_text() -> Schema {
-    json_schema!({ "type": "string", "pattern": "^(#[0-9a-fA-F]{6}|#[0-9a-fA-F]{3}|rgb\\([0-9., %]+\\))$" })
+    json_schema!({
+        "type": "string", "pattern": "^(#[0-9a-fA-F]{6}|#[0-9a-fA-F]{3}|rgb\\([0-9., %]+\\))$", "examples": ["#e07a3c"]
+    })
 }
 
 /// Schema of a color over time.
@@ -247,8 +249,12 @@ impl JsonSchema for ColorTrack {
         let value = json_schema!({ "anyOf": [
             { "type": "array", "items": { "type": "number" }, "minItems": 3, "maxItems": 3 },
             plain_text(),
-            { "type": "object", "properties": { "kelvin": { "type": "number" } }, "required": ["kelvin"] }
+            {
+                "type": "object", "properties": { "kelvin": { "type": "number" } }, "required": ["kelvin"],
+                "description": "The color of a black body, its brightest channel 1.", "examples": [{ "kelvin": 3200 }]
+            }
         ] });
-        track::schema("A color over time, interpolated in linear light.", &value, generator)
+        let example = ["#e07a3c".into(), "#3c7ae0".into()];
+        track::schema("A color over time, interpolated in linear light.", &value, example, generator)
     }
 }

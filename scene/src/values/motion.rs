@@ -4,6 +4,7 @@
 
 use std::fmt;
 use std::marker::PhantomData;
+use std::sync::Arc;
 
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::de::value::MapAccessDeserializer;
@@ -12,6 +13,7 @@ use serde::ser::SerializeStruct;
 use serde::{Deserialize, Deserializer, Serializer};
 
 use super::PeekedMap;
+use super::path::Path;
 use super::track::{KeyframeValue, Track, TrackSchema, WrittenTrack};
 use crate::formula::Formula;
 use crate::materials::Texture;
@@ -43,6 +45,8 @@ pub(super) enum Motion {
     Track(Track),
     /// Arithmetic.
     Formula(Formula),
+    /// One coordinate of a point on a path, and the fraction of the path's length over time.
+    Path { path: Arc<Path>, axis: usize, progress: Track },
 }
 
 impl Motion {
@@ -55,6 +59,12 @@ impl Motion {
             Self::Track(track) => {
                 clock.record_keyframes(track.keyframe_times());
                 Ok(track.at(clock.seconds, T::is_in_range))
+            }
+            Self::Path { path, axis, progress } => {
+                clock.record_keyframes(progress.keyframe_times());
+                let fraction = f64::from(progress.at(clock.seconds, f32::is_finite));
+                let value = path.at(fraction)[*axis] as f32 + 0.0;
+                if T::is_in_range(value) { Ok(value) } else { Err(format!("must be {}, not {value}", T::EXPECTED)) }
             }
             Self::Formula(formula) => {
                 formula.tracks().for_each(|track| clock.record_keyframes(track.keyframe_times()));
@@ -223,11 +233,13 @@ impl JsonSchema for FormulaSchema {
 
     fn json_schema(_: &mut SchemaGenerator) -> Schema {
         json_schema!({
-            "description": "A number as arithmetic: + - * / % ^, comparisons, the scene's numbers, t (seconds), frame, frames, pi, i and n among counted copies, and functions; angles in degrees.",
+            "description": "A number as arithmetic.",
+            "examples": [{ "expr": "1 + 0.2 * sin(360 * t)" }],
             "type": "object",
             "properties": {
                 "expr": { "type": "string", "minLength": 1, "maxLength": crate::formula::MAX_FORMULA_BYTES,
-                    "description": "The formula.", "examples": ["0.2 * sin(360 * t)", "r + gap / 2"] }
+                    "description": "The formula: + - * / % ^, comparisons, the scene's numbers, t (seconds), frame, frames, pi, i and n among counted copies, and functions; angles in degrees.",
+                    "examples": ["0.2 * sin(360 * t)", "r + gap / 2"] }
             },
             "required": ["expr"],
             "additionalProperties": false

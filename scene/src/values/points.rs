@@ -206,6 +206,6 @@ impl JsonSchema for Rotation {
     fn json_schema(generator: &mut SchemaGenerator) -> Schema {
         let degrees = generator.subschema_for::<Degrees>();
         let about = "Angles in degrees about the fixed x, y and z axes, rotated in this order.";
-        triple::schema(about, &degrees, generator)
+        triple::schema_without_path(about, &degrees, generator)
     }
 }

@@ -9,6 +9,7 @@ use std::borrow::Cow;
 
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::{Deserialize, Serialize, Serializer};
+use serde_json::Value;
 
 pub(crate) use ease::Ease;
 pub(super) use keyframes::{Keyframe, KeyframeValue, Keyframes};
@@ -72,6 +73,11 @@ impl From<WrittenTrack<f32>> for Track {
 }
 
 impl<V> WrittenTrack<V> {
+    /// A track of its parts.
+    pub(super) fn new(keys: Keyframes<V>, ease: Ease, cycle: Option<Loop>) -> Self {
+        Self { keys, ease, cycle }
+    }
+
     /// Its values.
     pub(super) fn values(&self) -> impl Iterator<Item = &V> {
         self.keys.0.iter().map(|key| &key.1)
@@ -129,11 +135,13 @@ impl Track {
     }
 }
 
-/// Schema of a track, whose values are described by `value`.
-pub(super) fn schema(about: &str, value: &Schema, generator: &mut SchemaGenerator) -> Schema {
+/// Schema of a track, whose values are described by `value`; `example` is a first and a second one.
+pub(super) fn schema(about: &str, value: &Schema, example: [Value; 2], generator: &mut SchemaGenerator) -> Schema {
+    let [first, second] = example;
     let (ease, cycle) = (generator.subschema_for::<Ease>(), generator.subschema_for::<Loop>());
     json_schema!({
         "description": about,
+        "examples": [{ "keys": [[0, first], [2, second]] }],
         "type": "object",
         "properties": {
             "keys": {
@@ -166,6 +174,6 @@ impl JsonSchema for TrackSchema {
 
     fn json_schema(generator: &mut SchemaGenerator) -> Schema {
         let about = "A number over time: frame i has its value at i/fps seconds. Before the first keyframe the value is the first keyframe's; after the last, the last keyframe's.";
-        schema(about, &json_schema!({ "type": "number" }), generator)
+        schema(about, &json_schema!({ "type": "number" }), [1.into(), 2.into()], generator)
     }
 }

@@ -2,6 +2,7 @@
 
 use std::fmt;
 use std::marker::PhantomData;
+use std::sync::Arc;
 
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::de::value::MapAccessDeserializer;
@@ -10,6 +11,7 @@ use serde::{Deserialize, Deserializer};
 
 use super::PeekedMap;
 use super::motion::{Motion, OfKind, RangedNumber};
+use super::path::{MovingAlong, PathSchema, WrittenPath};
 use super::track::{self, KeyframeValue, WrittenTrack};
 use crate::seek::FrameTime;
 
@@ -41,14 +43,25 @@ impl<'de, T: RangedNumber + Deserialize<'de>> Visitor<'de> for TripleVisitor<T> 
         if first.as_deref() == Some("expr") {
             return Err(A::Error::custom("must be a list of 3 numbers, each of which may be a formula"));
         }
-        if let Some(other) = first.as_deref().filter(|key| !["keys", "ease", "loop"].contains(key)) {
+        if let Some(other) = first.as_deref().filter(|key| !["keys", "ease", "loop", "path"].contains(key)) {
             return Err(A::Error::custom(format_args!(
                 "must be a list of 3 numbers, or a track: {{\"keys\": [[seconds, [x, y, z]], …]}}, not an object with the key \"{other}\""
             )));
         }
+        let is_path = first.as_deref() == Some("path");
         let map = MapAccessDeserializer::new(PeekedMap::new(first, map));
+        if is_path {
+            return along(WrittenPath::deserialize(map)?.path);
+        }
         of_track(&WrittenTrack::<Numbers<T>>::deserialize(map)?, |key, axis| key.0[axis].0.value())
     }
+}
+
+/// The coordinates of a point that moves along a path.
+fn along<T: RangedNumber, E: Error>(MovingAlong { path, progress }: MovingAlong) -> Result<[T; 3], E> {
+    let path = Arc::new(path);
+    let coordinate = |axis| Motion::Path { path: Arc::clone(&path), axis, progress: progress.clone() }.start();
+    Ok([coordinate(0)?, coordinate(1)?, coordinate(2)?])
 }
 
 /// Three numbers of each value of a track.
@@ -77,8 +90,18 @@ impl<'de, T: RangedNumber> Deserialize<'de> for Numbers<T> {
     }
 }
 
-/// Schema of three numbers with the schema `number`, or a track of such.
+/// Schema of three numbers with the schema `number`, a track of such, or a path.
 pub(super) fn schema(about: &str, number: &Schema, generator: &mut SchemaGenerator) -> Schema {
+    let mut schema = schema_without_path(about, number, generator);
+    let path = generator.subschema_for::<PathSchema>();
+    if let Some(forms) = schema.get_mut("anyOf").and_then(serde_json::Value::as_array_mut) {
+        forms.push(path.into());
+    }
+    schema
+}
+
+/// Schema of three numbers with the schema `number`, or a track of such.
+pub(super) fn schema_without_path(about: &str, number: &Schema, generator: &mut SchemaGenerator) -> Schema {
     let list = json_schema!({ "type": "array", "items": number, "minItems": 3, "maxItems": 3 });
     let track = generator.subschema_for::<PointTrack>();
     json_schema!({ "description": about, "anyOf": [list, track] })
@@ -94,6 +117,7 @@ impl JsonSchema for PointTrack {
 
     fn json_schema(generator: &mut SchemaGenerator) -> Schema {
         let value = json_schema!({ "type": "array", "items": { "type": "number" }, "minItems": 3, "maxItems": 3 });
-        track::schema("Three numbers over time.", &value, generator)
+        let example = [serde_json::json!([0, 1, 0]), serde_json::json!([1, 1, 0])];
+        track::schema("Three numbers over time.", &value, example, generator)
     }
 }

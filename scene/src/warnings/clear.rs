@@ -33,7 +33,7 @@ pub(super) fn touching(scene: &Scene) -> Option<String> {
     })?;
     Some(format!(
         "the surfaces of {} coincide, and both transmit light, so that rays cannot tell which they enter: let one overlap the other by a thousandth of its size, or leave a gap",
-        objects(&[one, other])
+        objects(scene, &[one, other])
     ))
 }
 
@@ -94,7 +94,7 @@ fn on_surface(node: &Node, mut p: Vec3<f32>, tolerance: f32) -> Option<Vec3<f32>
 
 /// Metal or glass in front of a transparent background, which reflects only other objects.
 pub(super) fn nothing_to_mirror(scene: &Scene) -> Option<String> {
-    if !scene.is_transparent() {
+    if !scene.is_transparent() || scene.environment.is_some() {
         return None;
     }
     let slots = scene.used_materials();
@@ -103,8 +103,8 @@ pub(super) fn nothing_to_mirror(scene: &Scene) -> Option<String> {
         .collect();
     let (first, _) = shiny.split_first()?;
     Some(format!(
-        "/scene/background is transparent, and {} of metal or glass reflect it as black (the first is /scene/objects/{first}): choose another background, or another material",
-        objects(&shiny)
+        "/scene/background is transparent, and {} of metal or glass reflect it as black (the first is /scene/objects/{first}): give the scene an `environment`, which reflections see and the camera does not",
+        objects(scene, &shiny)
     ))
 }
 

@@ -29,7 +29,7 @@ fn has_noise(scene: &Scene) -> bool {
         .iter()
         .any(|material| material.is_specular() || material.is_medium() || material.is_textured())
         || scene.fog.is_some()
-        || scene.lights.iter().any(is_wide)
+        || scene.lights.iter().any(|light| is_wide(light))
 }
 
 /// Whether a light may be an area light.

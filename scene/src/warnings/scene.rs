@@ -2,7 +2,7 @@
 
 use super::objects;
 use crate::animation::JobAtFrame;
-use crate::lights::{LightSource, default_lights};
+use crate::lights::{LightSource, PlacedLight, default_lights};
 use crate::limits::MAX_MEDIUM_STEPS;
 use crate::materials::{Material, Shade};
 use crate::nodes::Node;
@@ -26,7 +26,7 @@ pub(super) fn high_cost(scene: &Scene) -> Option<String> {
     }
     Some(format!(
         "one evaluation of {} visits more than {MAX_COST:e} nodes, nested copies included, and rendering may take too long: repeat shapes smaller than their cell, and use fewer copies of copies",
-        objects(&heavy)
+        objects(scene, &heavy)
     ))
 }
 
@@ -39,7 +39,7 @@ pub(super) fn high_lipschitz(still: &JobAtFrame<'_>) -> Option<String> {
     let mut pointer = format!("/scene/objects/{steepest}/shape");
     let cure = main_cause(&scene.objects[steepest].shape, &mut pointer).lipschitz_advice();
     let pointer = still.pointer_in_document(&pointer);
-    let others = if steep.len() > 1 { format!(" (also near {})", objects(&steep)) } else { String::new() };
+    let others = if steep.len() > 1 { format!(" (also near {})", objects(scene, &steep)) } else { String::new() };
     let stretch = stretches[steepest];
     let part = if stretch < 1e6 { format!("1/{stretch:.0}") } else { "less than a millionth".to_owned() };
     Some(format!("steps near {pointer} are {part} of the distance{others}, and rendering is slow: {cure}"))
@@ -62,10 +62,16 @@ fn main_cause<'a>(node: &'a Node, pointer: &mut String) -> &'a Node {
     }
 }
 
+/// Whether lights are those of a scene that names none.
+fn is_default(lights: &[PlacedLight]) -> bool {
+    lights.iter().all(|light| light.placements.is_empty())
+        && lights.iter().map(|light| &light.light).eq(&default_lights())
+}
+
 /// Lights without effect, and materials without light.
 pub(super) fn light(scene: &Scene) -> Option<String> {
     let used = scene.used_materials();
-    if !scene.lights.is_empty() && scene.lights != default_lights() && !used.iter().any(Shade::uses_lights) {
+    if !scene.lights.is_empty() && !is_default(&scene.lights) && !used.iter().any(Shade::uses_lights) {
         return Some(
             "the lights have no effect, because no material in use depends on light: choose diffuse or surface, or remove lights"
                 .to_owned(),
@@ -101,7 +107,7 @@ pub(super) fn dense_media(scene: &Scene) -> Option<String> {
     };
     Some(format!(
         "the medium that fills {} is too dense for its {steps} steps: one step has an optical depth of {:.0} (density × step): {cure}",
-        objects(&indices),
+        objects(scene, &indices),
         depth / steps as f32
     ))
 }

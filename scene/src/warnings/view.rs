@@ -17,7 +17,8 @@ const MAX_COST: f32 = 200_000.0;
 /// Warning about the view. If nothing is in view, only that is reported.
 pub(super) fn of(still: &JobAtFrame<'_>) -> Option<Warning> {
     let (scene, image) = (still.scene(), still.image());
-    let view = scene.camera.view(image.width, image.height);
+    let [width, height] = image.full_size();
+    let view = scene.camera.view(width, height);
     if let Some(text) = nothing_in_view(scene, &view) {
         return Some(Warning { kind: WarningKind::NothingInView, text });
     }
@@ -29,7 +30,7 @@ pub(super) fn of(still: &JobAtFrame<'_>) -> Option<Warning> {
         return Some(Warning { kind: WarningKind::CameraInside, text });
     }
     let program = Integrator::new(still);
-    let share = program.fraction_out_of_steps(image.width, image.height, work)?;
+    let share = program.fraction_out_of_steps(width, height, work)?;
     (share > MAX_OUT_OF_STEPS).then(|| Warning { kind: WarningKind::OutOfSteps, text: out_of_steps(scene, share) })
 }
 
@@ -75,7 +76,10 @@ fn inside(scene: &Scene, image: &Image, view: &View) -> Option<String> {
         return None;
     }
     let (what, cure) = scene.camera.projection.inside_warning();
-    Some(format!("{what} {}, so that only its inside is visible: {cure}, or cut a room into it", objects(&around)))
+    Some(format!(
+        "{what} {}, so that only its inside is visible: {cure}, or cut a room into it",
+        objects(scene, &around)
+    ))
 }
 
 /// Whether a part of a shape is painted with a transmissive material.

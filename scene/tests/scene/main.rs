@@ -23,6 +23,7 @@ mod scatter;
 mod seams;
 mod shapes;
 mod surface;
+mod together;
 mod warnings;
 mod witness;
 mod wrong_uses;

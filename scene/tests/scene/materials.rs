@@ -134,6 +134,7 @@ fn shaded_light_is_finite_and_never_negative() {
                     lights: (0..round % 3).map(|_| random.light()).collect(),
                     ambient: (round % 2 == 0).then(|| vec3(1.0, 0.5, 0.0)),
                     ambient_visibility: (round % 5 == 0).then(|| random.next(0.0, 1.0)),
+                    shadow: None,
                 };
                 assert_finite(kind, material.shade(&place, &light), &place);
                 assert_finite(kind, material.albedo(&place), &place);
@@ -172,7 +173,12 @@ fn only_materials_that_need_the_local_normal_use_it() {
         assert_eq!(differs, texture.needs_own_normal(), "{kind}");
     });
     each_material(|kind, material| {
-        let light = IncidentLight { ambient: Some(vec3(1.0, 1.0, 1.0)), ambient_visibility: None, lights: Vec::new() };
+        let light = IncidentLight {
+            ambient: Some(vec3(1.0, 1.0, 1.0)),
+            ambient_visibility: None,
+            shadow: None,
+            lights: Vec::new(),
+        };
         let shade = |place: &ShadingPoint<f32>| material.shade(place, &light);
         let differs = (0..500).map(|_| pairs()).any(|(one, other)| shade(&one) != shade(&other));
         assert!(!differs || material.needs_local_normal(), "{kind}");
@@ -186,8 +192,11 @@ fn unlit_materials_have_the_same_color_in_any_light() {
         let mut differs = false;
         for _ in 0..200 {
             let place = random.place(3.0);
-            let lit = IncidentLight { lights: vec![random.light()], ambient: None, ambient_visibility: None };
+            let lit =
+                IncidentLight { lights: vec![random.light()], ambient: None, ambient_visibility: None, shadow: None };
             differs |= material.shade(&place, &lit) != material.shade(&place, &IncidentLight::default());
+            let behind = |shadow| material.transparency(&IncidentLight { shadow: Some(shadow), ..lit.clone() });
+            differs |= behind(0.2) != behind(0.7);
         }
         assert_eq!(differs, material.is_lit(), "{kind}");
     });
@@ -304,7 +313,12 @@ fn animated_and_constant_numbers_give_the_same_color() {
             let mut random = Random(6);
             for _ in 0..100 {
                 let place = random.place(2.0);
-                let light = IncidentLight { lights: vec![random.light()], ambient: None, ambient_visibility: None };
+                let light = IncidentLight {
+                    lights: vec![random.light()],
+                    ambient: None,
+                    ambient_visibility: None,
+                    shadow: None,
+                };
                 let (got, want) = (moving.shade(&place, &light), still.shade(&place, &light));
                 let off = (got - want).length();
                 assert!(off <= 1e-4 * want.length().max(1.0), "{} {pointer}: {got:?} for {want:?}", example.kind);

@@ -61,7 +61,7 @@ fn place(to_viewer: V) -> ShadingPoint<f32> {
 /// π·BRDF·cosine of a material, in its red channel.
 fn answer(material: &Material, to_viewer: V, to_light: V) -> f64 {
     let light = LightSample { direction: single(to_light), radiance: vec3(1.0, 1.0, 1.0) };
-    let lighting = IncidentLight { lights: vec![light], ambient: None, ambient_visibility: None };
+    let lighting = IncidentLight { lights: vec![light], ambient: None, ambient_visibility: None, shadow: None };
     f64::from(material.shade(&place(to_viewer), &lighting).x)
 }
 
@@ -233,8 +233,12 @@ fn ambient_light_equals_the_sum_over_directions() {
                 .map(|light| (answer(&material, viewer, light) - answer(&none, viewer, light)) / light[2])
                 .sum::<f64>()
                 / 40_000.0;
-            let around =
-                IncidentLight { ambient: Some(vec3(1.0, 1.0, 1.0)), lights: Vec::new(), ambient_visibility: None };
+            let around = IncidentLight {
+                ambient: Some(vec3(1.0, 1.0, 1.0)),
+                lights: Vec::new(),
+                ambient_visibility: None,
+                shadow: None,
+            };
             let got = f64::from(material.shade(&place(viewer), &around).x);
             assert!((got - body).abs() < 1e-3, "{got} for {body}, coat {coat}, cosine {cosine}");
         }

@@ -148,7 +148,7 @@ pub(super) async fn openapi(State(document): State<Document>) -> Json<Value> {
     responses((status = 200, description = "JSON Schema 2020-12", body = serde_json::Value, content_type = "application/schema+json"))
 )]
 pub(super) async fn job_schema() -> Response {
-    ([(header::CONTENT_TYPE, "application/schema+json")], scene::schema().to_string()).into_response()
+    ([(header::CONTENT_TYPE, "application/schema+json")], scene::editor_schema().to_string()).into_response()
 }
 
 #[cfg(test)]

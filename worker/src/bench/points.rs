@@ -107,7 +107,7 @@ impl Aligned {
 
 /// [`POINTS`] points around the camera's target: a row of each coordinate.
 fn points_around(job: &Job) -> Vec<f32> {
-    let middle = job.scene.camera.look_at.get();
+    let middle = job.scene.camera.target();
     let spread = |index: usize, step: u32| (index as u32).wrapping_mul(step) as f32 / u32::MAX as f32 * 4.0 - 2.0;
     let axis = |middle: f32, step: u32| (0..POINTS).map(move |index| middle + spread(index, step));
     let x = axis(middle.x, 0x9e37_79b9);

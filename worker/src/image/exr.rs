@@ -19,7 +19,7 @@ use exr::meta::header::{Header, LayerAttributes};
 use rayon::prelude::*;
 use scene::Precision;
 
-use super::provenance::KEYWORD;
+use super::PROVENANCE_KEYWORD;
 use super::{ImageError, PictureSpec};
 use crate::renderer::CancelFlag;
 use crate::stitch::{RowBand, RowSource};
@@ -116,7 +116,7 @@ impl Channels {
             self.0.iter().map(|channel| ChannelDescription::new(text(channel.name), channel.sample, false)).collect();
         let mut attributes = LayerAttributes::default();
         // The only attribute in a hash map: a second one would be written in random order.
-        attributes.other.insert(text(KEYWORD), AttributeValue::Text(text(&picture.provenance.json())));
+        attributes.other.insert(text(PROVENANCE_KEYWORD), AttributeValue::Text(text(&picture.provenance.json())));
         let metadata = picture.metadata;
         attributes.frames_per_second = Some(metadata.frames_per_second);
         attributes.world_to_camera = Some(metadata.world_to_camera);

@@ -2,8 +2,8 @@
 //!
 //! A picture's cache key covers all of them: the camera as a part of the scene, the frame rate separately.
 
-use scene::JobAtFrame;
 use scene::camera::Matrix;
+use scene::{Crop, Image, JobAtFrame};
 
 /// OpenEXR's standard attributes about the camera and the time.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -20,13 +20,28 @@ impl Metadata {
     /// Attributes of a job at a frame.
     pub fn new(still: &JobAtFrame<'_>) -> Self {
         let image = still.image();
-        let view = still.scene().camera.view(image.width, image.height);
+        let [width, height] = image.full_size();
+        let view = still.scene().camera.view(width, height);
         Self {
             world_to_camera: view.world_to_camera(),
-            world_to_ndc: view.world_to_ndc(),
+            world_to_ndc: view.world_to_ndc().map(|matrix| in_region(&matrix, image)),
             frames_per_second: fraction(still.frames().fps.get()),
         }
     }
+}
+
+/// A matrix to the whole picture as one to its region: the first two columns are scaled and moved.
+fn in_region(matrix: &Matrix, image: &Image) -> Matrix {
+    let Some(Crop { region, full_width, full_height }) = image.crop else { return *matrix };
+    let axes = [(full_width, region.x, region.width), (full_height, region.y, region.height)];
+    let mut moved = *matrix;
+    for row in moved.chunks_exact_mut(4) {
+        for (axis, (full, start, length)) in axes.into_iter().enumerate() {
+            let [full, start, length] = [full, start, length].map(|pixels| pixels as f32);
+            row[axis] = (row[axis] * full - row[3] * start) / length;
+        }
+    }
+    moved
 }
 
 /// Fraction that equals this number from 0.001 to 1000, to the precision of an `f32`: an integer over 1.001, as

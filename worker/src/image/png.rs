@@ -18,7 +18,7 @@ use scene::Bits;
 use scene::color::level_of_256;
 use scene::sampling::thresholds;
 
-use super::provenance::KEYWORD;
+use super::PROVENANCE_KEYWORD;
 use super::{ImageError, PictureSpec};
 use crate::renderer::CancelFlag;
 use crate::srgb::SrgbEncoder;
@@ -47,7 +47,7 @@ pub fn write(
     encoder.set_deflate_compression(DeflateCompression::FdeflateUltraFast);
     encoder.set_filter(Filter::Paeth);
     encoder.set_source_srgb(SrgbRenderingIntent::Perceptual);
-    encoder.add_itxt_chunk(KEYWORD.to_owned(), picture.provenance.json())?;
+    encoder.add_itxt_chunk(PROVENANCE_KEYWORD.to_owned(), picture.provenance.json())?;
     let mut header = encoder.write_header()?;
     let mut stream = header.stream_writer_with_size(CHUNK_BYTES)?;
 

@@ -99,10 +99,12 @@ fn ungraded() -> Value {
     job
 }
 
-/// An EXR with one of the layers.
+/// An EXR with some of the layers, and the name of an object.
 fn layered() -> Value {
     let mut job = plain();
-    job["image"]["layers"] = json!(["depth"]);
+    job["image"]["layers"] = json!(["depth", "object"]);
+    job["image"]["region"] = json!([1, 2, 5, 4]);
+    job["scene"]["objects"][0]["name"] = json!("ball");
     job
 }
 
@@ -147,7 +149,63 @@ fn surroundings() -> Vec<Value> {
     add("camera", with(&[("fov", Value::Null), ("projection", json!({ "orthographic": { "height": 3 } }))]));
     add("camera", with(&[("fov", Value::Null), ("projection", json!("panorama"))]));
     add("camera", with(&[("turntable", json!({ "turns": 0.7 }))]));
+    scenes.extend(seen_by_some());
     scenes
+}
+
+/// An environment apart from the background, objects that some rays do not see, and a shadow catcher.
+fn seen_by_some() -> Vec<Value> {
+    let at = |by: [f64; 3], shape: Value| json!({ "translate": { "by": by, "child": shape } });
+    let floor = || at([0.0, -0.8, 0.0], json!({ "box": { "size": [4, 0.2, 4] } }));
+    let part = || at([0.5, 0.6, 0.6], json!({ "sphere": { "radius": 0.5 } }));
+    let mirror = || json!({ "surface": { "base_color": [0.9, 0.9, 0.9], "metallic": 1, "roughness": 0.1 } });
+    let catcher = json!({ "shadow_catcher": { "opacity": 0.8 } });
+    let seen = json!({ "camera": true, "shadow": true, "reflection": true });
+    let mut around =
+        scene(&ball(), &mirror(), &json!([{ "sky": { "strength": 1, "shadow": false } }]), &json!("transparent"));
+    around["environment"] = gradient();
+    let mut day = scene(
+        &floor(),
+        &gray(),
+        &json!([{ "sun": { "strength": 1, "angle": 5, "shadow": true } }]),
+        &json!("transparent"),
+    );
+    day["environment"] =
+        json!({ "day": { "sun": [0.5, 0.4, 0.3], "turbidity": 3, "ground": [0.3, 0.2, 0.1], "strength": 1 } });
+    let mut flags = scene(&floor(), &mirror(), &sun(), &gradient());
+    flags["objects"].as_array_mut().unwrap().push(json!({ "material": gray(), "shape": part(), "visible": seen }));
+    let mut reflected = scene(&floor(), &mirror(), &sun(), &gradient());
+    let beside = at([0.3, -0.2, 0.2], json!({ "sphere": { "radius": 0.5 } }));
+    reflected["objects"].as_array_mut().unwrap().push(json!({ "material": gray(), "shape": beside, "visible": seen }));
+    let mut caught = scene(&floor(), &catcher, &sun(), &gradient());
+    caught["objects"].as_array_mut().unwrap().push(json!({ "material": gray(), "shape": part() }));
+    vec![around, day, flags, reflected, caught, group(), flight()]
+}
+
+/// A group with everything that moves with one.
+fn group() -> Value {
+    let inner =
+        json!({ "by": [0.5, 0.4, 0], "objects": [{ "material": gray(), "shape": { "sphere": { "radius": 0.4 } } }] });
+    let mut scene = scene(&ball(), &gray(), &sun(), &gradient());
+    scene["groups"] = json!([{
+        "by": [0.2, 0.1, 0], "degrees": 30, "axis": [0, 1, 0.2], "about": [0.1, 0, 0.3], "camera": true,
+        "objects": [{ "material": gray(), "shape": { "box": { "size": [0.5, 0.5, 0.5] } } }],
+        "lights": [{ "point": { "position": [1, 2, 2], "color": [4, 4, 4], "shadow": true } }],
+        "groups": [inner]
+    }]);
+    scene
+}
+
+/// A camera on a path that looks ahead. In the rendered frame it is between two of its points.
+fn flight() -> Value {
+    let mut scene = scene(&ball(), &gray(), &sun(), &gradient());
+    let path = json!({ "through": [[-1, 1, 4], [1, 1.4, 5], [2, 1, 2]], "closed": true,
+        "keys": [[0, 0], [0.8, 0.5], [1.3, 0.9]], "ease": "smooth", "loop": "ping_pong" });
+    scene["camera"] = json!({ "position": { "path": path }, "look_at": { "ahead": 0.4, "bank": 0.3 }, "fov": 60,
+        "up": [0, 1, 0] });
+    let turning = json!({ "through": [[1, 1, 0], [0, 1, 1], [-1, 1, 0]], "keys": [[0, 0.1], [2, 0.9]] });
+    scene["lights"][0]["directional"]["direction"] = json!({ "path": turning });
+    scene
 }
 
 /// Materials with textures as parameters, and numbers that textures vary.

@@ -50,7 +50,8 @@ fn shot(renderer: &CpuRenderer, job: &Value) -> Option<Shot> {
 }
 
 /// Fields that change no byte of any picture. Every other field must be covered.
-const WITHOUT_EFFECT: [&str; 5] = [
+const WITHOUT_EFFECT: [&str; 6] = [
+    "#/$defs/Group/properties/name",
     "#/properties/$schema",
     "#/properties/name",
     "#/properties/priority",
@@ -110,8 +111,9 @@ fn change(
             let in_scene = position.pointer.starts_with("/scene") && before.scene_hash == after.scene_hash;
             assert!(!in_scene, "provenance does not differ: {place}");
         }
-        // A scene's hash is in its picture, so only the pixels show whether a field is used.
-        let has_effect = before.pixels != after.pixels || position.pointer.starts_with("/image");
+        // A scene's hash is in its picture, so only the pixels show whether a field is used. An EXR has names, too.
+        let is_name = position.pointer.ends_with("/name");
+        let has_effect = before.pixels != after.pixels || position.pointer.starts_with("/image") || is_name;
         if has_effect && before.bytes != after.bytes {
             covered.lock().unwrap().extend(points.into_iter().cloned());
         }

@@ -51,10 +51,10 @@ pub(crate) fn shipped() -> Vec<Shipped> {
     found
 }
 
-/// The large scenes of the documents, by name.
+/// The scenes of the documents, and the jobs of the tutorial, by name.
 pub(crate) fn large() -> Vec<Shipped> {
-    let found = of_folders(&[("", "docs/scenes")]);
-    assert!(found.len() > 3, "docs/scenes/ holds job files");
+    let found = of_folders(&[("", "docs/scenes"), ("tutorial/", "docs/tutorial")]);
+    assert!(found.len() > 13, "docs/scenes/ and docs/tutorial/ hold job files");
     found
 }
 

@@ -31,12 +31,15 @@ pub struct Placement {
 struct WrittenPlacement {
     /// Offset, in scene units.
     #[serde(default = "no_offset", skip_serializing_if = "is_no_offset")]
+    #[schemars(extend("default" = [0, 0, 0]))]
     by: [ConstantCoordinate; 3],
     /// Angles in degrees about the fixed x, y and z axes, rotated in this order.
     #[serde(default = "no_rotation", skip_serializing_if = "is_no_rotation")]
+    #[schemars(extend("default" = [0, 0, 0]))]
     degrees: [ConstantDegrees; 3],
     /// Scale factor.
     #[serde(default = "no_scale", skip_serializing_if = "is_no_scale")]
+    #[schemars(extend("default" = 1))]
     scale: ConstantScale,
     /// Material of this copy where the shape has none of its own: a name from `materials`, or one in place. A texture
     /// is fixed in the space around the copies.

@@ -3,9 +3,10 @@
 use std::fmt;
 use std::marker::PhantomData;
 
-use serde::de::{DeserializeSeed, Error, IgnoredAny, SeqAccess, Visitor};
+use serde::de::{DeserializeSeed, Error, IgnoredAny, MapAccess, SeqAccess, Visitor};
 use serde::{Deserialize, Deserializer};
 
+use super::super::motion::CONSTANT_FORMULA;
 use super::Ease;
 use crate::limits::{MAX_KEYFRAME_SECONDS, MAX_KEYFRAMES};
 
@@ -100,11 +101,11 @@ impl<'de> DeserializeSeed<'de> for SecondsSeed {
     type Value = f64;
 
     fn deserialize<D: Deserializer<'de>>(self, deserializer: D) -> Result<f64, D::Error> {
-        deserializer.deserialize_f64(self)
+        deserializer.deserialize_any(self)
     }
 }
 
-impl Visitor<'_> for SecondsSeed {
+impl<'de> Visitor<'de> for SecondsSeed {
     type Value = f64;
 
     fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -129,5 +130,12 @@ impl Visitor<'_> for SecondsSeed {
 
     fn visit_u64<E: Error>(self, seconds: u64) -> Result<f64, E> {
         self.visit_f64(seconds as f64)
+    }
+
+    fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<f64, A::Error> {
+        Err(match map.next_key::<String>()?.as_deref() {
+            Some("expr") => A::Error::custom(CONSTANT_FORMULA),
+            _ => A::Error::custom("must be a key's time, a number of seconds, not an object"),
+        })
     }
 }

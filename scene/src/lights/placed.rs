@@ -1,0 +1,69 @@
+//! A light that belongs to groups.
+
+use std::ops::Deref;
+
+use serde::{Serialize, Serializer};
+
+use super::{Light, LightSample, LightSource};
+use crate::backgrounds::Day;
+use crate::groups::Placement;
+use crate::real::{Real, Vec3};
+use crate::seek::{FrameTime, Seek, SeekError};
+
+/// A light of a scene, and the placements of the groups that it belongs to, the outermost first.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PlacedLight {
+    pub(crate) light: Light,
+    pub(crate) placements: Vec<Placement>,
+}
+
+impl PlacedLight {
+    /// Light that arrives at `p` unoccluded, see [`LightSource::sample`].
+    pub(crate) fn sample_at<R: Real>(
+        &self,
+        p: Vec3<R>,
+        farthest: R,
+        day: Option<&Day>,
+        pair: impl FnOnce() -> (R, R),
+    ) -> Option<(LightSample<R>, R)> {
+        let inside = self.placements.iter().fold(p, |p, placement| placement.to_group(p));
+        let (sample, distance) = self.light.sample(inside, farthest, day, pair)?;
+        let outward = self.placements.iter().rev();
+        let direction = outward.fold(sample.direction, |direction, placement| placement.direction_to_scene(direction));
+        Some((LightSample { direction, ..sample }, distance))
+    }
+
+    /// Precomputes values that all points use.
+    pub(crate) fn precompute(&mut self) {
+        self.light.precompute();
+    }
+}
+
+impl From<Light> for PlacedLight {
+    fn from(light: Light) -> Self {
+        Self { light, placements: Vec::new() }
+    }
+}
+
+impl Deref for PlacedLight {
+    type Target = Light;
+
+    fn deref(&self) -> &Light {
+        &self.light
+    }
+}
+
+impl Seek for PlacedLight {
+    fn seek(&mut self, clock: &mut FrameTime<'_>) -> Result<bool, Box<SeekError>> {
+        let Self { light, placements } = self;
+        Ok(light.seek(clock)? | placements.seek(clock)?)
+    }
+}
+
+/// A light in no group is written as such.
+impl Serialize for PlacedLight {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let Self { light, placements } = self;
+        if placements.is_empty() { light.serialize(serializer) } else { (light, placements).serialize(serializer) }
+    }
+}

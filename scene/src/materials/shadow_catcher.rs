@@ -1,0 +1,56 @@
+//! A surface that shows only the shadows on it.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::{HasExamples, IncidentLight, Shade, ShadingPoint};
+use crate::real::{Real, Vec3, vec3};
+use crate::seek::Seek;
+use crate::values::Fraction;
+
+/// Shows only the shadows on it, as black over the background: a picture with a transparent background keeps them in
+/// its alpha, for compositing.
+///
+/// Its opacity is the fraction of the light that shadows and ambient occlusion take away. Behind it, the background is
+/// seen, not the objects.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
+#[serde(deny_unknown_fields)]
+pub struct ShadowCatcher {
+    /// Opacity where no light arrives.
+    #[serde(default = "default_opacity")]
+    pub opacity: Fraction,
+}
+
+impl HasExamples for ShadowCatcher {
+    const EXAMPLE: &'static str = "{}";
+    const MORE_EXAMPLES: &'static [&'static str] = &[r#"{ "opacity": 0.6 }"#];
+}
+
+impl Shade for ShadowCatcher {
+    fn shade<R: Real>(&self, place: &ShadingPoint<R>, _: &IncidentLight<R>) -> Vec3<R> {
+        self.albedo(place)
+    }
+
+    fn albedo<R: Real>(&self, place: &ShadingPoint<R>) -> Vec3<R> {
+        let zero = place.camera_t.constant(0.0);
+        vec3(zero, zero, zero)
+    }
+
+    fn is_lit(&self) -> bool {
+        true
+    }
+
+    fn is_shadow_catcher(&self) -> bool {
+        true
+    }
+
+    fn transparency<R: Real>(&self, light: &IncidentLight<R>) -> Option<R> {
+        let shadow = light.shadow?;
+        let opacity = shadow.uniform(self.opacity.get());
+        Some(shadow.constant(1.0) - shadow * opacity)
+    }
+}
+
+fn default_opacity() -> Fraction {
+    Fraction::new(1.0).expect("1 is in range")
+}

@@ -1,0 +1,39 @@
+//! Names of objects in error messages.
+
+use crate::error::ValidationError;
+use crate::json_scan;
+use crate::limits::MAX_NAME_CHARS;
+
+/// Error in the name of an object, if there is one.
+pub(super) fn object_name_error(name: &str) -> Option<String> {
+    if name.is_empty() {
+        return Some("is empty: give the object a name, or leave \"name\" out".to_owned());
+    }
+    if name.chars().any(char::is_control) {
+        return Some("has a line break or another control character: use letters, digits and signs".to_owned());
+    }
+    (name.chars().count() > MAX_NAME_CHARS).then(|| format!("is longer than {MAX_NAME_CHARS} characters"))
+}
+
+/// Adds the name of the object that each error is in, if the text gives the object a name.
+pub(super) fn add_object_names(text: &str, mut errors: Vec<ValidationError>) -> Vec<ValidationError> {
+    let pointers: Vec<Option<String>> = errors.iter().map(|error| name_pointer(&error.pointer)).collect();
+    let wanted: Vec<&str> = pointers.iter().flatten().map(String::as_str).collect();
+    let mut offsets = json_scan::locate_values(text, &wanted).into_iter();
+    for (error, _) in errors.iter_mut().zip(&pointers).filter(|(_, pointer)| pointer.is_some()) {
+        let value = offsets.next().flatten().and_then(|offset| text.get(offset..));
+        let name = value.and_then(|value| serde_json::Deserializer::from_str(value).into_iter::<String>().next());
+        if let Some(Ok(name)) = name
+            && object_name_error(&name).is_none()
+        {
+            error.message = format!("{} (in object \"{name}\")", error.message);
+        }
+    }
+    errors
+}
+
+/// JSON pointer to the name of the object that a pointer leads into.
+fn name_pointer(pointer: &str) -> Option<String> {
+    let index = pointer.strip_prefix("/scene/objects/")?.split('/').next()?;
+    Some(format!("/scene/objects/{index}/name"))
+}

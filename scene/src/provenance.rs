@@ -1,0 +1,73 @@
+//! Provenance of a picture: everything needed to render it again.
+//!
+//! It has no times and machines, because they would make equal pictures differ.
+
+use std::fmt::Write as _;
+
+use serde::{Deserialize, Serialize};
+
+use crate::PICTURE_VERSION;
+use crate::animation::JobAtFrame;
+use crate::job::{Format, Layer};
+
+/// Maximum size of the names of objects in a file; longer lists are left out.
+const MAX_NAMES_BYTES: usize = 8 << 10;
+
+/// Provenance of a picture, stored in its file.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Provenance {
+    /// BLAKE3 of the canonical scene, in hex.
+    pub scene: String,
+    /// Picture version that it was rendered with.
+    pub picture_version: u32,
+    /// The frame, from 0.
+    pub frame: u32,
+    /// Seed of the samples.
+    pub seed: u32,
+    /// Names of the objects by index, in an EXR with the layer of objects.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub objects: Option<Vec<Option<String>>>,
+}
+
+impl Provenance {
+    /// Provenance of a job's frame.
+    pub fn new(still: &JobAtFrame<'_>) -> Self {
+        Self {
+            scene: still.scene_hash().to_hex().to_string(),
+            picture_version: PICTURE_VERSION,
+            frame: still.frame(),
+            seed: still.image().seed,
+            objects: still.stored_object_names(),
+        }
+    }
+
+    /// Provenance as JSON in ASCII, as it is written to files.
+    pub fn json(&self) -> String {
+        let json = serde_json::to_string(self).expect("strings and numbers are JSON");
+        let mut ascii = String::with_capacity(json.len());
+        for character in json.chars() {
+            if character.is_ascii() {
+                ascii.push(character);
+            } else {
+                for unit in character.encode_utf16(&mut [0; 2]) {
+                    write!(ascii, "\\u{unit:04x}").expect("a String takes all that is written");
+                }
+            }
+        }
+        ascii
+    }
+}
+
+impl JobAtFrame<'_> {
+    /// Names of the objects by index, if the frame's picture stores them.
+    pub(crate) fn stored_object_names(&self) -> Option<Vec<Option<String>>> {
+        let (image, objects) = (self.image(), &self.scene().objects);
+        if image.format != Format::Exr || !image.layers.contains(&Layer::Object) {
+            return None;
+        }
+        let size: usize = objects.iter().map(|object| object.name.as_ref().map_or(5, |name| 6 * name.len() + 3)).sum();
+        let has_names = objects.iter().any(|object| object.name.is_some());
+        (has_names && size <= MAX_NAMES_BYTES).then(|| objects.iter().map(|object| object.name.clone()).collect())
+    }
+}
