@@ -59,11 +59,8 @@ pub fn set_value(text: &str, path: &str, value: &str) -> Result<String, String> 
                 let has = match plain.as_bytes()[at] {
                     b'{' if names.is_empty() => ": it is empty, so use another path".to_owned(),
                     b'{' => format!(", only {}", names.join(", ")),
-                    b'[' => match (0..).take_while(|index| entry(&plain, at, *index).is_some()).count() {
-                        0 => ": it is an empty list, so use another path".to_owned(),
-                        1 => ": it is a list of one, so use the index 0".to_owned(),
-                        count => format!(": it is a list, so use an index from 0 to {}", count - 1),
-                    },
+                    b'[' if entry(&plain, at, 0).is_none() => ": it is an empty list, so use another path".to_owned(),
+                    b'[' => ": it is a list, so use an index from 0".to_owned(),
                     _ => format!(": it is one value, so set {} itself", here()),
                 };
                 return Err(format!("{} has no {key}{}", here(), meant.unwrap_or(has)));

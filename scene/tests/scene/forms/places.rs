@@ -72,7 +72,7 @@ impl Schema {
     fn walk(&self, schema: &str, property: &str, value: &Value, pointer: &mut String, places: &mut Vec<Place>) {
         let (mut met, mut is_track) = (Vec::new(), false);
         self.meet(schema, value, &mut met);
-        if let Some(kind) = self.kind(&met, value) {
+        if let Some(kind) = Self::kind(&met, value) {
             let (schema, property) = (schema.to_owned(), property.to_owned());
             places.push(Place { pointer: pointer.clone(), schema, property, kind, value: value.clone() });
         }
@@ -93,7 +93,7 @@ impl Schema {
                 } else {
                     continue;
                 };
-                pointer.push_str(&format!("/{}", key.replace('~', "~0").replace('/', "~1")));
+                pointer.extend(["/", &key.replace('~', "~0").replace('/', "~1")]);
                 self.walk(&inside, &inside, value, pointer, places);
                 pointer.truncate(length);
             }
@@ -105,7 +105,7 @@ impl Schema {
                 } else {
                     continue;
                 };
-                pointer.push_str(&format!("/{index}"));
+                pointer.extend(["/", &index.to_string()]);
                 self.walk(&inside, &format!("{property} > {inside}"), value, pointer, places);
                 pointer.truncate(length);
             }
@@ -128,7 +128,7 @@ impl Schema {
         }
     }
 
-    fn kind(&self, met: &[String], value: &Value) -> Option<Kind> {
+    fn kind(met: &[String], value: &Value) -> Option<Kind> {
         let is_any = |name: &str| met.iter().any(|schema| is(schema, name));
         match value {
             Value::Number(_) if !is_any("NamedNumber") => Some(Kind::Number),
@@ -195,8 +195,8 @@ impl Schema {
                 let skipped = keywords.get("prefixItems").and_then(Value::as_array).map_or(0, Vec::len);
                 value.as_array().into_iter().flatten().skip(skipped).all(|value| self.allows(&inside("items"), value))
             }
-            "maxLength" | "minLength" | "pattern" | "items" => true,
-            "$schema" | "$id" | "$defs" | "title" | "description" | "default" | "examples" | "format" => true,
+            "maxLength" | "minLength" | "pattern" | "items" | "$schema" | "$id" | "$defs" | "title" | "description"
+            | "default" | "examples" | "format" => true,
             other => panic!("{schema} has {other}, which this test does not know"),
         })
     }
