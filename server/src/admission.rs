@@ -19,7 +19,7 @@ use tokio_util::sync::CancellationToken;
 use crate::api_keys::{ApiKey, ApiKeys};
 use crate::audit_log::AuditLog;
 use crate::clock::Clock;
-use crate::database::{Database, DatabaseError};
+use crate::db::{Database, DatabaseError};
 
 pub(crate) use shares::{CallerClass, Holder, ResponseShares, Shares, UNCOUNTED_BYTES, address_name};
 

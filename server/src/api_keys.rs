@@ -18,7 +18,7 @@ use proto::api_key::{ApiKeyView, IssuedApiKey, NewApiKey, Scope};
 use tokio_util::sync::CancellationToken;
 
 use crate::clock::Clock;
-use crate::database::{Database, DatabaseError, Durability};
+use crate::db::{Database, DatabaseError, Durability};
 
 pub(crate) use key::ApiKey;
 pub use offline::{OfflineApiKeys, OfflineApiKeysError};

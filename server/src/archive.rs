@@ -15,7 +15,7 @@ use zip::write::{SimpleFileOptions, StreamWriter};
 use zip::{CompressionMethod, DateTime, ZipWriter};
 
 use crate::content_store::{ContentError, ContentKind};
-use crate::database::DatabaseError;
+use crate::db::DatabaseError;
 use crate::farm::{Farm, PictureState, SyncError};
 use crate::queue::{FrameSet, StoredFrame};
 

@@ -9,14 +9,14 @@ mod refusals;
 use std::sync::{Arc, Mutex, OnceLock};
 use std::time::Duration;
 
+use crate::db;
+use crate::db::{Connection, Row};
 use proto::JobId;
 use proto::audit::{AuditEntry, AuditPage};
-use sqlx::Row;
-use sqlx::sqlite::{SqliteConnection, SqliteRow};
 use tokio_util::sync::CancellationToken;
 
 use crate::clock::{Clock, rfc3339};
-use crate::database::{Database, DatabaseError, Durability};
+use crate::db::{Database, DatabaseError, Durability};
 use refusals::Refusals;
 
 /// Maximum number of entries of changes to keys, the pool and the farm.
@@ -116,7 +116,7 @@ pub(crate) struct PendingEntry {
 
 impl PendingEntry {
     /// Writes the entry in the transaction of a change; returns its number.
-    pub(crate) async fn insert(&self, connection: &mut SqliteConnection) -> Result<i64, DatabaseError> {
+    pub(crate) async fn insert(&self, connection: &mut Connection) -> Result<i64, DatabaseError> {
         let record = self.record.lock().expect("no holder panics").clone();
         insert(connection, &record, self.at_ms, 1).await
     }
@@ -239,7 +239,7 @@ impl AuditLog {
     async fn prune(&self) -> Result<(), DatabaseError> {
         for kind in EntryKind::ALL {
             let newest_pruned: Option<i64> =
-                sqlx::query_scalar("SELECT number FROM audit WHERE kind = ? ORDER BY number DESC LIMIT 1 OFFSET ?")
+                db::query_scalar("SELECT number FROM audit WHERE kind = ? ORDER BY number DESC LIMIT 1 OFFSET ?")
                     .bind(kind.name())
                     .bind(kind.max_entries())
                     .fetch_optional(self.store.readers())
@@ -254,7 +254,7 @@ impl AuditLog {
         self.store
             .write(Durability::Relaxed, move |connection| {
                 Box::pin(async move {
-                    let pruned = sqlx::query(
+                    let pruned = db::query(
                         "DELETE FROM audit WHERE number IN (
                              SELECT number FROM audit WHERE kind = ? AND number <= ? ORDER BY number LIMIT ?)",
                     )
@@ -271,7 +271,7 @@ impl AuditLog {
 
     /// A page of entries, newest first, before the given number.
     pub(crate) async fn page(&self, before: Option<i64>, limit: u32) -> Result<AuditPage, DatabaseError> {
-        let rows = sqlx::query(
+        let rows = db::query(
             "SELECT number, at_ms, who, key, address, method, route, job, status, code, request_id, times
              FROM audit WHERE number < ? ORDER BY number DESC LIMIT ?",
         )
@@ -294,12 +294,12 @@ fn log_failure<T>(done: Result<T, DatabaseError>) {
 
 /// Inserts an entry; returns its number.
 pub(crate) async fn insert(
-    connection: &mut SqliteConnection,
+    connection: &mut Connection,
     record: &AuditRecord,
     at_ms: i64,
     times: u32,
 ) -> Result<i64, DatabaseError> {
-    let number = sqlx::query_scalar(
+    let number = db::query_scalar(
         "INSERT INTO audit (at_ms, who, key, address, method, route, job, status, code, request_id, times, kind)
          VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?) RETURNING number",
     )
@@ -320,27 +320,27 @@ pub(crate) async fn insert(
     Ok(number)
 }
 
-async fn remove(connection: &mut SqliteConnection, number: i64) -> Result<(), DatabaseError> {
+async fn remove(connection: &mut Connection, number: i64) -> Result<(), DatabaseError> {
     // No row is not an error: it may have been pruned.
-    sqlx::query("DELETE FROM audit WHERE number = ?").bind(number).execute(connection).await?;
+    db::query("DELETE FROM audit WHERE number = ?").bind(number).execute(connection).await?;
     Ok(())
 }
 
-fn read(row: &SqliteRow) -> Result<AuditEntry, DatabaseError> {
-    let job: Option<String> = row.try_get("job")?;
+fn read(row: &Row) -> Result<AuditEntry, DatabaseError> {
+    let job: Option<String> = row.get("job")?;
     Ok(AuditEntry {
-        number: row.try_get("number")?,
-        at: rfc3339(row.try_get("at_ms")?),
-        who: row.try_get("who")?,
-        key: row.try_get("key")?,
-        address: row.try_get("address")?,
-        method: row.try_get("method")?,
-        route: row.try_get("route")?,
+        number: row.get("number")?,
+        at: rfc3339(row.get("at_ms")?),
+        who: row.get("who")?,
+        key: row.get("key")?,
+        address: row.get("address")?,
+        method: row.get("method")?,
+        route: row.get("route")?,
         job: job.and_then(|job| job.parse().ok()),
-        status: row.try_get("status")?,
-        code: row.try_get("code")?,
-        request_id: row.try_get("request_id")?,
-        times: row.try_get("times")?,
+        status: row.get("status")?,
+        code: row.get("code")?,
+        request_id: row.get("request_id")?,
+        times: row.get("times")?,
     })
 }
 

@@ -18,7 +18,7 @@ pub use backup::{Backup, back_up};
 pub use doctor::{Depth, Finding, Repair, Severity, run_checks};
 pub use restore::{Restored, restore};
 
-use crate::database::{DatabaseError, OpenError};
+use crate::db::{DatabaseError, OpenError};
 use crate::lock::LockError;
 use crate::private_files::ExposedFile;
 
@@ -46,7 +46,7 @@ pub enum DataFolderError {
         file: PathBuf,
         /// Error of the database.
         #[source]
-        source: sqlx::Error,
+        source: DatabaseError,
     },
     /// The database could not be changed.
     #[error("could not repair the database: restore it from a backup")]
@@ -98,7 +98,7 @@ impl DataFolderError {
         move |source| Self::File { action, path, source }
     }
 
-    fn database(file: &Path) -> impl Fn(sqlx::Error) -> Self + use<> {
+    fn database(file: &Path) -> impl Fn(DatabaseError) -> Self + use<> {
         let file = file.to_owned();
         move |source| Self::Database { file: file.clone(), source }
     }

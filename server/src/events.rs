@@ -16,7 +16,7 @@ use tokio::sync::watch;
 use tokio_util::sync::CancellationToken;
 
 use crate::clock::monotonic_now;
-use crate::database::DatabaseError;
+use crate::db::DatabaseError;
 use crate::queue::{Event, Queue};
 
 pub(crate) use subscriber::{EventSubscriber, SubscribeOutcome};

@@ -16,7 +16,7 @@ use tokio_util::sync::CancellationToken;
 use crate::admission::Admission;
 use crate::config::Config;
 use crate::content_store::{ContentError, ContentKind, ContentStore};
-use crate::database::DatabaseError;
+use crate::db::DatabaseError;
 use crate::events::EventHub;
 use crate::fair_queue::FairQueue;
 use crate::job_cache::{JobCache, JobLoadError, Reader};

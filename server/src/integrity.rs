@@ -8,17 +8,15 @@ use std::io;
 use std::path::Path;
 
 use proto::JobId;
-use sqlx::sqlite::{SqliteConnectOptions, SqliteConnection};
-use sqlx::{ConnectOptions, Connection, Row};
 
-use crate::database::Database;
+use crate::db::{self, Connection, Database, DatabaseError};
 
 /// Error that prevents the check.
 #[derive(Debug, thiserror::Error)]
 pub enum IntegrityError {
     /// The database cannot be read.
     #[error("could not check the database")]
-    Database(#[from] sqlx::Error),
+    Database(#[from] DatabaseError),
 }
 
 /// Finished tile, as read by the check.
@@ -84,34 +82,32 @@ const INVARIANTS: [(&str, &str); 8] = [
 
 /// Checks the database and the pictures of a data folder.
 pub async fn check_integrity(data: &Path) -> Result<IntegrityReport, IntegrityError> {
-    let options =
-        SqliteConnectOptions::new().filename(Database::file(data)).read_only(true).disable_statement_logging();
-    let mut connection = options.connect().await?;
+    let mut connection = Connection::read_file(&Database::file(data)).await?;
     // One transaction for all statements, so that all read the same state of a running server.
-    sqlx::query("BEGIN").execute(&mut connection).await?;
+    db::query("BEGIN").execute(&mut connection).await?;
     let mut audit = IntegrityReport::default();
-    for verdict in sqlx::query_scalar::<_, String>("PRAGMA integrity_check").fetch_all(&mut connection).await? {
+    for verdict in db::query_scalar::<String>("PRAGMA integrity_check").fetch_all(&mut connection).await? {
         if verdict != "ok" {
             audit.violations.push(format!("integrity_check: {verdict}"));
         }
     }
     for (breach, statement) in INVARIANTS {
-        let broken = sqlx::query(statement).fetch_all(&mut connection).await?.len();
+        let broken = db::query(statement).fetch_all(&mut connection).await?.len();
         if broken > 0 {
             audit.violations.push(format!("{breach} ({broken})"));
         }
     }
     // A job that is being deleted has no id any more, and only some of its rows.
-    let ids = sqlx::query_scalar::<_, String>("SELECT id FROM job WHERE cleanup IS NOT 'delete'");
+    let ids = db::query_scalar::<String>("SELECT id FROM job WHERE cleanup IS NOT 'delete'");
     for id in ids.fetch_all(&mut connection).await? {
         match id.parse() {
             Ok(id) => drop(audit.jobs.insert(id)),
             Err(_) => audit.violations.push(format!("{id:?} is not a job id")),
         }
     }
-    let done = sqlx::query("SELECT id, epoch FROM tile WHERE state = 'done'").fetch_all(&mut connection).await?;
+    let done = db::query("SELECT id, epoch FROM tile WHERE state = 'done'").fetch_all(&mut connection).await?;
     for row in done {
-        audit.done.insert(row.try_get("id")?, DoneTile { leases: row.try_get("epoch")? });
+        audit.done.insert(row.get("id")?, DoneTile { leases: row.get("epoch")? });
     }
     check_pictures(&mut connection, data, &mut audit).await?;
     connection.close().await?;
@@ -120,11 +116,11 @@ pub async fn check_integrity(data: &Path) -> Result<IntegrityReport, IntegrityEr
 
 /// Checks that pictures are intact: a picture's row is written after its file was fsynced.
 async fn check_pictures(
-    connection: &mut SqliteConnection,
+    connection: &mut Connection,
     data: &Path,
     audit: &mut IntegrityReport,
 ) -> Result<(), IntegrityError> {
-    let pictures = sqlx::query_scalar::<_, String>("SELECT DISTINCT picture FROM frame WHERE picture IS NOT NULL");
+    let pictures = db::query_scalar::<String>("SELECT DISTINCT picture FROM frame WHERE picture IS NOT NULL");
     for hash in pictures.fetch_all(connection).await? {
         match std::fs::read(data.join("pictures").join(&hash)) {
             Ok(bytes) if blake3::hash(&bytes).to_hex().as_str() == hash => {}

@@ -9,7 +9,7 @@ use std::sync::{Arc, Mutex, mpsc};
 
 use tokio::sync::oneshot;
 
-use crate::database::DatabaseError;
+use crate::db::DatabaseError;
 use crate::delivery_check::ExpectedPicture;
 use crate::fair_queue::{FairQueue, Place, TooManyWaiting, WaitingLimits};
 use crate::queue::Queue;

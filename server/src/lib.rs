@@ -11,7 +11,7 @@ mod clock;
 mod config;
 mod content_store;
 mod data_folder;
-mod database;
+mod db;
 mod delivery_check;
 mod estimate;
 mod events;
@@ -51,12 +51,13 @@ pub use config::{
 pub use data_folder::{
     Backup, DataFolderError, Depth, Finding, Repair, Restored, Severity, back_up, restore, run_checks,
 };
+pub use db::DatabaseError;
 pub use integrity::{DoneTile, IntegrityError, IntegrityReport, check_integrity};
 pub use private_files::ExposedFile;
 pub use startup::StartError;
 pub use webhooks::{AddressRange, SecretError, webhook_secret};
 
-use database::Database;
+use db::Database;
 use farm::{Farm, OrphanCandidates};
 use listen::Listeners;
 use lock::FolderLock;

@@ -10,7 +10,7 @@ use tokio::sync::mpsc;
 use tokio_util::sync::CancellationToken;
 
 use crate::content_store::{self, ContentKind};
-use crate::database::DatabaseError;
+use crate::db::DatabaseError;
 use crate::farm::{Farm, OrphanCandidates};
 use crate::retention;
 

@@ -44,11 +44,10 @@ mod workers;
 use std::sync::Arc;
 
 use proto::{JobId, WorkerId};
-use sqlx::sqlite::SqliteConnection;
 use tokio::sync::Notify;
 
 use crate::clock::Clock;
-use crate::database::{Database, DatabaseError, Durability};
+use crate::db::{self, Connection, Database, DatabaseError, Durability};
 
 pub(crate) use backlog::{BacklogLimits, ExceededLimit};
 pub(crate) use cleanup::RemovedContent;
@@ -370,19 +369,19 @@ impl Queue {
     }
 
     /// Connections for reading.
-    pub(crate) fn readers(&self) -> &sqlx::sqlite::SqlitePool {
+    pub(crate) fn readers(&self) -> &db::Readers {
         self.database.readers()
     }
 }
 
 /// Id of a job, for logs.
 async fn job_id(connection: &mut Connection, job: i64) -> Result<String> {
-    Ok(sqlx::query_scalar("SELECT id FROM job WHERE number = ?").bind(job).fetch_one(connection).await?)
+    Ok(db::query_scalar("SELECT id FROM job WHERE number = ?").bind(job).fetch_one(connection).await?)
 }
 
 /// Checks how many rows a transition changed.
-fn expect_rows(what: &'static str, expected: u64, done: &sqlx::sqlite::SqliteQueryResult) -> Result<()> {
-    let changed = done.rows_affected();
+fn expect_rows(what: &'static str, expected: u64, changed: db::Changed) -> Result<()> {
+    let changed = changed.rows_affected();
     if changed == expected { Ok(()) } else { Err(DatabaseError::Rows { what, expected, changed }) }
 }
 
@@ -406,6 +405,3 @@ fn json_numbers(items: impl IntoIterator<Item = i64>) -> String {
 fn parse_column<T>(column: &'static str, value: &str, parse: impl FnOnce(&str) -> Option<T>) -> Result<T> {
     parse(value).ok_or_else(|| DatabaseError::Value { column, value: value.to_owned() })
 }
-
-/// Connection on which every transition runs: the writer's, inside its transaction.
-type Connection = SqliteConnection;

@@ -10,7 +10,7 @@ use proto::retention::{GcReport, RemovalReason, RemovedJob};
 
 use crate::clock::rfc3339;
 use crate::content_store::ContentKind;
-use crate::database::DatabaseError;
+use crate::db::DatabaseError;
 use crate::farm::Farm;
 use crate::queue::FinishedJob;
 

@@ -14,7 +14,7 @@ use crate::admission::{Admission, Shares};
 use crate::clock::Clock;
 use crate::config::Config;
 use crate::content_store::ContentStore;
-use crate::database::{Database, DatabaseError, OpenError};
+use crate::db::{Database, DatabaseError, OpenError};
 use crate::estimate;
 use crate::events::EventHub;
 use crate::farm::{Farm, ServerCounters};
@@ -166,9 +166,7 @@ fn webhooks(config: &Config) -> Result<Webhooks, StartError> {
 
 fn database_error(file: PathBuf, error: OpenError) -> StartError {
     match error {
-        OpenError::Sql(error) | OpenError::Migrate(sqlx::migrate::MigrateError::Execute(error)) => {
-            explain_store(file, &error.into())
-        }
+        OpenError::Sql(error) => explain_store(file, &error.into()),
         OpenError::Migrate(error) => StartError::Database { file, reason: error.to_string(), cure: UPGRADE_FIX },
         OpenError::Damaged(verdict) => {
             StartError::Database { file, reason: format!("it is damaged ({verdict})"), cure: RESTORE_FIX }

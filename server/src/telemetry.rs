@@ -18,7 +18,7 @@ use tokio::time::Instant;
 
 use crate::admission::Shares;
 use crate::clock::monotonic_now;
-use crate::database::{Database, DatabaseError};
+use crate::db::{Database, DatabaseError};
 use crate::farm::{Farm, ServerCounters};
 use crate::queue::QueueStats;
 use host::{Disk, Process};

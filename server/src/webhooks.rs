@@ -17,7 +17,7 @@ use serde_json::{Value, json};
 use tokio::task::JoinSet;
 use tokio_util::sync::CancellationToken;
 
-use crate::database::DatabaseError;
+use crate::db::DatabaseError;
 use crate::farm::Farm;
 use crate::queue::{Attempt, BusyReceivers, Delivery, jitter};
 

@@ -5,15 +5,15 @@
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
+use db::Connection;
 use proto::api_key::{ApiKeyView, IssuedApiKey, NewApiKey};
-use sqlx::Connection;
-use sqlx::sqlite::SqliteConnection;
 
 use super::key::{ApiKey, KeySpec};
 use super::{ApiKeyError, rows, secret};
 use crate::audit_log::{self, AuditRecord, EntryKind};
 use crate::clock::Clock;
-use crate::database::{Database, DatabaseError, OpenError};
+use crate::db;
+use crate::db::{Database, DatabaseError, OpenError};
 use crate::lock::{FolderLock, LockError};
 use crate::private_files;
 
@@ -44,7 +44,7 @@ const SAME_RELEASE: &str = "run the same release of sdfarm as the running server
 /// Access to the keys of a data folder.
 #[derive(Debug)]
 pub struct OfflineApiKeys {
-    connection: SqliteConnection,
+    connection: Connection,
     folder: PathBuf,
     // If no server runs, the lock prevents one from starting while the database is being created.
     _lock: Option<FolderLock>,
@@ -125,23 +125,25 @@ impl OfflineApiKeys {
     }
 
     async fn insert(&mut self, id: &str, digest: &[u8; 32], order: &KeySpec) -> Result<bool, DatabaseError> {
-        let mut transaction = self.connection.begin_with("BEGIN IMMEDIATE").await?;
-        let made = rows::insert(&mut transaction, id, digest, order).await?;
-        if made {
-            audit_log::insert(&mut transaction, &entry("POST", "/v1/keys", 201), now_ms(), 1).await?;
-        }
-        transaction.commit().await?;
-        Ok(made)
+        let insert = async |connection: &mut Connection| {
+            let made = rows::insert(connection, id, digest, order).await?;
+            if made {
+                audit_log::insert(connection, &entry("POST", "/v1/keys", 201), now_ms(), 1).await?;
+            }
+            Ok(made)
+        };
+        self.connection.in_transaction(insert).await
     }
 
     async fn revoke_rows(&mut self, id_or_name: &str) -> Result<Vec<String>, DatabaseError> {
-        let mut transaction = self.connection.begin_with("BEGIN IMMEDIATE").await?;
-        let revoked = rows::revoke(&mut transaction, id_or_name, now_ms()).await?;
-        if !revoked.is_empty() {
-            audit_log::insert(&mut transaction, &entry("DELETE", "/v1/keys/{id}", 200), now_ms(), 1).await?;
-        }
-        transaction.commit().await?;
-        Ok(revoked)
+        let revoke = async |connection: &mut Connection| {
+            let revoked = rows::revoke(connection, id_or_name, now_ms()).await?;
+            if !revoked.is_empty() {
+                audit_log::insert(connection, &entry("DELETE", "/v1/keys/{id}", 200), now_ms(), 1).await?;
+            }
+            Ok(revoked)
+        };
+        self.connection.in_transaction(revoke).await
     }
 
     async fn rows(&mut self) -> Result<Vec<super::key::KeyRow>, OfflineApiKeysError> {

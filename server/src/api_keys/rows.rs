@@ -2,22 +2,22 @@
 //!
 //! Secrets never reach this module, only their hashes.
 
+use crate::db;
+use crate::db::{Connection, Row};
 use proto::api_key::Scope;
-use sqlx::Row as _;
-use sqlx::sqlite::{SqliteConnection, SqliteExecutor, SqliteRow};
 
 use super::MAX_LIVE_OF_A_NAME;
 use super::key::{KeyRow, KeySpec, Scopes};
-use crate::database::DatabaseError;
+use crate::db::DatabaseError;
 
 /// Inserts a key's row, unless its name has two live keys already; returns whether it did.
 pub(super) async fn insert(
-    connection: &mut SqliteConnection,
+    connection: &mut Connection,
     id: &str,
     digest: &[u8; 32],
     order: &KeySpec,
 ) -> Result<bool, DatabaseError> {
-    let done = sqlx::query(
+    let done = db::query(
         "INSERT INTO key (id, name, digest, may_submit, may_read, may_work, may_administer, max_jobs, max_rays,
                           requests_per_second, created_at_ms, expires_at_ms, max_priority)
          SELECT ?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12, ?14
@@ -45,11 +45,11 @@ pub(super) async fn insert(
 
 /// Revokes the key with this id, or every key of this name; returns their ids.
 pub(super) async fn revoke(
-    connection: &mut SqliteConnection,
+    connection: &mut Connection,
     id_or_name: &str,
     now_ms: i64,
 ) -> Result<Vec<String>, DatabaseError> {
-    let ids = sqlx::query_scalar(
+    let ids = db::query_scalar(
         "UPDATE key SET revoked_at_ms = ?2 WHERE (id = ?1 OR name = ?1) AND revoked_at_ms IS NULL RETURNING id",
     )
     .bind(id_or_name)
@@ -60,13 +60,9 @@ pub(super) async fn revoke(
 }
 
 /// Stores the time of a key's last use.
-pub(super) async fn set_last_used(
-    connection: &mut SqliteConnection,
-    number: i64,
-    used_ms: i64,
-) -> Result<(), DatabaseError> {
+pub(super) async fn set_last_used(connection: &mut Connection, number: i64, used_ms: i64) -> Result<(), DatabaseError> {
     // No row is not an error: the key may have been deleted in the meantime.
-    sqlx::query("UPDATE key SET last_used_at_ms = ? WHERE number = ?")
+    db::query("UPDATE key SET last_used_at_ms = ? WHERE number = ?")
         .bind(used_ms)
         .bind(number)
         .execute(connection)
@@ -75,8 +71,8 @@ pub(super) async fn set_last_used(
 }
 
 /// Every key, newest first.
-pub(super) async fn all<'e>(connection: impl SqliteExecutor<'e>) -> Result<Vec<KeyRow>, DatabaseError> {
-    let rows = sqlx::query(
+pub(super) async fn all<'e>(connection: impl Into<db::Target<'e>>) -> Result<Vec<KeyRow>, DatabaseError> {
+    let rows = db::query(
         "SELECT number, id, name, digest, may_submit, may_read, may_work, may_administer, max_jobs, max_rays,
                 requests_per_second, max_priority, created_at_ms, expires_at_ms, revoked_at_ms, last_used_at_ms
          FROM key ORDER BY number DESC",
@@ -86,14 +82,10 @@ pub(super) async fn all<'e>(connection: impl SqliteExecutor<'e>) -> Result<Vec<K
     rows.iter().map(read).collect()
 }
 
-fn read(row: &SqliteRow) -> Result<KeyRow, DatabaseError> {
-    let digest: Vec<u8> = row.try_get("digest")?;
-    let may: [bool; 4] = [
-        row.try_get("may_submit")?,
-        row.try_get("may_read")?,
-        row.try_get("may_work")?,
-        row.try_get("may_administer")?,
-    ];
+fn read(row: &Row) -> Result<KeyRow, DatabaseError> {
+    let digest: Vec<u8> = row.get("digest")?;
+    let may: [bool; 4] =
+        [row.get("may_submit")?, row.get("may_read")?, row.get("may_work")?, row.get("may_administer")?];
     let may = |scope| match scope {
         Scope::Submit => may[0],
         Scope::Read => may[1],
@@ -101,20 +93,20 @@ fn read(row: &SqliteRow) -> Result<KeyRow, DatabaseError> {
         Scope::Admin => may[3],
     };
     Ok(KeyRow {
-        number: row.try_get("number")?,
-        id: row.try_get("id")?,
-        name: row.try_get("name")?,
+        number: row.get("number")?,
+        id: row.get("id")?,
+        name: row.get("name")?,
         digest: digest
             .try_into()
             .map_err(|_| DatabaseError::Value { column: "key.digest", value: "other than 32 bytes".to_owned() })?,
         scopes: Scopes::from_fn(may),
-        max_jobs: row.try_get("max_jobs")?,
-        max_rays: row.try_get("max_rays")?,
-        requests_per_second: row.try_get("requests_per_second")?,
-        max_priority: row.try_get("max_priority")?,
-        created_at_ms: row.try_get("created_at_ms")?,
-        expires_at_ms: row.try_get("expires_at_ms")?,
-        revoked_at_ms: row.try_get("revoked_at_ms")?,
-        last_used_at_ms: row.try_get("last_used_at_ms")?,
+        max_jobs: row.get("max_jobs")?,
+        max_rays: row.get("max_rays")?,
+        requests_per_second: row.get("requests_per_second")?,
+        max_priority: row.get("max_priority")?,
+        created_at_ms: row.get("created_at_ms")?,
+        expires_at_ms: row.get("expires_at_ms")?,
+        revoked_at_ms: row.get("revoked_at_ms")?,
+        last_used_at_ms: row.get("last_used_at_ms")?,
     })
 }

@@ -5,10 +5,11 @@
 use std::collections::HashMap;
 use std::sync::Mutex;
 
-use sqlx::sqlite::SqliteConnection;
+use db::Connection;
 
 use super::{AuditRecord, insert};
-use crate::database::DatabaseError;
+use crate::db;
+use crate::db::DatabaseError;
 
 /// Period in which the rejections of a source share an entry.
 const PERIOD_MS: i64 = 10 * 60_000;
@@ -67,12 +68,12 @@ pub(super) struct WrittenCount {
 
 impl UnwrittenCount {
     /// Writes the entry.
-    pub(super) async fn write(self, connection: &mut SqliteConnection) -> Result<WrittenCount, DatabaseError> {
+    pub(super) async fn write(self, connection: &mut Connection) -> Result<WrittenCount, DatabaseError> {
         let Self { begun_ms, source, count } = self;
         let number = match count.number {
             None => insert(connection, &count.first, count.at_ms, count.times).await?,
             Some(number) => {
-                sqlx::query("UPDATE audit SET times = ? WHERE number = ?")
+                db::query("UPDATE audit SET times = ? WHERE number = ?")
                     .bind(count.times)
                     .bind(number)
                     .execute(connection)

@@ -1,6 +1,7 @@
 //! Tests of the audit log: what is recorded with a change, what is counted, what is pruned.
 
 use super::*;
+use crate::db;
 
 fn record(kind: EntryKind, route: &str) -> AuditRecord {
     AuditRecord {
@@ -33,7 +34,7 @@ async fn log() -> (AuditLog, Arc<Database>, tempfile::TempDir) {
 async fn change(store: &Database, fails: bool) {
     let done = store.write(Durability::Full, move |connection| {
         Box::pin(async move {
-            sqlx::query("UPDATE meta SET value = value + 1 WHERE name = 'paused'").execute(connection).await?;
+            db::query("UPDATE meta SET value = value + 1 WHERE name = 'paused'").execute(connection).await?;
             if fails { Err(DatabaseError::Closed) } else { Ok(()) }
         })
     });
@@ -58,7 +59,7 @@ async fn a_change_commits_its_entry_even_if_its_client_leaves() {
     assert!(left.await.is_err());
     // A write of its own waits for those before it.
     change(&store, false).await;
-    let changes: i64 = sqlx::query_scalar("SELECT value FROM meta WHERE name = 'paused'")
+    let changes: i64 = db::query_scalar("SELECT value FROM meta WHERE name = 'paused'")
         .fetch_one(store.readers())
         .await
         .expect("reads");
@@ -143,7 +144,7 @@ async fn each_kind_is_pruned_for_itself() {
     assert!(changed.is_written());
     let filled = store.write(Durability::Relaxed, |connection| {
         Box::pin(async move {
-            sqlx::query(
+            db::query(
                 "INSERT INTO audit (at_ms, who, address, method, route, status, code, request_id, times, kind)
                  WITH RECURSIVE count (n) AS (SELECT 1 UNION ALL SELECT n + 1 FROM count WHERE n < ?)
                  SELECT 0, '-', '-', 'GET', '-', 401, 'missing_key', '', 1, 'refused' FROM count",
@@ -156,13 +157,13 @@ async fn each_kind_is_pruned_for_itself() {
     });
     filled.await.expect("writes");
     log.prune().await.expect("prunes");
-    let counts: Vec<(String, i64)> = sqlx::query_as("SELECT kind, count(*) FROM audit GROUP BY kind ORDER BY kind")
-        .fetch_all(store.readers())
-        .await
-        .expect("reads");
+    let counts = db::query("SELECT kind, count(*) AS entries FROM audit GROUP BY kind ORDER BY kind");
+    let counts: Vec<(String, i64)> = (counts.fetch_all(store.readers()).await.expect("reads").iter())
+        .map(|row| (row.get("kind").expect("a text"), row.get("entries").expect("a number")))
+        .collect();
     let kept = i64::from(MAX_REFUSED_ENTRIES);
     assert_eq!(counts, [("admin".to_owned(), 1), ("refused".to_owned(), kept)]);
-    let oldest: i64 = sqlx::query_scalar("SELECT min(number) FROM audit WHERE kind = 'refused'")
+    let oldest: i64 = db::query_scalar("SELECT min(number) FROM audit WHERE kind = 'refused'")
         .fetch_one(store.readers())
         .await
         .expect("reads");

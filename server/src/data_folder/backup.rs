@@ -7,12 +7,11 @@ use std::collections::HashSet;
 use std::fs::{self, File};
 use std::path::Path;
 
-use sqlx::{AssertSqlSafe, Connection};
-
 use super::database::PictureRef;
 use super::manifest::{self, Manifest};
 use super::{DataFolderError, database, hashed_files};
 use crate::clock::{Clock, rfc3339};
+use crate::db::{self, Database};
 use crate::private_files;
 
 /// Maximum number of repeats if pictures in the database's copy were deleted in the meantime.
@@ -43,8 +42,8 @@ pub async fn back_up(data: &Path, folder: &Path) -> Result<Backup, DataFolderErr
     for round in 1.. {
         // The copy is written to an empty file, so that it has that file's mode.
         private_files::create_file(&part).map_err(DataFolderError::file("write", &part))?;
-        let into = sqlx::query("VACUUM INTO ?").bind(part.to_string_lossy().into_owned());
-        into.execute(&mut live).await.map_err(DataFolderError::database(&crate::database::Database::file(data)))?;
+        let into = db::query("VACUUM INTO ?").bind(part.to_string_lossy().into_owned());
+        into.execute(&mut live).await.map_err(DataFolderError::database(&Database::file(data)))?;
         let names = picture_refs(&part).await?;
         let backup = copy_pictures(data, folder, &names)?;
         if !backup.missing.is_empty()
@@ -114,17 +113,13 @@ fn copy_pictures(data: &Path, folder: &Path, names: &[PictureRef]) -> Result<Bac
 
 /// Whether the farm itself lacks some of these pictures; if not, they were deleted with their jobs in the
 /// meantime.
-async fn missing_in_farm(
-    live: &mut sqlx::sqlite::SqliteConnection,
-    missing: &[String],
-    data: &Path,
-) -> Result<bool, DataFolderError> {
+async fn missing_in_farm(live: &mut db::Connection, missing: &[String], data: &Path) -> Result<bool, DataFolderError> {
     let missing = serde_json::json!(missing).to_string();
-    let query = "SELECT EXISTS (SELECT 1 FROM json_each(?1) WHERE EXISTS (
+    let query = "SELECT EXISTS (SELECT 1 FROM @texts(?1) WHERE EXISTS (
                      SELECT 1 FROM frame WHERE frame.picture IS NOT NULL AND frame.picture = value)
                  OR EXISTS (SELECT 1 FROM picture WHERE picture.hash = value))";
-    let named = sqlx::query_scalar::<_, bool>(AssertSqlSafe(query)).bind(missing).fetch_one(live).await;
-    named.map_err(DataFolderError::database(&crate::database::Database::file(data)))
+    let named = db::query_scalar::<bool>(query).bind(missing).fetch_one(live).await;
+    named.map_err(DataFolderError::database(&Database::file(data)))
 }
 
 /// Moves the copies to their final names, the manifest last, and deletes files that are in no manifest any

@@ -2,11 +2,8 @@
 
 use std::path::Path;
 
-use sqlx::sqlite::{SqliteConnectOptions, SqliteConnection};
-use sqlx::{ConnectOptions, Row};
-
 use super::DataFolderError;
-use crate::database::Database;
+use crate::db::{self, Connection, Database, DatabaseError};
 
 /// Picture in the database.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -18,7 +15,7 @@ pub(super) struct PictureRef {
 }
 
 /// Opens the database of a data folder for reading, also next to a running server.
-pub(super) async fn open(data: &Path) -> Result<SqliteConnection, DataFolderError> {
+pub(super) async fn open(data: &Path) -> Result<Connection, DataFolderError> {
     let file = Database::file(data);
     if !file.is_file() {
         return Err(DataFolderError::NoDatabase(data.to_owned()));
@@ -27,38 +24,35 @@ pub(super) async fn open(data: &Path) -> Result<SqliteConnection, DataFolderErro
 }
 
 /// Opens any database file for reading.
-pub(super) async fn open_file(file: &Path) -> Result<SqliteConnection, DataFolderError> {
-    let options = SqliteConnectOptions::new().filename(file).read_only(true).disable_statement_logging();
-    options.connect().await.map_err(DataFolderError::database(file))
+pub(super) async fn open_file(file: &Path) -> Result<Connection, DataFolderError> {
+    Connection::read_file(file).await.map_err(DataFolderError::database(file))
 }
 
 /// Lines found by `integrity_check` and `foreign_key_check`; empty if the database is intact.
-pub(super) async fn integrity_errors(connection: &mut SqliteConnection) -> Result<Vec<String>, sqlx::Error> {
-    let mut faults: Vec<String> = sqlx::query_scalar("PRAGMA integrity_check(20)").fetch_all(&mut *connection).await?;
+pub(super) async fn integrity_errors(connection: &mut Connection) -> Result<Vec<String>, DatabaseError> {
+    let mut faults: Vec<String> = db::query_scalar("PRAGMA integrity_check(20)").fetch_all(&mut *connection).await?;
     faults.retain(|line| line != "ok");
-    for row in sqlx::query("PRAGMA foreign_key_check").fetch_all(connection).await?.iter().take(20) {
-        let (table, parent): (String, String) = (row.try_get("table")?, row.try_get("parent")?);
+    for row in db::query("PRAGMA foreign_key_check").fetch_all(connection).await?.iter().take(20) {
+        let (table, parent): (String, String) = (row.get("table")?, row.get("parent")?);
         faults.push(format!("a row of {table} refers to a missing row of {parent}"));
     }
     Ok(faults)
 }
 
 /// Every picture in the database.
-pub(super) async fn pictures(connection: &mut SqliteConnection) -> Result<Vec<PictureRef>, sqlx::Error> {
-    let rows = sqlx::query(
+pub(super) async fn pictures(connection: &mut Connection) -> Result<Vec<PictureRef>, DatabaseError> {
+    let rows = db::query(
         "SELECT picture AS hash, size_bytes FROM frame WHERE picture IS NOT NULL
          UNION SELECT hash, size_bytes FROM picture ORDER BY 1",
     )
     .fetch_all(connection)
     .await?;
-    rows.iter()
-        .map(|row| Ok(PictureRef { hash: row.try_get("hash")?, size_bytes: row.try_get("size_bytes")? }))
-        .collect()
+    rows.iter().map(|row| Ok(PictureRef { hash: row.get("hash")?, size_bytes: row.get("size_bytes")? })).collect()
 }
 
 /// Every blob of an unfinished frame.
-pub(super) async fn blobs(connection: &mut SqliteConnection) -> Result<Vec<String>, sqlx::Error> {
-    sqlx::query_scalar(
+pub(super) async fn blobs(connection: &mut Connection) -> Result<Vec<String>, DatabaseError> {
+    db::query_scalar(
         "SELECT DISTINCT tile.blob FROM tile JOIN frame ON frame.job = tile.job AND frame.number = tile.frame
          WHERE tile.blob IS NOT NULL AND frame.state IN ('open', 'stitching')",
     )
@@ -67,32 +61,32 @@ pub(super) async fn blobs(connection: &mut SqliteConnection) -> Result<Vec<Strin
 }
 
 /// Submission time of the newest job, by the wall clock.
-pub(super) async fn newest_ms(connection: &mut SqliteConnection) -> Result<Option<i64>, sqlx::Error> {
-    sqlx::query_scalar("SELECT created_at_ms FROM job ORDER BY number DESC LIMIT 1").fetch_optional(connection).await
+pub(super) async fn newest_ms(connection: &mut Connection) -> Result<Option<i64>, DatabaseError> {
+    db::query_scalar("SELECT created_at_ms FROM job ORDER BY number DESC LIMIT 1").fetch_optional(connection).await
 }
 
 /// Differences between the database's migrations and this release's, a line each, and whether the next start
 /// fixes it.
-pub(super) async fn migrations(connection: &mut SqliteConnection) -> Result<Vec<(String, bool)>, sqlx::Error> {
+pub(super) async fn migrations(connection: &mut Connection) -> Result<Vec<(String, bool)>, DatabaseError> {
     let rows =
-        sqlx::query("SELECT version, checksum, success FROM _sqlx_migrations ORDER BY version").fetch_all(connection);
+        db::query("SELECT version, checksum, success FROM _sqlx_migrations ORDER BY version").fetch_all(connection);
     let mut odd = Vec::new();
     let mut done = Vec::new();
     for row in rows.await? {
-        let (version, checksum): (i64, Vec<u8>) = (row.try_get("version")?, row.try_get("checksum")?);
-        match crate::database::migrations().find(|(known, _)| *known == version) {
+        let (version, checksum): (i64, Vec<u8>) = (row.get("version")?, row.get("checksum")?);
+        match db::migrations().find(|(known, _)| *known == version) {
             None => odd.push((format!("migration {version} is from a newer release"), false)),
             Some((_, known)) if known != checksum => {
                 odd.push((format!("migration {version} differs from this release's"), false));
             }
-            Some(_) if !row.try_get::<bool, _>("success")? => {
+            Some(_) if !row.get::<bool>("success")? => {
                 odd.push((format!("migration {version} was interrupted"), false));
             }
             Some(_) => {}
         }
         done.push(version);
     }
-    let missing = crate::database::migrations().filter(|(version, _)| !done.contains(version)).count();
+    let missing = db::migrations().filter(|(version, _)| !done.contains(version)).count();
     if missing > 0 {
         odd.push((format!("{missing} migrations are pending"), true));
     }

@@ -6,12 +6,13 @@ use std::fs;
 use std::path::Path;
 use std::sync::Arc;
 
-use sqlx::sqlite::SqliteConnection;
+use db::Connection;
 
 use super::store_check::{self, StoreComparison};
 use super::{DataFolderError, database};
 use crate::clock::Clock;
-use crate::database::{Database, Durability};
+use crate::db;
+use crate::db::{Database, Durability};
 use crate::lock::{FolderLock, LockError};
 use crate::queue::{Reopened, absurd_shares, forget_pictures, reset_shares};
 use crate::telemetry::host;
@@ -128,7 +129,7 @@ pub async fn run_checks(data: &Path, depth: Depth, repair: Repair) -> Result<Vec
     Ok(findings)
 }
 
-async fn check_database(data: &Path, connection: &mut SqliteConnection, findings: &mut Vec<Finding>) -> bool {
+async fn check_database(data: &Path, connection: &mut Connection, findings: &mut Vec<Finding>) -> bool {
     let file = Database::file(data);
     match database::integrity_errors(connection).await {
         Ok(faults) if faults.is_empty() => {
@@ -172,7 +173,7 @@ async fn check_database(data: &Path, connection: &mut SqliteConnection, findings
 }
 
 async fn check_clock(
-    connection: &mut SqliteConnection,
+    connection: &mut Connection,
     data: &Path,
     findings: &mut Vec<Finding>,
 ) -> Result<(), DataFolderError> {
@@ -195,7 +196,7 @@ async fn check_clock(
 
 /// Checks the shares by which the next submitter is chosen, and mends them if asked. Numbers out of their range are
 /// found with the database's integrity.
-async fn check_books(data: &Path, connection: &mut SqliteConnection, mends: bool) -> Result<Finding, DataFolderError> {
+async fn check_books(data: &Path, connection: &mut Connection, mends: bool) -> Result<Finding, DataFolderError> {
     let absurd = absurd_shares(connection).await.map_err(DataFolderError::database(&Database::file(data)))?;
     if absurd == 0 {
         return Ok(Finding::ok("books", "the submitters' shares are plausible"));
@@ -214,7 +215,7 @@ async fn check_books(data: &Path, connection: &mut SqliteConnection, mends: bool
 
 async fn check_store(
     data: &Path,
-    connection: &mut SqliteConnection,
+    connection: &mut Connection,
     depth: Depth,
     serving: bool,
 ) -> Result<StoreComparison, DataFolderError> {

@@ -3,11 +3,9 @@
 use std::fs;
 use std::path::Path;
 
-use sqlx::Connection;
-
 use super::manifest::Manifest;
 use super::{DataFolderError, database, hashed_files};
-use crate::database::Database;
+use crate::db::Database;
 use crate::lock::FolderLock;
 use crate::private_files;
 

@@ -1,9 +1,9 @@
 //! Migration: databases of earlier releases are migrated with all their data.
 
-use sqlx::{Connection, Row};
+use sqlx::Connection;
 
 use super::{Depth, Repair, Severity, run_checks};
-use crate::database::Database;
+use crate::db::{self, Database};
 
 /// Tables of earlier releases: migrations 1 to 8, as their files have them; the first release had two.
 const EARLIER: [(i64, &str, &str); 8] = [
@@ -52,7 +52,7 @@ async fn old_farm(data: &std::path::Path, migrations: usize, later_rows: &'stati
     sqlx::raw_sql(done).execute(&mut connection).await.expect("makes");
     for (version, name, text) in EARLIER.into_iter().take(migrations) {
         sqlx::raw_sql(text).execute(&mut connection).await.expect("migrates");
-        let (_, checksum) = crate::database::migrations().find(|(known, _)| *known == version).expect("never dropped");
+        let (_, checksum) = db::migrations().find(|(known, _)| *known == version).expect("never dropped");
         sqlx::query("INSERT INTO _sqlx_migrations VALUES (?, ?, CURRENT_TIMESTAMP, TRUE, ?, 1)")
             .bind(version)
             .bind(name)
@@ -85,8 +85,8 @@ async fn a_first_release_farm_is_migrated_with_its_data() {
     let counts = queue.counts().await.expect("counts");
     assert_eq!((counts.tiles_ready, counts.leases, counts.rays_left), (1, 0, 8192));
     let versions: i64 =
-        sqlx::query("SELECT count(*) FROM _sqlx_migrations").fetch_one(queue.readers()).await.expect("counts").get(0);
-    assert_eq!(versions as usize, crate::database::migrations().count());
+        db::query_scalar("SELECT count(*) FROM _sqlx_migrations").fetch_one(queue.readers()).await.expect("counts");
+    assert_eq!(versions as usize, db::migrations().count());
     drop(queue);
 
     let after = run_checks(folder.path(), Depth::Names, Repair::None).await.expect("looks");
@@ -125,10 +125,10 @@ const ABSURD_BOOKS: &str = "
 /// Largest amount served, and whether a speed is stored.
 async fn books(data: &std::path::Path) -> (i64, Option<f64>) {
     let mut connection = super::database::open(data).await.expect("opens");
-    sqlx::query_as("SELECT (SELECT max(served_us) FROM share), (SELECT max(rays_per_second) FROM worker)")
-        .fetch_one(&mut connection)
-        .await
-        .expect("reads")
+    let books =
+        "SELECT (SELECT max(served_us) FROM share) AS served, (SELECT max(rays_per_second) FROM worker) AS speed";
+    let books = db::query(books).fetch_one(&mut connection).await.expect("reads");
+    (books.get("served").expect("a number"), books.get("speed").expect("a number or none"))
 }
 
 #[tokio::test]

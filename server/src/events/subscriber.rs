@@ -9,7 +9,7 @@ use tokio::sync::watch;
 use tokio_util::sync::CancellationToken;
 
 use super::{EncodedEvent, EventHub, MAX_PIECE_BYTES, Topic, encode_event};
-use crate::database::DatabaseError;
+use crate::db::DatabaseError;
 use crate::queue::Queue;
 
 /// Number of events read from the database at a time.

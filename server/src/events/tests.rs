@@ -7,7 +7,8 @@ use tokio_util::sync::CancellationToken;
 
 use super::{EventHub, EventSubscriber, MAX_RECENT, SubscribeOutcome};
 use crate::clock::{Clock, ManualClock};
-use crate::database::{Database, Durability};
+use crate::db;
+use crate::db::{Database, Durability};
 use crate::queue::{NewJob, Queue};
 
 struct Fixture {
@@ -40,7 +41,7 @@ impl Fixture {
             .write(Durability::Relaxed, move |connection| {
                 Box::pin(async move {
                     let list = serde_json::json!((0..count).collect::<Vec<_>>()).to_string();
-                    sqlx::query(
+                    db::query(
                         "INSERT INTO outbox (job, kind, body) SELECT ?, 'tile', value FROM json_each(?) ORDER BY key",
                     )
                     .bind(job)

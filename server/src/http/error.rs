@@ -12,7 +12,7 @@ use crate::admission::{CallerClass, Holder};
 use crate::api_keys::ApiKeyError;
 use crate::budget::Exhausted;
 use crate::content_store::ContentError;
-use crate::database::DatabaseError;
+use crate::db::DatabaseError;
 use crate::farm::SyncError;
 use crate::job_cache::JobLoadError;
 use crate::listen::SlowBody;

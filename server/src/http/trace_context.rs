@@ -7,7 +7,7 @@ use proto::worker_protocol::{Batch, BatchWork};
 use proto::{JobId, WorkerId, trace_context};
 use tracing::Span;
 
-use crate::database::DatabaseError;
+use crate::db::DatabaseError;
 use crate::farm::Farm;
 
 /// Makes a request's span a child of the trace in the request's header, if there is one.

@@ -1,6 +1,7 @@
 //! Unfinished work of each submitter: the counters that quotas are checked against, kept by database
 //! triggers.
 
+use crate::db;
 use proto::JobId;
 
 use super::{Connection, Queue, Result};
@@ -74,12 +75,10 @@ impl BacklogLimits {
 /// Row with the totals of all submitters; no key has this name.
 const ALL_SUBMITTERS: &str = "*";
 
-async fn read(executor: impl sqlx::SqliteExecutor<'_>, submitter: &str) -> Result<Backlog> {
-    let row: Option<(i64, i64)> = sqlx::query_as("SELECT jobs, rays FROM backlog WHERE submitter = ?")
-        .bind(submitter)
-        .fetch_optional(executor)
-        .await?;
-    Ok(row.map_or_else(Backlog::default, |(jobs, rays)| Backlog { jobs, rays }))
+async fn read(on: impl Into<db::Target<'_>>, submitter: &str) -> Result<Backlog> {
+    let row =
+        db::query("SELECT jobs, rays FROM backlog WHERE submitter = ?").bind(submitter).fetch_optional(on).await?;
+    row.map_or_else(|| Ok(Backlog::default()), |row| Ok(Backlog { jobs: row.get("jobs")?, rays: row.get("rays")? }))
 }
 
 impl Queue {
@@ -97,7 +96,7 @@ impl Queue {
 
     /// Submitter of a job; `None` if the job does not exist.
     pub(crate) async fn submitter(&self, job: JobId) -> Result<Option<String>> {
-        let submitter = sqlx::query_scalar("SELECT submitter FROM job WHERE id = ?")
+        let submitter = db::query_scalar("SELECT submitter FROM job WHERE id = ?")
             .bind(job.to_string())
             .fetch_optional(self.readers())
             .await?;

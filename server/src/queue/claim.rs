@@ -4,12 +4,11 @@
 //! scene this worker can render; any worker can stitch. If no tile of a job is ready, its next frame is opened;
 //! that needs the frame's cache key, which the caller computes outside the transaction.
 
+use crate::db;
+use crate::db::{Row, Statement};
 use proto::bounded::RaysPerSecond;
 use proto::worker_protocol::{Batch, BatchWork, LeasedTile, StitchInput};
 use proto::{JobId, LeaseId, Rect, WorkerId};
-use sqlx::query::Query;
-use sqlx::sqlite::{SqliteArguments, SqliteRow};
-use sqlx::{Row, Sqlite};
 
 use super::batch_size::{self, FrameLoad, ReadyTile};
 use super::lease::LOSSES_BEFORE_ISOLATION;
@@ -97,24 +96,24 @@ pub(super) struct ClaimableJob {
 }
 
 impl ClaimableJob {
-    fn read(row: &SqliteRow) -> Result<Self> {
-        let id: String = row.try_get("id")?;
+    fn read(row: &Row) -> Result<Self> {
+        let id: String = row.get("id")?;
         Ok(Self {
-            number: row.try_get("number")?,
+            number: row.get("number")?,
             id: parse_column("job.id", &id, |id| id.parse().ok())?,
             plan: TilePlan {
-                width_px: row.try_get("width_px")?,
-                height_px: row.try_get("height_px")?,
-                samples: row.try_get("samples")?,
-                pixel_bytes: row.try_get("pixel_bytes")?,
-                edge_px: row.try_get("edge_px")?,
-                frames: row.try_get("frames_total")?,
+                width_px: row.get("width_px")?,
+                height_px: row.get("height_px")?,
+                samples: row.get("samples")?,
+                pixel_bytes: row.get("pixel_bytes")?,
+                edge_px: row.get("edge_px")?,
+                frames: row.get("frames_total")?,
             },
-            frames_opened: row.try_get("frames_opened")?,
-            nodes: row.try_get("nodes")?,
-            tile_seconds: row.try_get("tile_seconds")?,
-            queued: row.try_get("queued")?,
-            share: fair_share::FairShare { submitter: row.try_get("submitter")?, priority: row.try_get("priority")? },
+            frames_opened: row.get("frames_opened")?,
+            nodes: row.get("nodes")?,
+            tile_seconds: row.get("tile_seconds")?,
+            queued: row.get("queued")?,
+            share: fair_share::FairShare { submitter: row.get("submitter")?, priority: row.get("priority")? },
         })
     }
 }
@@ -132,8 +131,8 @@ pub(super) struct ClaimFilter {
 
 impl ClaimFilter {
     /// Binds the parameters ?1 to ?4, which all statements of a claim share.
-    pub(super) fn bind(&self, statement: &'static str) -> Query<'_, Sqlite, SqliteArguments> {
-        sqlx::query(statement).bind(self.now_ms).bind(&self.worker).bind(self.others_max_nodes).bind(self.max_nodes)
+    pub(super) fn bind(&self, statement: &'static str) -> Statement {
+        db::query(statement).bind(self.now_ms).bind(&self.worker).bind(self.others_max_nodes).bind(self.max_nodes)
     }
 }
 
@@ -156,8 +155,8 @@ pub(super) async fn claim(
     let Some(next) = next else {
         return Ok(ClaimOutcome::NeedsFrame { job: job.number, frame: job.frames_opened, plan: job.plan });
     };
-    let frame: u32 = next.try_get("frame")?;
-    let work = if next.try_get::<String, _>("kind")? == "stitch" {
+    let frame: u32 = next.get("frame")?;
+    let work = if next.get::<String>("kind")? == "stitch" {
         let (tile, lease) = (stitch_tile(connection, job.number, frame).await?, LeaseId::new());
         grant(connection, &[NewLease::free(tile, lease)], &view.worker, moment).await?;
         stitch_work(connection, job.number, frame, lease).await?
@@ -181,13 +180,13 @@ async fn claim_straggler(
         StragglerOutcome::Run(run) => return Ok(ClaimOutcome::Run(run)),
         StragglerOutcome::Nothing(again_ms) => again_ms,
     };
-    let ready_ms: Option<i64> = sqlx::query_scalar(NEXT_RETRY_SQL).bind(moment.now_ms).fetch_one(connection).await?;
+    let ready_ms: Option<i64> = db::query_scalar(NEXT_RETRY_SQL).bind(moment.now_ms).fetch_one(connection).await?;
     Ok(ClaimOutcome::Nothing(again_ms.into_iter().chain(ready_ms.map(|ready_ms| ready_ms - moment.now_ms)).min()))
 }
 
 /// A job by its number.
 pub(super) async fn job(connection: &mut Connection, number: i64) -> Result<ClaimableJob> {
-    let row = sqlx::query(
+    let row = db::query(
         "SELECT number, id, width_px, height_px, samples, pixel_bytes, edge_px, frames_total, frames_opened, nodes,
                 tile_seconds, state = 'queued' AS queued, submitter, priority FROM job WHERE number = ?",
     )
@@ -211,7 +210,7 @@ pub(super) fn frame_load(job: &ClaimableJob) -> FrameLoad {
 /// Largest scene that a ready worker other than this one renders, in nodes; -1 if there is none; `None` while
 /// the farm is paused.
 async fn largest_other_capacity(connection: &mut Connection, worker: &str) -> Result<Option<i64>> {
-    let row = sqlx::query(
+    let row = db::query(
         "SELECT (SELECT value <> 0 FROM meta WHERE name = 'paused') AS paused,
                 (SELECT coalesce(max(coalesce(max_nodes, ?)), -1) FROM worker
                  WHERE state <> 'gone' AND state = 'ready' AND id <> ?) AS others_max_nodes",
@@ -220,8 +219,8 @@ async fn largest_other_capacity(connection: &mut Connection, worker: &str) -> Re
     .bind(worker)
     .fetch_one(connection)
     .await?;
-    let paused: bool = row.try_get("paused")?;
-    Ok(if paused { None } else { Some(row.try_get("others_max_nodes")?) })
+    let paused: bool = row.get("paused")?;
+    Ok(if paused { None } else { Some(row.get("others_max_nodes")?) })
 }
 
 /// Other ready workers that can render a scene of this size and would share a frame with this worker.
@@ -240,8 +239,8 @@ async fn peers(
     job: &ClaimableJob,
     moment: TransitionContext,
 ) -> Result<Peers> {
-    let row = sqlx::query(concat!(
-        "SELECT count(*) FILTER (WHERE NOT EXISTS (SELECT 1 FROM lease INDEXED BY lease_live_by_worker
+    let row = db::query(concat!(
+        "SELECT count(*) FILTER (WHERE NOT EXISTS (SELECT 1 FROM lease @index(lease_live_by_worker)
                                                    WHERE lease.worker = worker.id AND lease.ended IS NULL)) AS idle,
                 max(coalesce(",
         measured_sql!(),
@@ -258,8 +257,8 @@ async fn peers(
     .bind(moment.now_ms - speeds::MAX_AGE_MS)
     .fetch_one(connection)
     .await?;
-    let idle: i64 = row.try_get("idle")?;
-    Ok(Peers { idle: idle.unsigned_abs(), fastest_other: row.try_get("fastest_other")?, own: row.try_get("own")? })
+    let idle: i64 = row.get("idle")?;
+    Ok(Peers { idle: idle.unsigned_abs(), fastest_other: row.get("fastest_other")?, own: row.get("own")? })
 }
 
 async fn claim_tiles(
@@ -290,34 +289,34 @@ async fn claim_tiles(
 }
 
 /// New leases, both as sent to the worker and as stored.
-pub(super) fn new_leases(rows: &[SqliteRow]) -> Result<(Vec<LeasedTile>, Vec<NewLease>)> {
+pub(super) fn new_leases(rows: &[Row]) -> Result<(Vec<LeasedTile>, Vec<NewLease>)> {
     let mut tiles = Vec::with_capacity(rows.len());
     let mut grants = Vec::with_capacity(rows.len());
     for row in rows {
         let tile = LeasedTile {
             lease: LeaseId::new(),
-            index: row.try_get("position")?,
+            index: row.get("position")?,
             rect: Rect {
-                x: row.try_get("x_px")?,
-                y: row.try_get("y_px")?,
-                width: row.try_get("width_px")?,
-                height: row.try_get("height_px")?,
+                x: row.get("x_px")?,
+                y: row.get("y_px")?,
+                width: row.get("width_px")?,
+                height: row.get("height_px")?,
             },
         };
-        grants.push(NewLease::free(row.try_get("id")?, tile.lease));
+        grants.push(NewLease::free(row.get("id")?, tile.lease));
         tiles.push(tile);
     }
     Ok((tiles, grants))
 }
 
 /// Ready tile, with the data that the batch size depends on.
-pub(super) fn read_ready(row: &SqliteRow) -> Result<ReadyTile> {
-    Ok(ReadyTile { rays: row.try_get("rays")?, is_isolated: row.try_get::<i64, _>("lost")? >= LOSSES_BEFORE_ISOLATION })
+pub(super) fn read_ready(row: &Row) -> Result<ReadyTile> {
+    Ok(ReadyTile { rays: row.get("rays")?, is_isolated: row.get::<i64>("lost")? >= LOSSES_BEFORE_ISOLATION })
 }
 
 /// Tile row of a frame's stitch.
 pub(super) async fn stitch_tile(connection: &mut Connection, job: i64, frame: u32) -> Result<i64> {
-    Ok(sqlx::query_scalar("SELECT id FROM tile WHERE job = ? AND frame = ? AND position = -1")
+    Ok(db::query_scalar("SELECT id FROM tile WHERE job = ? AND frame = ? AND position = -1")
         .bind(job)
         .bind(frame)
         .fetch_one(connection)
@@ -331,7 +330,7 @@ pub(super) async fn stitch_work(
     frame: u32,
     lease: LeaseId,
 ) -> Result<BatchWork> {
-    let rows = sqlx::query(
+    let rows = db::query(
         "SELECT position, x_px, y_px, width_px, height_px, blob, blob_bytes FROM tile
          WHERE job = ? AND frame = ? AND kind = 'render' ORDER BY position",
     )
@@ -343,17 +342,17 @@ pub(super) async fn stitch_work(
     Ok(BatchWork::Stitch { lease, inputs: parts })
 }
 
-fn read_part(row: &SqliteRow) -> Result<StitchInput> {
+fn read_part(row: &Row) -> Result<StitchInput> {
     Ok(StitchInput {
-        index: row.try_get("position")?,
+        index: row.get("position")?,
         rect: Rect {
-            x: row.try_get("x_px")?,
-            y: row.try_get("y_px")?,
-            width: row.try_get("width_px")?,
-            height: row.try_get("height_px")?,
+            x: row.get("x_px")?,
+            y: row.get("y_px")?,
+            width: row.get("width_px")?,
+            height: row.get("height_px")?,
         },
-        hash: row.try_get("blob")?,
-        size_bytes: row.try_get("blob_bytes")?,
+        hash: row.get("blob")?,
+        size_bytes: row.get("blob_bytes")?,
     })
 }
 
@@ -365,14 +364,14 @@ async fn grant(
     moment: TransitionContext,
 ) -> Result<()> {
     let tiles = super::json_numbers(grants.iter().map(|grant| grant.tile));
-    let leased = sqlx::query(
+    let leased = db::query(
         "UPDATE tile SET state = 'leased', epoch = epoch + 1, not_before_ms = 0
-         WHERE state = 'ready' AND id IN (SELECT value FROM json_each(?))",
+         WHERE state = 'ready' AND id IN (SELECT value FROM @texts(?))",
     )
     .bind(tiles)
     .execute(&mut *connection)
     .await?;
-    expect_rows("tile: ready to leased", grants.len() as u64, &leased)?;
+    expect_rows("tile: ready to leased", grants.len() as u64, leased)?;
     make_leases(connection, grants, worker, moment).await
 }
 
@@ -385,11 +384,11 @@ pub(super) async fn make_leases(
 ) -> Result<()> {
     let rows: Vec<(i64, String, i64)> =
         grants.iter().map(|grant| (grant.tile, grant.lease.to_string(), grant.charged_us)).collect();
-    let made = sqlx::query(
+    let made = db::query(
         "INSERT INTO lease (id, tile, epoch, worker, generation, granted_ms, expires_ms, charged_us, charged_priority)
          SELECT new.value ->> 1, tile.id, tile.epoch, ?1, ?2, ?3, ?4, new.value ->> 2, job.priority
-         FROM json_each(?5) AS new CROSS JOIN tile ON tile.id = new.value ->> 0
-         CROSS JOIN job ON job.number = tile.job",
+         FROM json_each(?5) AS new @join tile ON tile.id = new.value ->> 0
+         @join job ON job.number = tile.job",
     )
     .bind(worker)
     .bind(moment.generation)
@@ -398,5 +397,5 @@ pub(super) async fn make_leases(
     .bind(serde_json::json!(rows).to_string())
     .execute(connection)
     .await?;
-    expect_rows("lease: granted", grants.len() as u64, &made)
+    expect_rows("lease: granted", grants.len() as u64, made)
 }

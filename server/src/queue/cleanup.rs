@@ -8,7 +8,8 @@
 use super::{
     Connection, Queue, Result, TransitionContext, Wake, expect_rows, fair_share, json_list, json_numbers, row_count,
 };
-use crate::database::{DatabaseError, Durability};
+use crate::db;
+use crate::db::{DatabaseError, Durability};
 
 /// Maximum number of tiles, frames or events that one piece changes; a frame's tiles are requeued together.
 pub(super) const PIECE_ROWS: i64 = 100;
@@ -23,13 +24,13 @@ pub(crate) struct RemovedContent {
 }
 
 /// The next job with a change that is not finished; deletions come last, because no client waits for them.
-const NEXT_SQL: &str = "SELECT number FROM job INDEXED BY job_to_clean_up WHERE cleanup IS NOT NULL
+const NEXT_SQL: &str = "SELECT number FROM job @index(job_to_clean_up) WHERE cleanup IS NOT NULL
      ORDER BY cleanup = 'delete', number LIMIT 1";
 
 impl Queue {
     /// Makes one piece of the changes that are left; `None` if nothing is left.
     pub(crate) async fn clean_up_piece(&self) -> Result<Option<RemovedContent>> {
-        let left: Option<i64> = sqlx::query_scalar(NEXT_SQL).fetch_optional(self.readers()).await?;
+        let left: Option<i64> = db::query_scalar(NEXT_SQL).fetch_optional(self.readers()).await?;
         if left.is_none() {
             return Ok(None);
         }
@@ -38,7 +39,7 @@ impl Queue {
             .database
             .write(Durability::Relaxed, move |connection| {
                 Box::pin(async move {
-                    let next: Option<i64> = sqlx::query_scalar(NEXT_SQL).fetch_optional(&mut *connection).await?;
+                    let next: Option<i64> = db::query_scalar(NEXT_SQL).fetch_optional(&mut *connection).await?;
                     let Some(job) = next else { return Ok(None) };
                     let adds_work = cleanup_of(connection, job).await?.as_deref() == Some("requeue");
                     Ok(Some((adds_work, piece(connection, job, moment).await?)))
@@ -76,7 +77,7 @@ impl Queue {
 /// The change of a job that is not finished.
 pub(super) async fn cleanup_of(connection: &mut Connection, job: i64) -> Result<Option<String>> {
     let cleanup: Option<Option<String>> =
-        sqlx::query_scalar("SELECT cleanup FROM job WHERE number = ?").bind(job).fetch_optional(connection).await?;
+        db::query_scalar("SELECT cleanup FROM job WHERE number = ?").bind(job).fetch_optional(connection).await?;
     Ok(cleanup.flatten())
 }
 
@@ -90,15 +91,15 @@ pub(super) async fn piece(connection: &mut Connection, job: i64, moment: Transit
         _ => return Err(DatabaseError::Value { column: "job.cleanup", value: cleanup }),
     };
     if is_done {
-        let done = sqlx::query("UPDATE job SET cleanup = NULL WHERE number = ?").bind(job).execute(connection).await?;
-        expect_rows("job: cleaned up", 1, &done)?;
+        let done = db::query("UPDATE job SET cleanup = NULL WHERE number = ?").bind(job).execute(connection).await?;
+        expect_rows("job: cleaned up", 1, done)?;
     }
     Ok(removed)
 }
 
 /// Next frame of a job in one of some states.
 async fn next_frame(connection: &mut Connection, statement: &'static str, job: i64) -> Result<Option<u32>> {
-    Ok(sqlx::query_scalar(statement).bind(job).fetch_optional(connection).await?)
+    Ok(db::query_scalar(statement).bind(job).fetch_optional(connection).await?)
 }
 
 /// Voids open frames and tiles of a job that ended; returns whether none is left, and the frames' blobs.
@@ -107,7 +108,7 @@ async fn void_piece(
     job: i64,
     moment: TransitionContext,
 ) -> Result<(bool, RemovedContent)> {
-    const NEXT_OPEN_SQL: &str = "SELECT number FROM frame INDEXED BY frame_unfinished
+    const NEXT_OPEN_SQL: &str = "SELECT number FROM frame @index(frame_unfinished)
          WHERE job = ? AND state IN ('open', 'stitching') ORDER BY number LIMIT 1";
     let mut removed = RemovedContent::default();
     let mut left = moment.piece_rows;
@@ -119,18 +120,18 @@ async fn void_piece(
             break;
         }
         let blobs: Vec<String> =
-            sqlx::query_scalar("SELECT DISTINCT blob FROM tile WHERE job = ? AND frame = ? AND blob IS NOT NULL")
+            db::query_scalar("SELECT DISTINCT blob FROM tile WHERE job = ? AND frame = ? AND blob IS NOT NULL")
                 .bind(job)
                 .bind(frame)
                 .fetch_all(&mut *connection)
                 .await?;
         removed.blobs.extend(blobs);
-        let void = sqlx::query("UPDATE frame SET state = 'void' WHERE job = ? AND number = ?")
+        let void = db::query("UPDATE frame SET state = 'void' WHERE job = ? AND number = ?")
             .bind(job)
             .bind(frame)
             .execute(&mut *connection)
             .await?;
-        expect_rows("frame: void", 1, &void)?;
+        expect_rows("frame: void", 1, void)?;
         left -= 1;
     }
     Ok((false, removed))
@@ -144,7 +145,7 @@ async fn void_tiles(
     limit: i64,
     moment: TransitionContext,
 ) -> Result<i64> {
-    let tiles: Vec<i64> = sqlx::query_scalar(
+    let tiles: Vec<i64> = db::query_scalar(
         "SELECT id FROM tile WHERE job = ? AND frame = ? AND state IN ('ready', 'leased') ORDER BY position LIMIT ?",
     )
     .bind(job)
@@ -154,8 +155,8 @@ async fn void_tiles(
     .await?;
     let count = row_count(tiles.len());
     let tiles = json_numbers(tiles);
-    let leases: Vec<String> = sqlx::query_scalar(
-        "SELECT lease.id FROM json_each(?) AS listed CROSS JOIN lease ON lease.tile = listed.value
+    let leases: Vec<String> = db::query_scalar(
+        "SELECT lease.id FROM json_each(?) AS listed @join lease ON lease.tile = listed.value
          WHERE lease.ended IS NULL",
     )
     .bind(&tiles)
@@ -164,27 +165,27 @@ async fn void_tiles(
     if !leases.is_empty() {
         let leases = json_list(leases);
         fair_share::store_used_time_of(connection, &leases, moment).await?;
-        sqlx::query("UPDATE lease SET ended = 'void' WHERE ended IS NULL AND id IN (SELECT value FROM json_each(?))")
+        db::query("UPDATE lease SET ended = 'void' WHERE ended IS NULL AND id IN (SELECT value FROM @texts(?))")
             .bind(&leases)
             .execute(&mut *connection)
             .await?;
     }
-    let voided = sqlx::query("UPDATE tile SET state = 'void' WHERE id IN (SELECT value FROM json_each(?))")
+    let voided = db::query("UPDATE tile SET state = 'void' WHERE id IN (SELECT value FROM @texts(?))")
         .bind(&tiles)
         .execute(connection)
         .await?;
-    expect_rows("tile: void", count.unsigned_abs(), &voided)?;
+    expect_rows("tile: void", count.unsigned_abs(), voided)?;
     Ok(count)
 }
 
 /// Opens void frames of a retried job, whose dead and void tiles become ready; returns whether none is left.
 async fn requeue_piece(connection: &mut Connection, job: i64, moment: TransitionContext) -> Result<bool> {
-    const NEXT_VOID_SQL: &str = "SELECT number FROM frame INDEXED BY frame_void
+    const NEXT_VOID_SQL: &str = "SELECT number FROM frame @index(frame_void)
          WHERE job = ? AND state = 'void' ORDER BY number LIMIT 1";
     let mut left = moment.piece_rows;
     while left > 0 {
         let Some(frame) = next_frame(connection, NEXT_VOID_SQL, job).await? else { return Ok(true) };
-        let state: String = sqlx::query_scalar(
+        let state: String = db::query_scalar(
             "UPDATE frame SET state = CASE WHEN tiles_done = tiles_total THEN 'stitching' ELSE 'open' END
              WHERE job = ? AND number = ? RETURNING state",
         )
@@ -192,8 +193,8 @@ async fn requeue_piece(connection: &mut Connection, job: i64, moment: Transition
         .bind(frame)
         .fetch_one(&mut *connection)
         .await?;
-        let tiles: Vec<(i64, bool)> = sqlx::query_as(
-            "SELECT id, state = 'dead' FROM tile
+        let rows = db::query(
+            "SELECT id, state = 'dead' AS is_dead FROM tile
              WHERE job = ? AND frame = ? AND state IN ('dead', 'void') AND (kind = 'render' OR ? = 'stitching')",
         )
         .bind(job)
@@ -201,16 +202,18 @@ async fn requeue_piece(connection: &mut Connection, job: i64, moment: Transition
         .bind(state)
         .fetch_all(&mut *connection)
         .await?;
+        let tiles =
+            rows.iter().map(|row| Ok((row.get("id")?, row.get("is_dead")?))).collect::<Result<Vec<(i64, bool)>>>()?;
         let dead = row_count(tiles.iter().filter(|(_, is_dead)| *is_dead).count());
-        sqlx::query(
+        db::query(
             "UPDATE tile SET state = 'ready', not_before_ms = 0, avoid = NULL, errors = 0, crashes = 0, lost = 0,
                              interrupts = 0, blob = NULL, blob_bytes = NULL
-             WHERE id IN (SELECT value FROM json_each(?))",
+             WHERE id IN (SELECT value FROM @texts(?))",
         )
         .bind(json_numbers(tiles.iter().map(|(tile, _)| *tile)))
         .execute(&mut *connection)
         .await?;
-        sqlx::query("UPDATE job SET tiles_dead = tiles_dead - ? WHERE number = ?")
+        db::query("UPDATE job SET tiles_dead = tiles_dead - ? WHERE number = ?")
             .bind(dead)
             .bind(job)
             .execute(&mut *connection)
@@ -223,7 +226,7 @@ async fn requeue_piece(connection: &mut Connection, job: i64, moment: Transition
 /// Deletes tiles, then frames, then events of a deleted job, and at last the job itself.
 async fn delete_piece(connection: &mut Connection, job: i64, moment: TransitionContext) -> Result<RemovedContent> {
     let blobs: Vec<Option<String>> =
-        sqlx::query_scalar("DELETE FROM tile WHERE id IN (SELECT id FROM tile WHERE job = ? LIMIT ?) RETURNING blob")
+        db::query_scalar("DELETE FROM tile WHERE id IN (SELECT id FROM tile WHERE job = ? LIMIT ?) RETURNING blob")
             .bind(job)
             .bind(moment.piece_rows)
             .fetch_all(&mut *connection)
@@ -233,7 +236,7 @@ async fn delete_piece(connection: &mut Connection, job: i64, moment: TransitionC
     if left <= 0 {
         return Ok(removed);
     }
-    let pictures: Vec<Option<String>> = sqlx::query_scalar(
+    let pictures: Vec<Option<String>> = db::query_scalar(
         "DELETE FROM frame WHERE job = ?1 AND number IN (SELECT number FROM frame WHERE job = ?1 LIMIT ?2)
          RETURNING picture",
     )
@@ -243,8 +246,8 @@ async fn delete_piece(connection: &mut Connection, job: i64, moment: TransitionC
     .await?;
     left -= row_count(pictures.len());
     removed.pictures = distinct(pictures);
-    sqlx::query(
-        "DELETE FROM picture WHERE hash IN (SELECT value FROM json_each(?))
+    db::query(
+        "DELETE FROM picture WHERE hash IN (SELECT value FROM @texts(?))
          AND NOT EXISTS (SELECT 1 FROM frame WHERE frame.picture = picture.hash)",
     )
     .bind(json_list(&removed.pictures))
@@ -253,14 +256,14 @@ async fn delete_piece(connection: &mut Connection, job: i64, moment: TransitionC
     if left <= 0 {
         return Ok(removed);
     }
-    let events = sqlx::query("DELETE FROM outbox WHERE number IN (SELECT number FROM outbox WHERE job = ? LIMIT ?)")
+    let events = db::query("DELETE FROM outbox WHERE number IN (SELECT number FROM outbox WHERE job = ? LIMIT ?)")
         .bind(job)
         .bind(left)
         .execute(&mut *connection)
         .await?;
     if row_count(events.rows_affected() as usize) < left {
-        let deleted = sqlx::query("DELETE FROM job WHERE number = ?").bind(job).execute(connection).await?;
-        expect_rows("job: deleted", 1, &deleted)?;
+        let deleted = db::query("DELETE FROM job WHERE number = ?").bind(job).execute(connection).await?;
+        expect_rows("job: deleted", 1, deleted)?;
     }
     Ok(removed)
 }
@@ -274,15 +277,15 @@ fn distinct(hashes: Vec<Option<String>>) -> Vec<String> {
 
 /// Hides a job and marks it for deletion: its id is no job's id from now on, and nothing of it is leased.
 pub(super) async fn mark_deleted(connection: &mut Connection, job: i64) -> Result<()> {
-    let marked = sqlx::query(
+    let marked = db::query(
         "UPDATE job SET id = 'deleted ' || number, paused = 1, cleanup = 'delete' WHERE number = ? AND state <> 'running'",
     )
     .bind(job)
     .execute(&mut *connection)
     .await?;
-    expect_rows("job: marked for deletion", 1, &marked)?;
+    expect_rows("job: marked for deletion", 1, marked)?;
     for statement in ["DELETE FROM webhook WHERE job = ?", "DELETE FROM idempotency WHERE job = ?"] {
-        sqlx::query(statement).bind(job).execute(&mut *connection).await?;
+        db::query(statement).bind(job).execute(&mut *connection).await?;
     }
     Ok(())
 }

@@ -4,6 +4,7 @@
 //! lease, so that an effect happens once or not at all. One statement handles all results of one frame in one
 //! call.
 
+use crate::db;
 use std::collections::{BTreeMap, HashMap};
 
 use proto::worker_protocol::{LeaseOutcome, LeaseReport};
@@ -156,7 +157,7 @@ pub(super) async fn count_mismatches(
     hash: &str,
 ) -> Result<u64> {
     let first: Option<Option<String>> =
-        sqlx::query_scalar(statement).bind(lease.to_string()).fetch_optional(connection).await?;
+        db::query_scalar(statement).bind(lease.to_string()).fetch_optional(connection).await?;
     let Some(first) = first.flatten().filter(|first| first != hash) else { return Ok(0) };
     tracing::error!(
         code = "nondeterministic_tile", %lease, %first, second = hash,
@@ -175,20 +176,20 @@ async fn finish_tiles(
 ) -> Result<Wake> {
     let count = tiles.len() as u64;
     let ended =
-        sqlx::query("UPDATE lease SET ended = 'done' WHERE ended IS NULL AND id IN (SELECT value FROM json_each(?))")
+        db::query("UPDATE lease SET ended = 'done' WHERE ended IS NULL AND id IN (SELECT value FROM @texts(?))")
             .bind(super::json_list(tiles.iter().map(|tile| &tile.held.lease)))
             .execute(&mut *connection)
             .await?;
-    expect_rows("lease: live to ended", count, &ended)?;
+    expect_rows("lease: live to ended", count, ended)?;
     let results: Vec<_> = tiles.iter().map(|tile| (tile.held.tile, tile.hash, tile.size_bytes)).collect();
-    let done = sqlx::query(
+    let done = db::query(
         "UPDATE tile SET state = 'done', blob = result.value ->> 1, blob_bytes = result.value ->> 2
          FROM json_each(?) AS result WHERE tile.id = result.value ->> 0 AND tile.state = 'leased'",
     )
     .bind(serde_json::json!(results).to_string())
     .execute(&mut *connection)
     .await?;
-    expect_rows("tile: leased to done", count, &done)?;
+    expect_rows("tile: leased to done", count, done)?;
     let mut ring = lease::revoke_duplicates(connection, tiles.iter().map(|tile| tile.held.tile)).await?;
     let by = finish::ProgressDelta {
         tiles: row_count(tiles.len()),
@@ -197,7 +198,7 @@ async fn finish_tiles(
     };
     let number = finish::progress(connection, job, by).await?;
     record_durations(connection, tiles.iter().map(|tile| &tile.held), number, moment).await?;
-    let complete: bool = sqlx::query_scalar(
+    let complete: bool = db::query_scalar(
         "UPDATE frame SET tiles_done = tiles_done + ? WHERE job = ? AND number = ? AND state = 'open'
          RETURNING tiles_done = tiles_total",
     )

@@ -3,15 +3,15 @@
 //!
 //! Only the triggers of migration 0005 write events, in the transaction of the change.
 
+use db::Row;
 use proto::JobId;
 use proto::event::{ProgressEvent, Snapshot, TileEvent};
 use proto::job::{DoneOfTotal, JobState};
 use proto::rounding;
-use sqlx::Row;
-use sqlx::sqlite::SqliteRow;
 
 use super::{Connection, Queue, Result, finish};
-use crate::database::Durability;
+use crate::db;
+use crate::db::Durability;
 
 /// Minimum retention of events of finished jobs.
 const RETENTION_MS: i64 = 24 * 3_600_000;
@@ -43,12 +43,12 @@ impl Event {
         self.state.is_some_and(JobState::is_final)
     }
 
-    fn read(row: &SqliteRow) -> Result<Self> {
-        let state: Option<String> = row.try_get("state")?;
-        let (kind, body): (String, String) = (row.try_get("kind")?, row.try_get("body")?);
+    fn read(row: &Row) -> Result<Self> {
+        let state: Option<String> = row.get("state")?;
+        let (kind, body): (String, String) = (row.get("kind")?, row.get("body")?);
         Ok(Self {
-            number: row.try_get("number")?,
-            job: row.try_get("job")?,
+            number: row.get("number")?,
+            job: row.get("job")?,
             state: state.map(|state| finish::job_state(&state)).transpose()?,
             body: if kind == "progress" { rounded(body) } else { body },
             kind,
@@ -82,7 +82,7 @@ const NEWEST_SQL: &str = "SELECT coalesce((SELECT seq FROM sqlite_sequence WHERE
 impl Queue {
     /// State that a subscriber to a job needs before its first event.
     pub(crate) async fn event_position(&self, id: JobId) -> Result<Option<EventPosition>> {
-        let row = sqlx::query(
+        let row = db::query(
             "SELECT number, finished_at_ms IS NOT NULL AS ended, events_pruned,
                     coalesce((SELECT seq FROM sqlite_sequence WHERE name = 'outbox'), 0) AS newest
              FROM job WHERE id = ?",
@@ -92,10 +92,10 @@ impl Queue {
         .await?;
         row.map(|row| {
             Ok(EventPosition {
-                job: row.try_get("number")?,
-                ended: row.try_get("ended")?,
-                pruned: row.try_get("events_pruned")?,
-                newest: row.try_get("newest")?,
+                job: row.get("number")?,
+                ended: row.get("ended")?,
+                pruned: row.get("events_pruned")?,
+                newest: row.get("newest")?,
             })
         })
         .transpose()
@@ -103,23 +103,21 @@ impl Queue {
 
     /// Whether a job has finished; `None` if it does not exist.
     pub(crate) async fn has_ended(&self, job: i64) -> Result<Option<bool>> {
-        Ok(sqlx::query_scalar(
-            "SELECT finished_at_ms IS NOT NULL FROM job WHERE number = ? AND cleanup IS NOT 'delete'",
-        )
-        .bind(job)
-        .fetch_optional(self.readers())
-        .await?)
+        Ok(db::query_scalar("SELECT finished_at_ms IS NOT NULL FROM job WHERE number = ? AND cleanup IS NOT 'delete'")
+            .bind(job)
+            .fetch_optional(self.readers())
+            .await?)
     }
 
     /// Number of the newest event.
     pub(crate) async fn newest_event(&self) -> Result<i64> {
-        Ok(sqlx::query_scalar(NEWEST_SQL).fetch_one(self.readers()).await?)
+        Ok(db::query_scalar(NEWEST_SQL).fetch_one(self.readers()).await?)
     }
 
     /// The next events of all jobs.
     pub(crate) async fn events_after(&self, number: i64, limit: u32) -> Result<Vec<Event>> {
         let rows =
-            sqlx::query("SELECT number, job, kind, state, body FROM outbox WHERE number > ? ORDER BY number LIMIT ?")
+            db::query("SELECT number, job, kind, state, body FROM outbox WHERE number > ? ORDER BY number LIMIT ?")
                 .bind(number)
                 .bind(limit)
                 .fetch_all(self.readers())
@@ -129,7 +127,7 @@ impl Queue {
 
     /// The next events of a job.
     pub(crate) async fn job_events_after(&self, job: i64, number: i64, limit: u32) -> Result<Vec<Event>> {
-        let rows = sqlx::query(
+        let rows = db::query(
             "SELECT number, job, kind, state, body FROM outbox WHERE job = ? AND number > ? ORDER BY number LIMIT ?",
         )
         .bind(job)
@@ -142,41 +140,39 @@ impl Queue {
 
     /// State of a job and the number of the last event included in it, read in one transaction.
     pub(crate) async fn snapshot(&self, job: i64) -> Result<Option<(i64, Snapshot)>> {
-        let mut reading = self.readers().begin().await?;
-        let row = sqlx::query(
+        let mut reading = self.readers().snapshot().await?;
+        let row = db::query(
             "SELECT state, error, rays_peak, rays_total, tiles_done, tiles_total, frames_stored, frames_total
              FROM job WHERE number = ?",
         )
         .bind(job)
-        .fetch_optional(&mut *reading)
+        .fetch_optional(&mut reading)
         .await?;
         let Some(row) = row else { return Ok(None) };
-        let newest: i64 = sqlx::query_scalar(NEWEST_SQL).fetch_one(&mut *reading).await?;
+        let newest: i64 = db::query_scalar(NEWEST_SQL).fetch_one(&mut reading).await?;
         let numbers: Vec<u32> =
-            sqlx::query_scalar("SELECT number FROM frame WHERE job = ? AND state = 'stored' ORDER BY number")
+            db::query_scalar("SELECT number FROM frame WHERE job = ? AND state = 'stored' ORDER BY number")
                 .bind(job)
-                .fetch_all(&mut *reading)
+                .fetch_all(&mut reading)
                 .await?;
-        let tiles = sqlx::query(
+        let tiles = db::query(
             "SELECT tile.frame, tile.x_px, tile.y_px, tile.width_px, tile.height_px
-             FROM frame CROSS JOIN tile ON tile.job = frame.job AND tile.frame = frame.number
+             FROM frame @join tile ON tile.job = frame.job AND tile.frame = frame.number
              WHERE frame.job = ? AND frame.state <> 'stored' AND tile.kind = 'render' AND tile.state = 'done'
              ORDER BY frame.number, tile.position LIMIT ?",
         )
         .bind(job)
         .bind(MAX_RECTANGLES)
-        .fetch_all(&mut *reading)
+        .fetch_all(&mut reading)
         .await?;
-        reading.commit().await?;
-        let error: Option<String> = row.try_get("error")?;
+        drop(reading);
+        let error: Option<String> = row.get("error")?;
         let snapshot = Snapshot {
-            state: finish::job_state(&row.try_get::<String, _>("state")?)?,
+            state: finish::job_state(&row.get::<String>("state")?)?,
             errors: error.into_iter().collect(),
-            progress: rounding::fraction(
-                row.try_get::<i64, _>("rays_peak")? as f64 / row.try_get::<i64, _>("rays_total")? as f64,
-            ),
-            tiles: DoneOfTotal { done: row.try_get("tiles_done")?, total: row.try_get("tiles_total")? },
-            frames: DoneOfTotal { done: row.try_get("frames_stored")?, total: row.try_get("frames_total")? },
+            progress: rounding::fraction(row.get::<i64>("rays_peak")? as f64 / row.get::<i64>("rays_total")? as f64),
+            tiles: DoneOfTotal { done: row.get("tiles_done")?, total: row.get("tiles_total")? },
+            frames: DoneOfTotal { done: row.get("frames_stored")?, total: row.get("frames_total")? },
             stored: contiguous_ranges(&numbers),
             rectangles: tiles.iter().map(tile_event).collect::<Result<_>>()?,
         };
@@ -215,13 +211,13 @@ impl Queue {
     }
 }
 
-fn tile_event(row: &SqliteRow) -> Result<TileEvent> {
+fn tile_event(row: &Row) -> Result<TileEvent> {
     Ok(TileEvent {
-        frame: row.try_get("frame")?,
-        x: row.try_get("x_px")?,
-        y: row.try_get("y_px")?,
-        width: row.try_get("width_px")?,
-        height: row.try_get("height_px")?,
+        frame: row.get("frame")?,
+        x: row.get("x_px")?,
+        y: row.get("y_px")?,
+        width: row.get("width_px")?,
+        height: row.get("height_px")?,
         done: true,
     })
 }
@@ -241,7 +237,7 @@ fn contiguous_ranges(numbers: &[u32]) -> Vec<[u32; 2]> {
 /// Deletes the oldest events of a job that ended long ago, or of all jobs; returns how many, or 1 if there was none of
 /// the job.
 async fn prune(connection: &mut Connection, ended_before_ms: i64) -> Result<u64> {
-    let job: Option<i64> = sqlx::query_scalar(
+    let job: Option<i64> = db::query_scalar(
         "SELECT number FROM job WHERE events_kept = 1 AND finished_at_ms IS NOT NULL AND finished_at_ms < ? LIMIT 1",
     )
     .bind(ended_before_ms)
@@ -249,12 +245,12 @@ async fn prune(connection: &mut Connection, ended_before_ms: i64) -> Result<u64>
     .await?;
     let Some(job) = job else { return prune_surplus(connection, MAX_EVENTS).await };
     let last: Option<i64> =
-        sqlx::query_scalar("SELECT max(number) FROM (SELECT number FROM outbox WHERE job = ? ORDER BY number LIMIT ?)")
+        db::query_scalar("SELECT max(number) FROM (SELECT number FROM outbox WHERE job = ? ORDER BY number LIMIT ?)")
             .bind(job)
             .bind(EVENTS_BATCH)
             .fetch_one(&mut *connection)
             .await?;
-    sqlx::query(
+    db::query(
         "UPDATE job SET events_pruned = coalesce(?1, events_pruned),
                         events_kept = EXISTS (SELECT 1 FROM outbox WHERE outbox.job = ?2 AND outbox.number > ?1)
          WHERE number = ?2",
@@ -263,27 +259,23 @@ async fn prune(connection: &mut Connection, ended_before_ms: i64) -> Result<u64>
     .bind(job)
     .execute(&mut *connection)
     .await?;
-    let dropped = sqlx::query("DELETE FROM outbox WHERE job = ? AND number <= ?")
-        .bind(job)
-        .bind(last)
-        .execute(connection)
-        .await?;
+    let dropped =
+        db::query("DELETE FROM outbox WHERE job = ? AND number <= ?").bind(job).bind(last).execute(connection).await?;
     Ok(dropped.rows_affected().max(1))
 }
 
 /// Deletes the oldest events beyond the newest `keep`.
 async fn prune_surplus(connection: &mut Connection, keep: i64) -> Result<u64> {
-    let (oldest, newest): (Option<i64>, i64) =
-        sqlx::query_as("SELECT (SELECT min(number) FROM outbox), coalesce((SELECT max(number) FROM outbox), 0)")
-            .fetch_one(&mut *connection)
-            .await?;
+    let ends = db::query("SELECT min(number) AS oldest, coalesce(max(number), 0) AS newest FROM outbox");
+    let ends = ends.fetch_one(&mut *connection).await?;
+    let (oldest, newest): (Option<i64>, i64) = (ends.get("oldest")?, ends.get("newest")?);
     let Some(oldest) = oldest.filter(|oldest| newest - oldest >= keep) else { return Ok(0) };
     let last = (oldest + EVENTS_BATCH - 1).min(newest - keep);
-    sqlx::query("UPDATE job SET events_pruned = ?1 WHERE number IN (SELECT job FROM outbox WHERE number <= ?1)")
+    db::query("UPDATE job SET events_pruned = ?1 WHERE number IN (SELECT job FROM outbox WHERE number <= ?1)")
         .bind(last)
         .execute(&mut *connection)
         .await?;
-    let dropped = sqlx::query("DELETE FROM outbox WHERE number <= ?").bind(last).execute(connection).await?;
+    let dropped = db::query("DELETE FROM outbox WHERE number <= ?").bind(last).execute(connection).await?;
     Ok(dropped.rows_affected())
 }
 

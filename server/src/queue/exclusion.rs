@@ -4,9 +4,8 @@
 //! Both happen only if another worker can do the work, so that a single worker never stops the farm. A worker that
 //! delivers something else than was asked for is quarantined whatever others there are.
 
+use crate::db;
 use proto::WorkerId;
-
-use sqlx::sqlite::SqliteQueryResult;
 
 use super::lease::LiveLease;
 use super::{Connection, Result, TransitionContext};
@@ -28,11 +27,12 @@ pub(super) async fn record_error(
     job: i64,
     moment: TransitionContext,
 ) -> Result<()> {
-    let errors: i64 = sqlx::query_scalar(
+    let errors: i64 = db::query_scalar(
         "INSERT INTO strike (job, worker, errors, until_ms) VALUES (?1, ?2, 1, NULL)
          ON CONFLICT (job, worker) DO UPDATE SET
-             errors = iif(until_ms <= ?3, 1, errors + 1),
-             until_ms = iif(iif(until_ms <= ?3, 1, errors + 1) >= ?4, ?3 + ?5, NULL)
+             errors = CASE WHEN strike.until_ms <= ?3 THEN 1 ELSE strike.errors + 1 END,
+             until_ms = CASE WHEN CASE WHEN strike.until_ms <= ?3 THEN 1 ELSE strike.errors + 1 END >= ?4
+                             THEN ?3 + ?5 END
          RETURNING errors",
     )
     .bind(job)
@@ -52,7 +52,7 @@ pub(super) async fn record_error(
 
 /// Quarantines a worker that is excluded from three jobs or more, unless it is the last ready worker.
 async fn quarantine(connection: &mut Connection, worker: &str, moment: TransitionContext) -> Result<()> {
-    let quarantined = sqlx::query(
+    let quarantined = db::query(
         "UPDATE worker SET state = 'quarantined' WHERE id = ?1 AND state = 'ready'
          AND (SELECT count(*) FROM strike JOIN job ON job.number = strike.job
               WHERE strike.worker = ?1 AND until_ms > ?2 AND job.state <> 'failed') >= ?3
@@ -64,7 +64,7 @@ async fn quarantine(connection: &mut Connection, worker: &str, moment: Transitio
     .bind(EXCLUSIONS_BEFORE_QUARANTINE)
     .execute(connection)
     .await?;
-    log_quarantine(&quarantined, worker, "it failed in too many jobs");
+    log_quarantine(quarantined, worker, "it failed in too many jobs");
     Ok(())
 }
 
@@ -74,7 +74,7 @@ pub(super) async fn record_wrong_results(connection: &mut Connection, worker: Wo
     if count == 0 {
         return Ok(false);
     }
-    let wrong: Option<i64> = sqlx::query_scalar(
+    let wrong: Option<i64> = db::query_scalar(
         "UPDATE worker SET wrong_results = wrong_results + ? WHERE id = ? AND state <> 'gone' RETURNING wrong_results",
     )
     .bind(super::row_count(count))
@@ -91,15 +91,15 @@ pub(super) async fn record_wrong_results(connection: &mut Connection, worker: Wo
 /// Quarantines a worker, whatever other workers there are.
 pub(super) async fn quarantine_at_once(connection: &mut Connection, worker: &str, reason: &str) -> Result<()> {
     let quarantined =
-        sqlx::query("UPDATE worker SET state = 'quarantined' WHERE id = ? AND state NOT IN ('gone', 'quarantined')")
+        db::query("UPDATE worker SET state = 'quarantined' WHERE id = ? AND state NOT IN ('gone', 'quarantined')")
             .bind(worker)
             .execute(connection)
             .await?;
-    log_quarantine(&quarantined, worker, reason);
+    log_quarantine(quarantined, worker, reason);
     Ok(())
 }
 
-fn log_quarantine(quarantined: &SqliteQueryResult, worker: &str, reason: &str) {
+fn log_quarantine(quarantined: db::Changed, worker: &str, reason: &str) {
     if quarantined.rows_affected() > 0 {
         tracing::error!(
             code = "worker_quarantined",
@@ -117,7 +117,7 @@ pub(super) async fn is_other_worker_excluded(
     moment: TransitionContext,
 ) -> Result<bool> {
     let barred: Option<i64> =
-        sqlx::query_scalar("SELECT 1 FROM strike WHERE job = ? AND worker <> ? AND until_ms > ? LIMIT 1")
+        db::query_scalar("SELECT 1 FROM strike WHERE job = ? AND worker <> ? AND until_ms > ? LIMIT 1")
             .bind(held.job)
             .bind(&held.worker)
             .bind(moment.now_ms)
@@ -128,7 +128,7 @@ pub(super) async fn is_other_worker_excluded(
 
 /// Restarts all exclusions at startup, with full length, because the monotonic clock starts at zero.
 pub(super) async fn recover(connection: &mut Connection, now_ms: i64) -> Result<()> {
-    sqlx::query("UPDATE strike SET until_ms = ? WHERE until_ms IS NOT NULL")
+    db::query("UPDATE strike SET until_ms = ? WHERE until_ms IS NOT NULL")
         .bind(now_ms + EXCLUSION_MS)
         .execute(connection)
         .await?;

@@ -5,10 +5,10 @@
 //! A batch is charged by an estimate when it is granted. When its leases end, a trigger corrects the charge by the
 //! time that was used (`lease.used_us`).
 
+use crate::db;
 use std::collections::BTreeMap;
 
 use proto::WorkerId;
-use sqlx::Row;
 
 use super::speeds::{self, JobSpeed};
 use super::{Connection, Result, TransitionContext, expect_rows, row_count};
@@ -46,7 +46,7 @@ pub(super) fn estimates_us(rays: &[u64], speed: Option<JobSpeed>) -> Vec<i64> {
 
 /// Charges a batch to its submitter.
 pub(super) async fn charge(connection: &mut Connection, share: &FairShare, charged_us: i64) -> Result<()> {
-    let clock_us: i64 = sqlx::query_scalar(
+    let clock_us: i64 = db::query_scalar(
         "INSERT INTO share_clock (priority, served_us)
          SELECT priority, served_us FROM share WHERE submitter = ? AND priority = ?
          ON CONFLICT (priority) DO UPDATE SET served_us = max(served_us, excluded.served_us)
@@ -57,7 +57,7 @@ pub(super) async fn charge(connection: &mut Connection, share: &FairShare, charg
     .fetch_one(&mut *connection)
     .await?;
     let charged =
-        sqlx::query("UPDATE share SET served_us = min(?, max(served_us, ?) + ?) WHERE submitter = ? AND priority = ?")
+        db::query("UPDATE share SET served_us = min(?, max(served_us, ?) + ?) WHERE submitter = ? AND priority = ?")
             .bind(MAX_SERVED_US)
             .bind(clock_us - MAX_CREDIT_US)
             .bind(charged_us)
@@ -65,7 +65,7 @@ pub(super) async fn charge(connection: &mut Connection, share: &FairShare, charg
             .bind(share.priority)
             .execute(connection)
             .await?;
-    expect_rows("share: charged", 1, &charged)
+    expect_rows("share: charged", 1, charged)
 }
 
 /// Live lease whose used time becomes known.
@@ -83,8 +83,8 @@ struct UsedLease {
 /// Live leases of a list, with the data that their used time depends on.
 const USED_SQL: &str = "SELECT lease.id, lease.worker, tile.job, tile.rays, lease.charged_us,
         max(lease.granted_ms, worker.delivered_ms) AS since_ms
-     FROM json_each(?) AS listed CROSS JOIN lease ON lease.id = listed.value
-     CROSS JOIN worker ON worker.id = lease.worker CROSS JOIN tile ON tile.id = lease.tile
+     FROM json_each(?) AS listed @join lease ON lease.id = listed.value
+     @join worker ON worker.id = lease.worker @join tile ON tile.id = lease.tile
      WHERE lease.ended IS NULL AND (?2 IS NULL OR lease.worker = ?2)";
 
 /// Stores the time that a worker used for results, before they end their leases, and its speed in their jobs.
@@ -109,12 +109,12 @@ pub(super) async fn record_delivery(
     for (job, (rays, time_us)) in jobs {
         speeds::record(connection, &worker, job, rays, time_us as f64 / 1e6, moment).await?;
     }
-    let delivered = sqlx::query("UPDATE worker SET delivered_ms = ? WHERE id = ?")
+    let delivered = db::query("UPDATE worker SET delivered_ms = ? WHERE id = ?")
         .bind(moment.now_ms)
         .bind(&worker)
         .execute(connection)
         .await?;
-    expect_rows("worker: delivered", 1, &delivered)
+    expect_rows("worker: delivered", 1, delivered)
 }
 
 /// Stores the time that was used for live leases, which are about to end: the time since their grant, or since their
@@ -133,16 +133,16 @@ async fn store_used_time(
     worker: Option<&str>,
     moment: TransitionContext,
 ) -> Result<Vec<(UsedLease, i64)>> {
-    let rows = sqlx::query(USED_SQL).bind(leases).bind(worker).fetch_all(&mut *connection).await?;
+    let rows = db::query(USED_SQL).bind(leases).bind(worker).fetch_all(&mut *connection).await?;
     let mut workers: BTreeMap<String, Vec<UsedLease>> = BTreeMap::new();
     for row in rows {
         let lease = UsedLease {
-            lease: row.try_get("id")?,
-            worker: row.try_get("worker")?,
-            job: row.try_get("job")?,
-            rays: row.try_get::<i64, _>("rays")? as f64,
-            charged_us: row.try_get("charged_us")?,
-            since_ms: row.try_get("since_ms")?,
+            lease: row.get("id")?,
+            worker: row.get("worker")?,
+            job: row.get("job")?,
+            rays: row.get::<i64>("rays")? as f64,
+            charged_us: row.get("charged_us")?,
+            since_ms: row.get("since_ms")?,
         };
         workers.entry(lease.worker.clone()).or_default().push(lease);
     }
@@ -162,20 +162,20 @@ async fn store_used_time(
         return Ok(used);
     }
     let pairs: Vec<(&str, i64)> = used.iter().map(|(lease, used_us)| (lease.lease.as_str(), *used_us)).collect();
-    let stored = sqlx::query(
+    let stored = db::query(
         "UPDATE lease SET used_us = pair.value ->> 1 FROM json_each(?) AS pair
          WHERE lease.id = pair.value ->> 0 AND lease.ended IS NULL",
     )
     .bind(serde_json::json!(pairs).to_string())
     .execute(connection)
     .await?;
-    expect_rows("lease: time used", used.len() as u64, &stored)?;
+    expect_rows("lease: time used", used.len() as u64, stored)?;
     Ok(used)
 }
 
 /// Deletes the shares of submitters without work that would start at the current virtual time anyway.
 pub(super) async fn tidy(connection: &mut Connection) -> Result<()> {
-    sqlx::query(
+    db::query(
         "DELETE FROM share WHERE jobs = 0
          AND served_us <= (SELECT served_us FROM share_clock WHERE share_clock.priority = share.priority)",
     )

@@ -2,11 +2,11 @@
 
 use proto::JobId;
 use proto::job::JobState;
-use sqlx::Row;
 
 use super::cleanup::{self, RemovedContent};
 use super::{Connection, Result, TransitionContext, expect_rows, parse_column};
-use crate::database::DatabaseError;
+use crate::db;
+use crate::db::DatabaseError;
 
 /// Increments of a job's counters.
 #[derive(Clone, Copy, Debug)]
@@ -48,7 +48,7 @@ pub(super) fn job_state(name: &str) -> Result<JobState> {
 
 /// Marks a job as running when its first lease is granted.
 pub(super) async fn mark_started(connection: &mut Connection, job: i64, moment: TransitionContext) -> Result<()> {
-    sqlx::query("UPDATE job SET state = 'running', started_at_ms = ? WHERE number = ? AND state = 'queued'")
+    db::query("UPDATE job SET state = 'running', started_at_ms = ? WHERE number = ? AND state = 'queued'")
         .bind(moment.wall_ms)
         .bind(job)
         .execute(connection)
@@ -58,7 +58,7 @@ pub(super) async fn mark_started(connection: &mut Connection, job: i64, moment: 
 
 /// Updates a job's counters; returns its number of finished tiles.
 pub(super) async fn progress(connection: &mut Connection, job: i64, by: ProgressDelta) -> Result<i64> {
-    let done: Option<i64> = sqlx::query_scalar(
+    let done: Option<i64> = db::query_scalar(
         "UPDATE job SET tiles_done = tiles_done + ?1, rays_done = rays_done + ?2, frames_stored = frames_stored + ?3,
                         rays_peak = max(rays_peak, rays_done + ?2)
          WHERE number = ?4 RETURNING tiles_done",
@@ -74,7 +74,7 @@ pub(super) async fn progress(connection: &mut Connection, job: i64, by: Progress
 
 /// Marks a job as succeeded if all its frames are stored.
 pub(super) async fn succeed_if_stored(connection: &mut Connection, job: i64, moment: TransitionContext) -> Result<()> {
-    sqlx::query(
+    db::query(
         "UPDATE job SET state = 'succeeded', finished_at_ms = ?1, started_at_ms = coalesce(started_at_ms, ?1)
          WHERE number = ?2 AND frames_stored = frames_total AND finished_at_ms IS NULL",
     )
@@ -92,7 +92,7 @@ pub(super) async fn fail(
     message: &str,
     moment: TransitionContext,
 ) -> Result<()> {
-    let failed = sqlx::query(
+    let failed = db::query(
         "UPDATE job SET state = 'failed', error = ?, finished_at_ms = ?, tiles_dead = tiles_dead + 1, cleanup = 'void'
          WHERE number = ? AND finished_at_ms IS NULL",
     )
@@ -101,7 +101,7 @@ pub(super) async fn fail(
     .bind(job)
     .execute(&mut *connection)
     .await?;
-    expect_rows("job: failed", 1, &failed)?;
+    expect_rows("job: failed", 1, failed)?;
     cleanup::piece(connection, job, moment).await.map(drop)
 }
 
@@ -112,7 +112,7 @@ pub(super) async fn refuse(
     message: &str,
     moment: TransitionContext,
 ) -> Result<()> {
-    sqlx::query(
+    db::query(
         "UPDATE job SET state = 'failed', error = ?, finished_at_ms = ?, cleanup = 'void'
          WHERE number = ? AND finished_at_ms IS NULL",
     )
@@ -126,7 +126,7 @@ pub(super) async fn refuse(
 
 /// Cancels a job that has not finished.
 pub(super) async fn cancel(connection: &mut Connection, id: JobId, moment: TransitionContext) -> Result<CancelOutcome> {
-    let cancelled: Option<i64> = sqlx::query_scalar(
+    let cancelled: Option<i64> = db::query_scalar(
         "UPDATE job SET state = 'cancelled', finished_at_ms = ?, cleanup = 'void'
          WHERE id = ? AND finished_at_ms IS NULL RETURNING number",
     )
@@ -137,25 +137,23 @@ pub(super) async fn cancel(connection: &mut Connection, id: JobId, moment: Trans
     if let Some(job) = cancelled {
         return cleanup::piece(connection, job, moment).await.map(CancelOutcome::Done);
     }
-    let state: Option<String> = sqlx::query_scalar("SELECT state FROM job WHERE id = ?")
-        .bind(id.to_string())
-        .fetch_optional(connection)
-        .await?;
+    let state: Option<String> =
+        db::query_scalar("SELECT state FROM job WHERE id = ?").bind(id.to_string()).fetch_optional(connection).await?;
     state.map_or(Ok(CancelOutcome::Unknown), |name| job_state(&name).map(CancelOutcome::AlreadyFinished))
 }
 
 /// Deletes a job that is not running, with all its rows, and the pictures that only it used: the first piece of them
 /// now.
 pub(super) async fn delete(connection: &mut Connection, id: JobId, moment: TransitionContext) -> Result<DeleteOutcome> {
-    let row = sqlx::query("SELECT number, state FROM job WHERE id = ?")
+    let row = db::query("SELECT number, state FROM job WHERE id = ?")
         .bind(id.to_string())
         .fetch_optional(&mut *connection)
         .await?;
     let Some(row) = row else { return Ok(DeleteOutcome::Unknown) };
-    if job_state(&row.try_get::<String, _>("state")?)? == JobState::Running {
+    if job_state(&row.get::<String>("state")?)? == JobState::Running {
         return Ok(DeleteOutcome::Running);
     }
-    let job = row.try_get("number")?;
+    let job = row.get("number")?;
     cleanup::mark_deleted(connection, job).await?;
     cleanup::piece(connection, job, moment).await.map(DeleteOutcome::Done)
 }

@@ -1,9 +1,9 @@
 //! Frames of a job: the state and picture of each.
 
+use crate::db;
+use db::Row;
 use proto::JobId;
 use proto::frame::{FrameState, FrameView};
-use sqlx::Row;
-use sqlx::sqlite::SqliteRow;
 
 use super::{Queue, Result, parse_column};
 
@@ -58,17 +58,17 @@ pub(crate) struct StoredFrame {
 impl Queue {
     /// Lists all frames of a job.
     pub(crate) async fn frames(&self, id: JobId) -> Result<Option<FrameSet>> {
-        let row = sqlx::query("SELECT number, name, media_type, frames_total, frames_stored FROM job WHERE id = ?")
+        let row = db::query("SELECT number, name, media_type, frames_total, frames_stored FROM job WHERE id = ?")
             .bind(id.to_string())
             .fetch_optional(self.readers())
             .await?;
         row.map(|row| {
             Ok(FrameSet {
-                job: row.try_get("number")?,
-                name: row.try_get("name")?,
-                media_type: row.try_get("media_type")?,
-                total: row.try_get("frames_total")?,
-                stored: row.try_get("frames_stored")?,
+                job: row.get("number")?,
+                name: row.get("name")?,
+                media_type: row.get("media_type")?,
+                total: row.get("frames_total")?,
+                stored: row.get("frames_stored")?,
             })
         })
         .transpose()
@@ -83,7 +83,7 @@ impl Queue {
         limit: u32,
     ) -> Result<Vec<FrameView>> {
         let end = from.saturating_add(limit).min(frames.total);
-        let rows = sqlx::query(
+        let rows = db::query(
             "SELECT number, state, picture, size_bytes FROM frame
              WHERE job = ? AND number >= ? AND number < ? ORDER BY number",
         )
@@ -96,7 +96,7 @@ impl Queue {
         let mut rows = rows.iter().peekable();
         for number in from..end {
             let row = match rows.peek() {
-                Some(row) if row.try_get::<u32, _>("number")? == number => rows.next(),
+                Some(row) if row.get::<u32>("number")? == number => rows.next(),
                 Some(_) | None => None,
             };
             views.push(view(id, frames, number, row)?);
@@ -106,7 +106,7 @@ impl Queue {
 
     /// Next stored frames of a job.
     pub(crate) async fn stored_frames(&self, job: i64, from: u32, limit: u32) -> Result<Vec<StoredFrame>> {
-        let rows = sqlx::query(
+        let rows = db::query(
             "SELECT number, picture, size_bytes FROM frame
              WHERE job = ? AND number >= ? AND state = 'stored' ORDER BY number LIMIT ?",
         )
@@ -118,28 +118,28 @@ impl Queue {
         rows.iter()
             .map(|row| {
                 Ok(StoredFrame {
-                    number: row.try_get("number")?,
-                    picture: row.try_get("picture")?,
-                    size_bytes: row.try_get("size_bytes")?,
+                    number: row.get("number")?,
+                    picture: row.get("picture")?,
+                    size_bytes: row.get("size_bytes")?,
                 })
             })
             .collect()
     }
 }
 
-fn view(id: JobId, frames: &FrameSet, number: u32, row: Option<&SqliteRow>) -> Result<FrameView> {
+fn view(id: JobId, frames: &FrameSet, number: u32, row: Option<&Row>) -> Result<FrameView> {
     let Some(row) = row else {
         let state = FrameState::Waiting;
         return Ok(FrameView { number, state, picture: None, size_bytes: None, image: None, file: None });
     };
-    let name: String = row.try_get("state")?;
+    let name: String = row.get("state")?;
     let state = parse_column("frame.state", &name, FrameState::parse)?;
     let is_stored = state == FrameState::Stored;
     Ok(FrameView {
         number,
         state,
-        picture: row.try_get("picture")?,
-        size_bytes: row.try_get("size_bytes")?,
+        picture: row.get("picture")?,
+        size_bytes: row.get("size_bytes")?,
         image: is_stored.then(|| format!("/v1/jobs/{id}/frames/{number}/image")),
         file: is_stored.then(|| frames.file_name(number)),
     })

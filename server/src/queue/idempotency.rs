@@ -3,13 +3,13 @@
 //! All options are written in the transaction that accepts the job, so that a crash cannot separate them.
 
 use proto::JobId;
-use sqlx::Row;
 
 use super::{
     BacklogLimits, Connection, ExceededLimit, NewJob, Queue, Result, TransitionContext, Wake, expect_rows,
     parse_column, submit,
 };
-use crate::database::Durability;
+use crate::db;
+use crate::db::Durability;
 
 /// Retention of idempotency keys.
 const RETENTION_MS: i64 = 48 * 3_600_000;
@@ -76,7 +76,7 @@ impl Queue {
 
     /// Whether a submitter has used this idempotency key before.
     pub(crate) async fn has_idempotency_key(&self, submitter: &str, key: &str) -> Result<bool> {
-        let known: Option<i64> = sqlx::query_scalar("SELECT 1 FROM idempotency WHERE submitter = ? AND key = ?")
+        let known: Option<i64> = db::query_scalar("SELECT 1 FROM idempotency WHERE submitter = ? AND key = ?")
             .bind(submitter)
             .bind(key)
             .fetch_optional(self.readers())
@@ -121,7 +121,7 @@ async fn accept(
     }
     let number = submit::submit(connection, job, moment).await?;
     if let Some(once) = &wish.idempotency {
-        let kept = sqlx::query(
+        let kept = db::query(
             "INSERT INTO idempotency (submitter, key, fingerprint, job, created_at_ms) VALUES (?, ?, ?, ?, ?)",
         )
         .bind(&job.submitter)
@@ -131,17 +131,17 @@ async fn accept(
         .bind(moment.wall_ms)
         .execute(&mut *connection)
         .await?;
-        expect_rows("idempotency: stored", 1, &kept)?;
+        expect_rows("idempotency: stored", 1, kept)?;
     }
     for webhook in &wish.webhooks {
-        let kept = sqlx::query("INSERT INTO webhook (job, url, target, events) VALUES (?, ?, ?, ?)")
+        let kept = db::query("INSERT INTO webhook (job, url, target, events) VALUES (?, ?, ?, ?)")
             .bind(number)
             .bind(&webhook.url)
             .bind(&webhook.target)
             .bind(format!(",{},", webhook.events.join(",")))
             .execute(&mut *connection)
             .await?;
-        expect_rows("webhook: stored", 1, &kept)?;
+        expect_rows("webhook: stored", 1, kept)?;
     }
     Ok(SubmitOutcome::Created(number))
 }
@@ -152,8 +152,8 @@ async fn earlier_submission(
     submitter: &str,
     once: &IdempotencyKey,
 ) -> Result<Option<SubmitOutcome>> {
-    let row = sqlx::query(
-        "SELECT idempotency.fingerprint, job.id FROM idempotency CROSS JOIN job ON job.number = idempotency.job
+    let row = db::query(
+        "SELECT idempotency.fingerprint, job.id FROM idempotency @join job ON job.number = idempotency.job
          WHERE idempotency.submitter = ? AND idempotency.key = ?",
     )
     .bind(submitter)
@@ -161,15 +161,15 @@ async fn earlier_submission(
     .fetch_optional(connection)
     .await?;
     let Some(row) = row else { return Ok(None) };
-    if row.try_get::<String, _>("fingerprint")? != once.fingerprint {
+    if row.get::<String>("fingerprint")? != once.fingerprint {
         return Ok(Some(SubmitOutcome::KeyReused));
     }
-    let id: String = row.try_get("id")?;
+    let id: String = row.get("id")?;
     Ok(Some(SubmitOutcome::Replayed(parse_column("job.id", &id, |id| id.parse().ok())?)))
 }
 
 async fn prune(connection: &mut Connection, made_before_ms: i64) -> Result<u64> {
-    let dropped = sqlx::query(
+    let dropped = db::query(
         "DELETE FROM idempotency WHERE (submitter, key) IN (
              SELECT submitter, key FROM idempotency WHERE created_at_ms < ? ORDER BY created_at_ms LIMIT ?)",
     )

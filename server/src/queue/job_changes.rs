@@ -3,12 +3,12 @@
 use proto::JobId;
 use proto::job::JobState;
 use proto::job::{DeleteDryRun, JobPatch};
-use sqlx::Row;
 
 use super::{
     BacklogLimits, Connection, ExceededLimit, Queue, Result, TransitionContext, Wake, cleanup, expect_rows, finish,
 };
-use crate::database::Durability;
+use crate::db;
+use crate::db::Durability;
 
 /// Outcome of a change to a job.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -69,17 +69,17 @@ impl Queue {
 
     /// Dry run of a deletion: the contents that it would remove; `None` if the job does not exist.
     pub(crate) async fn delete_preview(&self, job: JobId) -> Result<Option<(JobState, DeleteDryRun)>> {
-        let row = sqlx::query(DRY_RUN_SQL).bind(job.to_string()).fetch_optional(self.readers()).await?;
+        let row = db::query(DRY_RUN_SQL).bind(job.to_string()).fetch_optional(self.readers()).await?;
         row.map(|row| {
-            let picture_bytes: i64 = row.try_get("picture_bytes")?;
-            let blob_bytes: i64 = row.try_get("blob_bytes")?;
+            let picture_bytes: i64 = row.get("picture_bytes")?;
+            let blob_bytes: i64 = row.get("blob_bytes")?;
             let preview = DeleteDryRun {
-                pictures: row.try_get("pictures")?,
-                blobs: row.try_get("blobs")?,
+                pictures: row.get("pictures")?,
+                blobs: row.get("blobs")?,
                 size_bytes: picture_bytes.saturating_add(blob_bytes).unsigned_abs(),
-                rows: row.try_get("rows")?,
+                rows: row.get("rows")?,
             };
-            Ok((finish::job_state(&row.try_get::<String, _>("state")?)?, preview))
+            Ok((finish::job_state(&row.get::<String>("state")?)?, preview))
         })
         .transpose()
     }
@@ -89,13 +89,13 @@ impl Queue {
 const DRY_RUN_SQL: &str = "
     WITH this AS (SELECT number, state FROM job WHERE id = ?),
     alone AS (
-        SELECT DISTINCT frame.picture, frame.size_bytes FROM this CROSS JOIN frame ON frame.job = this.number
+        SELECT DISTINCT frame.picture, frame.size_bytes FROM this @join frame ON frame.job = this.number
         WHERE frame.picture IS NOT NULL AND NOT EXISTS (
             SELECT 1 FROM frame AS other
             WHERE other.picture IS NOT NULL AND other.picture = frame.picture AND other.job <> this.number)),
     unneeded AS (
-        SELECT DISTINCT tile.blob, tile.blob_bytes FROM this CROSS JOIN tile ON tile.job = this.number
-        CROSS JOIN frame ON frame.job = tile.job AND frame.number = tile.frame
+        SELECT DISTINCT tile.blob, tile.blob_bytes FROM this @join tile ON tile.job = this.number
+        @join frame ON frame.job = tile.job AND frame.number = tile.frame
         WHERE tile.blob IS NOT NULL AND frame.state <> 'stored' AND NOT EXISTS (
             SELECT 1 FROM tile AS other WHERE other.blob IS NOT NULL AND other.blob = tile.blob AND other.job <> this.number))
     SELECT state,
@@ -109,10 +109,8 @@ const DRY_RUN_SQL: &str = "
     FROM this";
 
 async fn state(connection: &mut Connection, id: JobId) -> Result<ChangeOutcome> {
-    let state: Option<String> = sqlx::query_scalar("SELECT state FROM job WHERE id = ?")
-        .bind(id.to_string())
-        .fetch_optional(connection)
-        .await?;
+    let state: Option<String> =
+        db::query_scalar("SELECT state FROM job WHERE id = ?").bind(id.to_string()).fetch_optional(connection).await?;
     state.map_or(Ok(ChangeOutcome::Unknown), |name| finish::job_state(&name).map(ChangeOutcome::WrongState))
 }
 
@@ -124,7 +122,7 @@ async fn retry(
     limits: BacklogLimits,
     moment: TransitionContext,
 ) -> Result<RetryStep> {
-    let failed = sqlx::query(
+    let failed = db::query(
         "SELECT number, cleanup, submitter, rays_total FROM job WHERE id = ? AND state = 'failed' AND tiles_dead > 0",
     )
     .bind(id.to_string())
@@ -134,16 +132,16 @@ async fn retry(
         let outcome = state(connection, id).await?;
         return Ok(RetryStep::Outcome(RetryOutcome::Changed(outcome)));
     };
-    let job: i64 = failed.try_get("number")?;
-    let rays: i64 = failed.try_get("rays_total")?;
-    let submitter: String = failed.try_get("submitter")?;
+    let job: i64 = failed.get("number")?;
+    let rays: i64 = failed.get("rays_total")?;
+    let submitter: String = failed.get("submitter")?;
     if let Some(limit) = limits.find_exceeded(connection, &submitter, rays.unsigned_abs()).await? {
         return Ok(RetryStep::Outcome(RetryOutcome::Rejected(limit)));
     }
-    if failed.try_get::<Option<String>, _>("cleanup")?.is_some() {
+    if failed.get::<Option<String>>("cleanup")?.is_some() {
         return Ok(RetryStep::CleanUpFirst(job));
     }
-    let retried = sqlx::query(
+    let retried = db::query(
         "UPDATE job SET state = 'running', error = NULL, finished_at_ms = NULL, events_kept = 1, cleanup = 'requeue',
                         retried_at_ms = ?1, started_at_ms = coalesce(started_at_ms, ?1)
          WHERE number = ?2",
@@ -152,17 +150,16 @@ async fn retry(
     .bind(job)
     .execute(&mut *connection)
     .await?;
-    expect_rows("job: failed to running", 1, &retried)?;
+    expect_rows("job: failed to running", 1, retried)?;
     cleanup::piece(connection, job, moment).await?;
     Ok(RetryStep::Outcome(RetryOutcome::Changed(ChangeOutcome::Done)))
 }
 
 async fn change(connection: &mut Connection, id: JobId, patch: &JobPatch) -> Result<ChangeOutcome> {
-    let changed =
-        sqlx::query("UPDATE job SET priority = coalesce(?, priority) WHERE id = ? AND finished_at_ms IS NULL")
-            .bind(patch.priority)
-            .bind(id.to_string())
-            .execute(&mut *connection)
-            .await?;
+    let changed = db::query("UPDATE job SET priority = coalesce(?, priority) WHERE id = ? AND finished_at_ms IS NULL")
+        .bind(patch.priority)
+        .bind(id.to_string())
+        .execute(&mut *connection)
+        .await?;
     if changed.rows_affected() == 1 { Ok(ChangeOutcome::Done) } else { state(connection, id).await }
 }

@@ -1,11 +1,11 @@
 //! Leases that end without a result: the tile becomes ready again after a back-off, or is dead after too many
 //! failures.
 
+use crate::db;
 use std::time::Duration;
 
+use db::Row;
 use proto::{LeaseId, WorkerId};
-use sqlx::Row;
-use sqlx::sqlite::SqliteRow;
 
 use super::{Connection, Result, TransitionContext, Wake, exclusion, expect_rows, finish, json_list};
 
@@ -124,21 +124,21 @@ macro_rules! held_where {
 }
 
 impl LiveLease {
-    fn read(row: &SqliteRow) -> Result<Self> {
+    fn read(row: &Row) -> Result<Self> {
         Ok(Self {
-            lease: row.try_get("lease")?,
-            worker: row.try_get("worker")?,
-            tile: row.try_get("tile")?,
-            job: row.try_get("job")?,
-            frame: row.try_get("frame")?,
-            stitch: row.try_get::<String, _>("kind")? == "stitch",
-            rays: row.try_get("rays")?,
-            granted_ms: row.try_get("granted_ms")?,
+            lease: row.get("lease")?,
+            worker: row.get("worker")?,
+            tile: row.get("tile")?,
+            job: row.get("job")?,
+            frame: row.get("frame")?,
+            stitch: row.get::<String>("kind")? == "stitch",
+            rays: row.get("rays")?,
+            granted_ms: row.get("granted_ms")?,
             counters: Counters {
-                errors: row.try_get("errors")?,
-                crashes: row.try_get("crashes")?,
-                lost: row.try_get("lost")?,
-                interrupts: row.try_get("interrupts")?,
+                errors: row.get("errors")?,
+                crashes: row.get("crashes")?,
+                lost: row.get("lost")?,
+                interrupts: row.get("interrupts")?,
             },
         })
     }
@@ -150,7 +150,7 @@ pub(super) async fn live_leases_among(
     worker: WorkerId,
     leases: &[LeaseId],
 ) -> Result<Vec<LiveLease>> {
-    let rows = sqlx::query(held_where!("lease.worker = ? AND lease.id IN (SELECT value FROM json_each(?))"))
+    let rows = db::query(held_where!("lease.worker = ? AND lease.id IN (SELECT value FROM @texts(?))"))
         .bind(worker.to_string())
         .bind(json_list(leases))
         .fetch_all(connection)
@@ -172,22 +172,20 @@ pub(super) struct LeaseGrant {
 /// Live leases of a worker. The index is forced, because with another one the query would read every lease the
 /// worker ever had.
 pub(super) async fn live_leases(connection: &mut Connection, worker: &str) -> Result<Vec<LeaseGrant>> {
-    let rows = sqlx::query(
-        "SELECT lease.id, lease.granted_ms FROM lease INDEXED BY lease_live_by_worker
-         CROSS JOIN tile ON tile.id = lease.tile CROSS JOIN job ON job.number = tile.job
+    let rows = db::query(
+        "SELECT lease.id, lease.granted_ms FROM lease @index(lease_live_by_worker)
+         @join tile ON tile.id = lease.tile @join job ON job.number = tile.job
          WHERE lease.worker = ? AND lease.ended IS NULL AND job.finished_at_ms IS NULL",
     )
     .bind(worker)
     .fetch_all(connection)
     .await?;
-    rows.iter()
-        .map(|row| Ok(LeaseGrant { lease: row.try_get("id")?, granted_ms: row.try_get("granted_ms")? }))
-        .collect()
+    rows.iter().map(|row| Ok(LeaseGrant { lease: row.get("id")?, granted_ms: row.get("granted_ms")? })).collect()
 }
 
 /// A lease, if it is live.
 pub(super) async fn live_lease(connection: &mut Connection, lease: &str) -> Result<Option<LiveLease>> {
-    let row = sqlx::query(held_where!("lease.id = ?")).bind(lease).fetch_optional(connection).await?;
+    let row = db::query(held_where!("lease.id = ?")).bind(lease).fetch_optional(connection).await?;
     row.as_ref().map(LiveLease::read).transpose()
 }
 
@@ -234,7 +232,7 @@ pub(super) async fn end_without_result(
 
 /// Whether a tile has a live lease.
 async fn is_leased(connection: &mut Connection, tile: i64) -> Result<bool> {
-    let live: Option<i64> = sqlx::query_scalar("SELECT 1 FROM lease WHERE tile = ? AND ended IS NULL LIMIT 1")
+    let live: Option<i64> = db::query_scalar("SELECT 1 FROM lease WHERE tile = ? AND ended IS NULL LIMIT 1")
         .bind(tile)
         .fetch_optional(connection)
         .await?;
@@ -246,9 +244,9 @@ pub(super) async fn revoke_duplicates(
     connection: &mut Connection,
     tiles: impl IntoIterator<Item = i64>,
 ) -> Result<Wake> {
-    let void = sqlx::query(
+    let void = db::query(
         "UPDATE lease SET ended = 'void', used_us = 0
-             WHERE ended IS NULL AND tile IN (SELECT value FROM json_each(?))",
+             WHERE ended IS NULL AND tile IN (SELECT value FROM @texts(?))",
     )
     .bind(super::json_numbers(tiles))
     .execute(connection)
@@ -264,7 +262,7 @@ async fn end_lease(
     moment: TransitionContext,
 ) -> Result<()> {
     let used_us = (moment.now_ms - held.granted_ms).max(0).saturating_mul(1000);
-    let done = sqlx::query(
+    let done = db::query(
         "UPDATE lease SET ended = ?, used_us = min(charged_us, coalesce(used_us, ?)) WHERE id = ? AND ended IS NULL",
     )
     .bind(ended)
@@ -272,7 +270,7 @@ async fn end_lease(
     .bind(&held.lease)
     .execute(connection)
     .await?;
-    expect_rows("lease: live to ended", 1, &done)
+    expect_rows("lease: live to ended", 1, done)
 }
 
 async fn requeue(
@@ -282,7 +280,7 @@ async fn requeue(
     not_before_ms: i64,
     avoid: Option<&str>,
 ) -> Result<()> {
-    let done = sqlx::query(
+    let done = db::query(
         "UPDATE tile SET state = 'ready', not_before_ms = ?, avoid = coalesce(?, avoid),
                          errors = ?, crashes = ?, lost = ?, interrupts = ?
          WHERE id = ? AND state = 'leased'",
@@ -296,12 +294,12 @@ async fn requeue(
     .bind(held.tile)
     .execute(connection)
     .await?;
-    expect_rows("tile: leased to ready", 1, &done)
+    expect_rows("tile: leased to ready", 1, done)
 }
 
 /// Updates the counters of a tile that stays leased.
 async fn store_counters(connection: &mut Connection, held: &LiveLease, counters: Counters) -> Result<()> {
-    let done = sqlx::query(
+    let done = db::query(
         "UPDATE tile SET errors = ?, crashes = ?, lost = ?, interrupts = ? WHERE id = ? AND state = 'leased'",
     )
     .bind(counters.errors)
@@ -311,11 +309,11 @@ async fn store_counters(connection: &mut Connection, held: &LiveLease, counters:
     .bind(held.tile)
     .execute(connection)
     .await?;
-    expect_rows("tile: counted", 1, &done)
+    expect_rows("tile: counted", 1, done)
 }
 
 async fn mark_dead(connection: &mut Connection, held: &LiveLease, counters: Counters) -> Result<()> {
-    let done = sqlx::query(
+    let done = db::query(
         "UPDATE tile SET state = 'dead', errors = ?, crashes = ?, lost = ?, interrupts = ?
          WHERE id = ? AND state = 'leased'",
     )
@@ -326,7 +324,7 @@ async fn mark_dead(connection: &mut Connection, held: &LiveLease, counters: Coun
     .bind(held.tile)
     .execute(connection)
     .await?;
-    expect_rows("tile: leased to dead", 1, &done)
+    expect_rows("tile: leased to dead", 1, done)
 }
 
 /// Renews live leases.
@@ -335,12 +333,12 @@ pub(super) async fn renew(connection: &mut Connection, leases: &[&str], moment: 
         return Ok(());
     }
     let renewed =
-        sqlx::query("UPDATE lease SET expires_ms = ? WHERE ended IS NULL AND id IN (SELECT value FROM json_each(?))")
+        db::query("UPDATE lease SET expires_ms = ? WHERE ended IS NULL AND id IN (SELECT value FROM @texts(?))")
             .bind(moment.now_ms + moment.lease_ms)
             .bind(json_list(leases))
             .execute(connection)
             .await?;
-    expect_rows("lease: renewed", leases.len() as u64, &renewed)
+    expect_rows("lease: renewed", leases.len() as u64, renewed)
 }
 
 /// Whether a lease is overdue or a remote worker is lost.
@@ -353,12 +351,12 @@ pub(super) async fn rescue(connection: &mut Connection, moment: TransitionContex
     let mut ring = Wake::default();
     let mut count = 0;
     let missed_ms = moment.now_ms - moment.lease_ms;
-    let look = sqlx::query_scalar(ANYTHING_EXPIRED_SQL).bind(moment.now_ms).bind(missed_ms);
+    let look = db::query_scalar(ANYTHING_EXPIRED_SQL).bind(moment.now_ms).bind(missed_ms);
     if !look.fetch_one(&mut *connection).await? {
         return Ok((count, ring));
     }
     let expired: Vec<String> =
-        sqlx::query_scalar("SELECT id FROM lease WHERE ended IS NULL AND expires_ms <= ? ORDER BY expires_ms")
+        db::query_scalar("SELECT id FROM lease WHERE ended IS NULL AND expires_ms <= ? ORDER BY expires_ms")
             .bind(moment.now_ms)
             .fetch_all(&mut *connection)
             .await?;
@@ -372,7 +370,7 @@ pub(super) async fn rescue(connection: &mut Connection, moment: TransitionContex
         );
         count += 1;
     }
-    sqlx::query("UPDATE worker SET state = 'gone' WHERE state <> 'gone' AND pool = 0 AND seen_ms <= ?")
+    db::query("UPDATE worker SET state = 'gone' WHERE state <> 'gone' AND pool = 0 AND seen_ms <= ?")
         .bind(missed_ms)
         .execute(connection)
         .await?;

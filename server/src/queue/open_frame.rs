@@ -1,5 +1,6 @@
 //! Opening a frame: creates its row and its tiles, or stores it at once from a picture that exists already.
 
+use crate::db;
 use proto::Rect;
 
 use super::{Connection, Result, TransitionContext, expect_rows, finish, row_count};
@@ -41,7 +42,7 @@ pub(super) async fn open(
         settled @ (OpenOutcome::Stored | OpenOutcome::Stale) => return Ok(settled),
     }
     count_opened(connection, opening).await?;
-    sqlx::query("INSERT INTO frame (job, number, state, picture_key, tiles_total) VALUES (?, ?, 'open', ?, ?)")
+    db::query("INSERT INTO frame (job, number, state, picture_key, tiles_total) VALUES (?, ?, 'open', ?, ?)")
         .bind(opening.job)
         .bind(opening.frame)
         .bind(&opening.picture_key)
@@ -55,7 +56,7 @@ pub(super) async fn open(
 /// Creates the tiles of a frame.
 pub(super) async fn create_tiles(connection: &mut Connection, opening: &FrameOpening) -> Result<()> {
     let rects: Vec<[u32; 4]> = opening.tiles.iter().map(|rect| [rect.x, rect.y, rect.width, rect.height]).collect();
-    let made = sqlx::query(
+    let made = db::query(
         "INSERT INTO tile (job, frame, kind, position, x_px, y_px, width_px, height_px, rays, state)
          SELECT ?1, ?2, 'render', key, value ->> 0, value ->> 1, value ->> 2, value ->> 3,
                 (value ->> 2) * (value ->> 3) * ?3, 'ready'
@@ -67,7 +68,7 @@ pub(super) async fn create_tiles(connection: &mut Connection, opening: &FrameOpe
     .bind(serde_json::json!(rects).to_string())
     .execute(connection)
     .await?;
-    expect_rows("tile: made", opening.tiles.len() as u64, &made)
+    expect_rows("tile: made", opening.tiles.len() as u64, made)
 }
 
 /// Stores a frame from a cached picture, unless the job bypasses the cache.
@@ -77,7 +78,7 @@ pub(super) async fn open_from_cache(
     moment: TransitionContext,
 ) -> Result<OpenOutcome> {
     let fresh: Option<bool> =
-        sqlx::query_scalar("SELECT fresh FROM job WHERE number = ? AND frames_opened = ? AND finished_at_ms IS NULL")
+        db::query_scalar("SELECT fresh FROM job WHERE number = ? AND frames_opened = ? AND finished_at_ms IS NULL")
             .bind(opening.job)
             .bind(opening.frame)
             .fetch_optional(&mut *connection)
@@ -87,7 +88,7 @@ pub(super) async fn open_from_cache(
         Some(true) => return Ok(OpenOutcome::Open),
         Some(false) => {}
     }
-    let stored = sqlx::query(
+    let stored = db::query(
         "INSERT INTO frame (job, number, state, picture_key, tiles_total, tiles_done, picture, size_bytes)
          SELECT ?1, ?2, 'stored', key, ?3, ?3, hash, size_bytes FROM picture WHERE key = ?4",
     )
@@ -109,11 +110,10 @@ pub(super) async fn open_from_cache(
 }
 
 async fn count_opened(connection: &mut Connection, opening: &FrameOpening) -> Result<()> {
-    let advanced =
-        sqlx::query("UPDATE job SET frames_opened = frames_opened + 1 WHERE number = ? AND frames_opened = ?")
-            .bind(opening.job)
-            .bind(opening.frame)
-            .execute(connection)
-            .await?;
-    expect_rows("job: next frame", 1, &advanced)
+    let advanced = db::query("UPDATE job SET frames_opened = frames_opened + 1 WHERE number = ? AND frames_opened = ?")
+        .bind(opening.job)
+        .bind(opening.frame)
+        .execute(connection)
+        .await?;
+    expect_rows("job: next frame", 1, advanced)
 }

@@ -4,7 +4,8 @@ use proto::JobId;
 use proto::job::JobState;
 
 use super::{Connection, Queue, Result, Wake, expect_rows, finish};
-use crate::database::Durability;
+use crate::db;
+use crate::db::Durability;
 
 /// Outcome of pausing or resuming a job.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -21,7 +22,7 @@ pub(crate) enum PauseOutcome {
 
 /// Whether the job's submitter has this number of paused jobs, without this one.
 async fn has_paused(connection: &mut Connection, id: JobId, limit: u32) -> Result<bool> {
-    let others: i64 = sqlx::query_scalar(
+    let others: i64 = db::query_scalar(
         "SELECT count(*) FROM job
          WHERE submitter = (SELECT submitter FROM job WHERE id = ?1) AND paused = 1 AND finished_at_ms IS NULL
            AND id <> ?1",
@@ -43,7 +44,7 @@ async fn pause_job(
     {
         return Ok(PauseOutcome::TooMany(limit));
     }
-    let changed = sqlx::query("UPDATE job SET paused = ? WHERE id = ? AND finished_at_ms IS NULL")
+    let changed = db::query("UPDATE job SET paused = ? WHERE id = ? AND finished_at_ms IS NULL")
         .bind(paused)
         .bind(id.to_string())
         .execute(&mut *connection)
@@ -51,17 +52,14 @@ async fn pause_job(
     if changed.rows_affected() > 0 {
         return Ok(PauseOutcome::Done);
     }
-    let state: Option<String> = sqlx::query_scalar("SELECT state FROM job WHERE id = ?")
-        .bind(id.to_string())
-        .fetch_optional(connection)
-        .await?;
+    let state: Option<String> =
+        db::query_scalar("SELECT state FROM job WHERE id = ?").bind(id.to_string()).fetch_optional(connection).await?;
     state.map_or(Ok(PauseOutcome::Unknown), |name| finish::job_state(&name).map(PauseOutcome::AlreadyFinished))
 }
 
 async fn pause_farm(connection: &mut Connection, paused: bool) -> Result<()> {
-    let changed =
-        sqlx::query("UPDATE meta SET value = ? WHERE name = 'paused'").bind(paused).execute(connection).await?;
-    expect_rows("meta: paused", 1, &changed)
+    let changed = db::query("UPDATE meta SET value = ? WHERE name = 'paused'").bind(paused).execute(connection).await?;
+    expect_rows("meta: paused", 1, changed)
 }
 
 impl Queue {
@@ -88,6 +86,6 @@ impl Queue {
 
     /// Whether the farm is paused.
     pub(crate) async fn is_paused(&self) -> Result<bool> {
-        Ok(sqlx::query_scalar("SELECT value <> 0 FROM meta WHERE name = 'paused'").fetch_one(self.readers()).await?)
+        Ok(db::query_scalar("SELECT value <> 0 FROM meta WHERE name = 'paused'").fetch_one(self.readers()).await?)
     }
 }

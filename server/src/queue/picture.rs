@@ -5,13 +5,13 @@
 use std::collections::BTreeMap;
 
 use proto::{LeaseId, WorkerId};
-use sqlx::Row;
 
 use super::deliver::{DeliverResult, count_mismatches, record_durations};
 use super::lease::{self, LeaseEnd, LiveLease};
 use super::verification::{self, Candidate};
 use super::{Connection, Result, TransitionContext, Wake, expect_rows, finish, row_count};
-use crate::database::DatabaseError;
+use crate::db;
+use crate::db::DatabaseError;
 
 /// Records a frame's picture: for its stitch, or for every tile of the frame at once.
 pub(super) async fn accept_picture(
@@ -56,7 +56,7 @@ pub(super) async fn accept_picture(
 /// Whether these leased tiles are all tiles of a frame.
 async fn is_every_tile(connection: &mut Connection, job: i64, frame: u32, tiles: usize) -> Result<bool> {
     let total: Option<i64> =
-        sqlx::query_scalar("SELECT tiles_total FROM frame WHERE job = ? AND number = ? AND state = 'open'")
+        db::query_scalar("SELECT tiles_total FROM frame WHERE job = ? AND number = ? AND state = 'open'")
             .bind(job)
             .bind(frame)
             .fetch_optional(connection)
@@ -80,7 +80,7 @@ async fn store_frame(
     delivered: &mut DeliverResult,
 ) -> Result<()> {
     delivered.ring.add(finish_all(connection, held).await?);
-    let key: Option<String> = sqlx::query_scalar(
+    let key: Option<String> = db::query_scalar(
         "UPDATE frame SET state = 'stored', picture = ?1, size_bytes = ?2, tiles_done = tiles_total
          WHERE job = ?3 AND number = ?4 AND state = ?5 RETURNING picture_key",
     )
@@ -101,13 +101,13 @@ async fn store_frame(
     }
     finish::succeed_if_stored(connection, picture.job, moment).await?;
     if stitched {
-        let blobs = sqlx::query("SELECT DISTINCT blob FROM tile WHERE job = ? AND frame = ? AND blob IS NOT NULL")
+        let blobs = db::query("SELECT DISTINCT blob FROM tile WHERE job = ? AND frame = ? AND blob IS NOT NULL")
             .bind(picture.job)
             .bind(picture.frame)
             .fetch_all(connection)
             .await?;
         for row in blobs {
-            delivered.leftovers.push(row.try_get("blob")?);
+            delivered.leftovers.push(row.get("blob")?);
         }
     }
     Ok(())
@@ -115,17 +115,17 @@ async fn store_frame(
 
 async fn finish_all(connection: &mut Connection, held: &[LiveLease]) -> Result<Wake> {
     let ended =
-        sqlx::query("UPDATE lease SET ended = 'done' WHERE ended IS NULL AND id IN (SELECT value FROM json_each(?))")
+        db::query("UPDATE lease SET ended = 'done' WHERE ended IS NULL AND id IN (SELECT value FROM @texts(?))")
             .bind(super::json_list(held.iter().map(|held| &held.lease)))
             .execute(&mut *connection)
             .await?;
-    expect_rows("lease: live to ended", held.len() as u64, &ended)?;
+    expect_rows("lease: live to ended", held.len() as u64, ended)?;
     let done =
-        sqlx::query("UPDATE tile SET state = 'done' WHERE state = 'leased' AND id IN (SELECT value FROM json_each(?))")
+        db::query("UPDATE tile SET state = 'done' WHERE state = 'leased' AND id IN (SELECT value FROM @texts(?))")
             .bind(super::json_numbers(held.iter().map(|held| held.tile)))
             .execute(&mut *connection)
             .await?;
-    expect_rows("tile: leased to done", held.len() as u64, &done)?;
+    expect_rows("tile: leased to done", held.len() as u64, done)?;
     lease::revoke_duplicates(connection, held.iter().map(|held| held.tile)).await
 }
 
@@ -142,8 +142,8 @@ async fn cache_picture(
     moment: TransitionContext,
 ) -> Result<u64> {
     let first: Option<String> =
-        sqlx::query_scalar("SELECT hash FROM picture WHERE key = ?").bind(key).fetch_optional(&mut *connection).await?;
-    sqlx::query(
+        db::query_scalar("SELECT hash FROM picture WHERE key = ?").bind(key).fetch_optional(&mut *connection).await?;
+    db::query(
         "INSERT INTO picture (key, hash, size_bytes, media_type, stored_at_ms)
          SELECT ?1, ?2, ?3, media_type, ?4 FROM job WHERE number = ?5
          ON CONFLICT (key) DO UPDATE SET hash = excluded.hash, size_bytes = excluded.size_bytes,

@@ -1,8 +1,8 @@
 //! Data for previews and estimates: a frame's finished tiles, and the current workers. Only reads.
 
+use crate::db;
 use proto::JobId;
 use proto::job::JobState;
-use sqlx::Row;
 
 use super::{Queue, Result, finish};
 
@@ -43,7 +43,7 @@ pub(crate) struct ReadyWorker {
 impl Queue {
     /// Reads the content of a frame.
     pub(crate) async fn frame_contents(&self, id: JobId, frame: u32) -> Result<FrameContents> {
-        let row = sqlx::query(
+        let row = db::query(
             "SELECT job.number, job.state, job.frames_total, frame.picture, frame.size_bytes
              FROM job LEFT JOIN frame ON frame.job = job.number AND frame.number = ? WHERE job.id = ?",
         )
@@ -52,35 +52,35 @@ impl Queue {
         .fetch_optional(self.readers())
         .await?;
         let Some(row) = row else { return Ok(FrameContents::NoJob) };
-        let frames: u32 = row.try_get("frames_total")?;
+        let frames: u32 = row.get("frames_total")?;
         if frame >= frames {
             return Ok(FrameContents::NoFrame(frames));
         }
-        if let Some(hash) = row.try_get("picture")? {
-            return Ok(FrameContents::Stored { hash, size_bytes: row.try_get("size_bytes")? });
+        if let Some(hash) = row.get("picture")? {
+            return Ok(FrameContents::Stored { hash, size_bytes: row.get("size_bytes")? });
         }
-        let blobs = sqlx::query_scalar(
+        let blobs = db::query_scalar(
             "SELECT blob FROM tile WHERE job = ? AND frame = ? AND blob IS NOT NULL ORDER BY position",
         )
-        .bind(row.try_get::<i64, _>("number")?)
+        .bind(row.get::<i64>("number")?)
         .bind(frame)
         .fetch_all(self.readers())
         .await?;
-        Ok(FrameContents::Unfinished { state: finish::job_state(&row.try_get::<String, _>("state")?)?, blobs })
+        Ok(FrameContents::Unfinished { state: finish::job_state(&row.get::<String>("state")?)?, blobs })
     }
 
     /// Ready workers.
     pub(crate) async fn ready_workers(&self) -> Result<Vec<ReadyWorker>> {
-        let rows = sqlx::query(
+        let rows = db::query(
             "SELECT device, pool, rays_per_second FROM worker WHERE state <> 'gone' AND state IN ('starting', 'ready')",
         )
         .fetch_all(self.readers())
         .await?;
         let present = rows.iter().map(|row| {
             Ok(ReadyWorker {
-                device: row.try_get("device")?,
-                pool: row.try_get("pool")?,
-                rays_per_second: row.try_get("rays_per_second")?,
+                device: row.get("device")?,
+                pool: row.get("pool")?,
+                rays_per_second: row.get("rays_per_second")?,
             })
         });
         present.collect()

@@ -1,11 +1,11 @@
 //! Reads for users, through the reading connections.
 
+use crate::db;
+use crate::db::{Readers, Row};
 use proto::JobId;
 use proto::job::{DoneOfTotal, JobPage, JobState, JobView};
 use proto::pool::{WorkerList, WorkerState, WorkerView};
 use proto::rounding;
-use sqlx::Row;
-use sqlx::sqlite::{SqlitePool, SqliteRow};
 
 use super::{Queue, Result, finish, parse_column};
 use crate::clock::rfc3339;
@@ -58,38 +58,38 @@ pub(crate) enum StoredImage {
 }
 
 /// Whether a picture with this cache key is stored.
-pub(super) async fn has_picture(readers: &SqlitePool, key: &str) -> Result<bool> {
+pub(super) async fn has_picture(readers: &Readers, key: &str) -> Result<bool> {
     let found: Option<i64> =
-        sqlx::query_scalar("SELECT 1 FROM picture WHERE key = ?").bind(key).fetch_optional(readers).await?;
+        db::query_scalar("SELECT 1 FROM picture WHERE key = ?").bind(key).fetch_optional(readers).await?;
     Ok(found.is_some())
 }
 
-fn read_job(row: &SqliteRow, wall_ms: i64) -> Result<JobView> {
-    let id: String = row.try_get("id")?;
-    let state = finish::job_state(&row.try_get::<String, _>("state")?)?;
-    let warnings: String = row.try_get("warnings")?;
+fn read_job(row: &Row, wall_ms: i64) -> Result<JobView> {
+    let id: String = row.get("id")?;
+    let state = finish::job_state(&row.get::<String>("state")?)?;
+    let warnings: String = row.get("warnings")?;
     let mut warnings: Vec<String> = parse_column("job.warnings", &warnings, |text| serde_json::from_str(text).ok())?;
     warnings.extend(too_large(row)?);
-    let started_at_ms: Option<i64> = row.try_get("started_at_ms")?;
-    let rays_total: i64 = row.try_get("rays_total")?;
-    let progress = row.try_get::<i64, _>("rays_peak")? as f64 / rays_total as f64;
-    let error: Option<String> = row.try_get("error")?;
-    let (paused, farm_paused): (bool, bool) = (row.try_get("paused")?, row.try_get("farm_paused")?);
+    let started_at_ms: Option<i64> = row.get("started_at_ms")?;
+    let rays_total: i64 = row.get("rays_total")?;
+    let progress = row.get::<i64>("rays_peak")? as f64 / rays_total as f64;
+    let error: Option<String> = row.get("error")?;
+    let (paused, farm_paused): (bool, bool) = (row.get("paused")?, row.get("farm_paused")?);
     Ok(JobView {
         id: parse_column("job.id", &id, |id| id.parse().ok())?,
-        name: row.try_get("name")?,
-        submitter: row.try_get("submitter")?,
-        priority: row.try_get("priority")?,
+        name: row.get("name")?,
+        submitter: row.get("submitter")?,
+        priority: row.get("priority")?,
         state,
         paused,
         progress: rounding::fraction(progress),
-        tiles: DoneOfTotal { done: row.try_get("tiles_done")?, total: row.try_get("tiles_total")? },
-        frames: DoneOfTotal { done: row.try_get("frames_stored")?, total: row.try_get("frames_total")? },
+        tiles: DoneOfTotal { done: row.get("tiles_done")?, total: row.get("tiles_total")? },
+        frames: DoneOfTotal { done: row.get("frames_stored")?, total: row.get("frames_total")? },
         errors: error.into_iter().collect(),
         warnings,
-        created_at: rfc3339(row.try_get("created_at_ms")?),
+        created_at: rfc3339(row.get("created_at_ms")?),
         started_at: started_at_ms.map(rfc3339),
-        finished_at: row.try_get::<Option<i64>, _>("finished_at_ms")?.map(rfc3339),
+        finished_at: row.get::<Option<i64>>("finished_at_ms")?.map(rfc3339),
         eta_seconds: started_at_ms
             .filter(|_| state == JobState::Running && !paused && !farm_paused)
             .and_then(|start| eta(start, wall_ms, progress)),
@@ -97,10 +97,10 @@ fn read_job(row: &SqliteRow, wall_ms: i64) -> Result<JobView> {
 }
 
 /// Warning for a job whose scene is too large for every current worker.
-fn too_large(row: &SqliteRow) -> Result<Option<String>> {
-    let nodes: i64 = row.try_get("nodes")?;
-    let farm_max_nodes: Option<i64> = row.try_get("farm_max_nodes")?;
-    let waits: bool = row.try_get("waits")?;
+fn too_large(row: &Row) -> Result<Option<String>> {
+    let nodes: i64 = row.get("nodes")?;
+    let farm_max_nodes: Option<i64> = row.get("farm_max_nodes")?;
+    let waits: bool = row.get("waits")?;
     Ok(farm_max_nodes.filter(|max_nodes| waits && *max_nodes < nodes).map(|max_nodes| {
         format!(
             "no worker of this farm renders scenes of more than {max_nodes} nodes, and this scene has {nodes}: \
@@ -118,7 +118,7 @@ fn eta(started_at_ms: i64, wall_ms: i64, progress: f64) -> Option<f64> {
 impl Queue {
     /// A job's view.
     pub(crate) async fn job(&self, id: JobId) -> Result<Option<JobView>> {
-        let row = sqlx::query(jobs_where!("id = ?")).bind(id.to_string()).fetch_optional(self.readers()).await?;
+        let row = db::query(jobs_where!("id = ?")).bind(id.to_string()).fetch_optional(self.readers()).await?;
         row.map(|row| read_job(&row, self.clock.wall_ms())).transpose()
     }
 
@@ -131,15 +131,15 @@ impl Queue {
         before: Option<i64>,
     ) -> Result<JobPage> {
         let query = match (submitter, state) {
-            (None, None) => sqlx::query(jobs_where!("number < ? ORDER BY number DESC LIMIT ?")),
+            (None, None) => db::query(jobs_where!("number < ? ORDER BY number DESC LIMIT ?")),
             (None, Some(state)) => {
-                sqlx::query(jobs_where!("state = ? AND number < ? ORDER BY number DESC LIMIT ?")).bind(state.name())
+                db::query(jobs_where!("state = ? AND number < ? ORDER BY number DESC LIMIT ?")).bind(state.name())
             }
             (Some(submitter), None) => {
-                sqlx::query(jobs_where!("submitter = ? AND number < ? ORDER BY number DESC LIMIT ?")).bind(submitter)
+                db::query(jobs_where!("submitter = ? AND number < ? ORDER BY number DESC LIMIT ?")).bind(submitter)
             }
             (Some(submitter), Some(state)) => {
-                sqlx::query(jobs_where!("submitter = ? AND state = ? AND number < ? ORDER BY number DESC LIMIT ?"))
+                db::query(jobs_where!("submitter = ? AND state = ? AND number < ? ORDER BY number DESC LIMIT ?"))
                     .bind(submitter)
                     .bind(state.name())
             }
@@ -148,7 +148,7 @@ impl Queue {
         let mut rows = query.bind(limit + 1).fetch_all(self.readers()).await?;
         let more = rows.len() > limit as usize;
         rows.truncate(limit as usize);
-        let last: Option<i64> = rows.last().filter(|_| more).map(|row| row.try_get("number")).transpose()?;
+        let last: Option<i64> = rows.last().filter(|_| more).map(|row| row.get("number")).transpose()?;
         let wall_ms = self.clock.wall_ms();
         let jobs = rows.iter().map(|row| read_job(row, wall_ms)).collect::<Result<Vec<_>>>()?;
         Ok(JobPage { jobs, next_cursor: last.map(|number| number.to_string()) })
@@ -166,7 +166,7 @@ impl Queue {
         let is_part = (MIN_ID_CHARACTERS..=ID_CHARACTERS).contains(&id.len())
             && id.bytes().all(|byte| byte == b'-' || byte.is_ascii_hexdigit());
         // Only the newest jobs are searched; older ones are found by their complete id.
-        let rows = sqlx::query(jobs_where!(
+        let rows = db::query(jobs_where!(
             "number IN (
                  SELECT number FROM (SELECT number, id, name, submitter FROM job ORDER BY number DESC LIMIT ?1)
                  WHERE (?2 IS NULL OR submitter = ?2) AND (name = ?3 OR (?4 AND (substr(id, 1, ?5) = ?6 OR substr(id, -?5) = ?6)))
@@ -189,7 +189,7 @@ impl Queue {
 
     /// File of the job with this id, as it was submitted.
     pub(crate) async fn file(&self, id: JobId) -> Result<Option<String>> {
-        Ok(sqlx::query_scalar("SELECT text FROM job_file JOIN job ON number = job WHERE id = ?")
+        Ok(db::query_scalar("SELECT text FROM job_file JOIN job ON number = job WHERE id = ?")
             .bind(id.to_string())
             .fetch_optional(self.readers())
             .await?)
@@ -197,7 +197,7 @@ impl Queue {
 
     /// File of the job with this number, as it was submitted.
     pub(crate) async fn file_of(&self, number: i64) -> Result<Option<String>> {
-        Ok(sqlx::query_scalar("SELECT text FROM job_file WHERE job = ?")
+        Ok(db::query_scalar("SELECT text FROM job_file WHERE job = ?")
             .bind(number)
             .fetch_optional(self.readers())
             .await?)
@@ -205,7 +205,7 @@ impl Queue {
 
     /// Picture of a frame.
     pub(crate) async fn image(&self, id: JobId, frame: u32) -> Result<StoredImage> {
-        let row = sqlx::query(
+        let row = db::query(
             "SELECT job.state, job.frames_total, job.media_type, frame.picture, frame.size_bytes
              FROM job LEFT JOIN frame ON frame.job = job.number AND frame.number = ? WHERE job.id = ?",
         )
@@ -214,26 +214,24 @@ impl Queue {
         .fetch_optional(self.readers())
         .await?;
         let Some(row) = row else { return Ok(StoredImage::NoJob) };
-        let frames: u32 = row.try_get("frames_total")?;
+        let frames: u32 = row.get("frames_total")?;
         if frame >= frames {
             return Ok(StoredImage::NoFrame(frames));
         }
-        let state = finish::job_state(&row.try_get::<String, _>("state")?)?;
-        Ok(match row.try_get::<Option<String>, _>("picture")? {
+        let state = finish::job_state(&row.get::<String>("state")?)?;
+        Ok(match row.get::<Option<String>>("picture")? {
             None => StoredImage::NotYet(state),
-            Some(hash) => StoredImage::Stored {
-                hash,
-                size_bytes: row.try_get("size_bytes")?,
-                media_type: row.try_get("media_type")?,
-            },
+            Some(hash) => {
+                StoredImage::Stored { hash, size_bytes: row.get("size_bytes")?, media_type: row.get("media_type")? }
+            }
         })
     }
 
     /// Every worker that is not gone.
     pub(crate) async fn workers(&self) -> Result<WorkerList> {
-        let rows = sqlx::query(
+        let rows = db::query(
             "SELECT id, name, device, state, rays_per_second,
-                    (SELECT count(*) FROM lease INDEXED BY lease_live_by_worker
+                    (SELECT count(*) FROM lease @index(lease_live_by_worker)
                      WHERE lease.worker = worker.id AND lease.ended IS NULL) AS leases
              FROM worker WHERE state <> 'gone' ORDER BY id",
         )
@@ -245,15 +243,15 @@ impl Queue {
 
     /// Number of ready pool workers.
     pub(crate) async fn pool_ready(&self) -> Result<u32> {
-        Ok(sqlx::query_scalar("SELECT count(*) FROM worker WHERE state <> 'gone' AND state = 'ready' AND pool = 1")
+        Ok(db::query_scalar("SELECT count(*) FROM worker WHERE state <> 'gone' AND state = 'ready' AND pool = 1")
             .fetch_one(self.readers())
             .await?)
     }
 
     /// Those of some blobs that no unfinished frame uses.
     pub(crate) async fn orphan_blobs(&self, hashes: &[String]) -> Result<Vec<String>> {
-        Ok(sqlx::query_scalar(
-            "SELECT value FROM json_each(?) WHERE NOT EXISTS (
+        Ok(db::query_scalar(
+            "SELECT value FROM @texts(?) WHERE NOT EXISTS (
                  SELECT 1 FROM tile JOIN frame ON frame.job = tile.job AND frame.number = tile.frame
                  WHERE tile.blob = value AND (frame.state IN ('open', 'stitching')
                      OR EXISTS (SELECT 1 FROM verification WHERE verification.job = frame.job
@@ -266,8 +264,8 @@ impl Queue {
 
     /// Those of some pictures that no job uses.
     pub(crate) async fn orphan_pictures(&self, hashes: &[String]) -> Result<Vec<String>> {
-        Ok(sqlx::query_scalar(
-            "SELECT value FROM json_each(?)
+        Ok(db::query_scalar(
+            "SELECT value FROM @texts(?)
              WHERE NOT EXISTS (SELECT 1 FROM frame WHERE frame.picture IS NOT NULL AND frame.picture = value)
                AND NOT EXISTS (SELECT 1 FROM picture WHERE picture.hash = value)",
         )
@@ -278,21 +276,21 @@ impl Queue {
 
     /// Whether the database responds.
     pub(crate) async fn check(&self) -> Result<()> {
-        sqlx::query("SELECT value FROM meta").fetch_one(self.readers()).await?;
+        db::query("SELECT value FROM meta").fetch_one(self.readers()).await?;
         Ok(())
     }
 }
 
-fn read_worker(row: &SqliteRow) -> Result<WorkerView> {
-    let id: String = row.try_get("id")?;
-    let state: String = row.try_get("state")?;
+fn read_worker(row: &Row) -> Result<WorkerView> {
+    let id: String = row.get("id")?;
+    let state: String = row.get("state")?;
     Ok(WorkerView {
         id: parse_column("worker.id", &id, |id| id.parse().ok())?,
-        name: row.try_get("name")?,
-        device: row.try_get("device")?,
+        name: row.get("name")?,
+        device: row.get("device")?,
         state: parse_column("worker.state", &state, worker_state)?,
-        rays_per_second: row.try_get::<Option<f64>, _>("rays_per_second")?.map(rounding::rate),
-        leases: row.try_get("leases")?,
+        rays_per_second: row.get::<Option<f64>>("rays_per_second")?.map(rounding::rate),
+        leases: row.get("leases")?,
     })
 }
 

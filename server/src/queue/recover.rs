@@ -1,8 +1,7 @@
 //! Recovery at startup: repairs the state that the last server left, and prunes old rows.
 
-use sqlx::Row;
-
 use super::{Connection, Result, exclusion, fair_share, json_numbers, row_count, speeds, verification};
+use crate::db;
 
 /// Retention of ended leases, to recognize late results.
 const LEASE_RETENTION_MS: u64 = 3_600_000;
@@ -22,54 +21,51 @@ pub(crate) struct Recovery {
 /// remote workers last for one more lease length on the clock that starts now.
 pub(super) async fn recover(connection: &mut Connection, now_ms: i64, lease_ms: i64) -> Result<Recovery> {
     let generation: i64 =
-        sqlx::query_scalar("UPDATE meta SET value = value + 1 WHERE name = 'boot_generation' RETURNING value")
+        db::query_scalar("UPDATE meta SET value = value + 1 WHERE name = 'boot_generation' RETURNING value")
             .fetch_one(&mut *connection)
             .await?;
-    let tiles: Vec<i64> = sqlx::query_scalar(
+    let tiles: Vec<i64> = db::query_scalar(
         "UPDATE lease SET ended = 'interrupted'
          WHERE ended IS NULL AND worker IN (SELECT id FROM worker WHERE pool = 1) RETURNING tile",
     )
     .fetch_all(&mut *connection)
     .await?;
-    sqlx::query(
+    db::query(
         "UPDATE tile SET state = 'ready', interrupts = interrupts + 1
-         WHERE state = 'leased' AND id IN (SELECT value FROM json_each(?))
+         WHERE state = 'leased' AND id IN (SELECT value FROM @texts(?))
            AND NOT EXISTS (SELECT 1 FROM lease WHERE lease.tile = tile.id AND ended IS NULL)",
     )
     .bind(json_numbers(tiles.iter().copied()))
     .execute(&mut *connection)
     .await?;
-    sqlx::query("UPDATE lease SET granted_ms = ?, expires_ms = ? WHERE ended IS NULL")
+    db::query("UPDATE lease SET granted_ms = ?, expires_ms = ? WHERE ended IS NULL")
         .bind(now_ms)
         .bind(now_ms + lease_ms)
         .execute(&mut *connection)
         .await?;
-    sqlx::query("UPDATE worker SET state = 'gone' WHERE pool = 1 AND state <> 'gone'")
-        .execute(&mut *connection)
-        .await?;
-    sqlx::query("UPDATE worker SET seen_ms = ? WHERE state <> 'gone'").bind(now_ms).execute(&mut *connection).await?;
-    sqlx::query("UPDATE tile SET not_before_ms = 0 WHERE state = 'ready' AND not_before_ms > 0")
+    db::query("UPDATE worker SET state = 'gone' WHERE pool = 1 AND state <> 'gone'").execute(&mut *connection).await?;
+    db::query("UPDATE worker SET seen_ms = ? WHERE state <> 'gone'").bind(now_ms).execute(&mut *connection).await?;
+    db::query("UPDATE tile SET not_before_ms = 0 WHERE state = 'ready' AND not_before_ms > 0")
         .execute(&mut *connection)
         .await?;
     exclusion::recover(connection, now_ms).await?;
     speeds::recover(connection, now_ms).await?;
     verification::reset_after_restart(connection, now_ms).await?;
-    let jobs =
-        sqlx::query("SELECT count(*) AS jobs FROM job WHERE finished_at_ms IS NULL").fetch_one(connection).await?;
-    Ok(Recovery { generation, jobs: jobs.try_get("jobs")?, leases: row_count(tiles.len()) })
+    let jobs = db::query("SELECT count(*) AS jobs FROM job WHERE finished_at_ms IS NULL").fetch_one(connection).await?;
+    Ok(Recovery { generation, jobs: jobs.get("jobs")?, leases: row_count(tiles.len()) })
 }
 
 /// Deletes leases that ended long ago, and workers that are gone and have none: at most `limit` of each. Returns
 /// whether there may be more.
 pub(super) async fn tidy(connection: &mut Connection, limit: i64) -> Result<bool> {
-    let leases = sqlx::query(
+    let leases = db::query(
         "DELETE FROM lease WHERE id IN (SELECT id FROM lease WHERE ended IS NOT NULL AND id < ? ORDER BY id LIMIT ?)",
     )
     .bind(min_kept_id(uuid::Uuid::now_v7()))
     .bind(limit)
     .execute(&mut *connection)
     .await?;
-    let workers = sqlx::query(
+    let workers = db::query(
         "DELETE FROM worker WHERE id IN (SELECT id FROM worker WHERE state = 'gone'
              AND NOT EXISTS (SELECT 1 FROM lease WHERE lease.worker = worker.id) LIMIT ?)",
     )

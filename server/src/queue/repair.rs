@@ -1,12 +1,12 @@
 //! Repair after lost bytes, which deletes the rows of missing pictures and renders their frames again, and of books
 //! that cannot be right: absurd shares.
 
-use sqlx::Row;
-use sqlx::sqlite::SqliteRow;
+use db::Row;
 
 use super::finish::job_state;
 use super::{Connection, FrameOpening, Queue, Result, Wake, expect_rows, json_list, open_frame, row_count};
-use crate::database::Durability;
+use crate::db;
+use crate::db::Durability;
 use crate::tile_plan::TilePlan;
 
 /// Most that a share can be ahead of the submitter served last, in microseconds of a worker: 100 days, more than
@@ -39,7 +39,7 @@ impl Queue {
             .database
             .write(Durability::Full, move |connection| {
                 Box::pin(async move {
-                    let cached: Option<i64> = sqlx::query_scalar("SELECT 1 FROM picture WHERE hash = ? LIMIT 1")
+                    let cached: Option<i64> = db::query_scalar("SELECT 1 FROM picture WHERE hash = ? LIMIT 1")
                         .bind(&hashes[0])
                         .fetch_optional(&mut *connection)
                         .await?;
@@ -65,22 +65,22 @@ struct LostFrame {
 }
 
 impl LostFrame {
-    fn read(row: &SqliteRow) -> Result<Self> {
+    fn read(row: &Row) -> Result<Self> {
         use proto::job::JobState::{Cancelled, Failed, Queued, Running, Succeeded};
         Ok(Self {
-            job: row.try_get("job")?,
-            frame: row.try_get("frame")?,
-            picture_key: row.try_get("picture_key")?,
-            tiles: row.try_get("tiles_total")?,
+            job: row.get("job")?,
+            frame: row.get("frame")?,
+            picture_key: row.get("picture_key")?,
+            tiles: row.get("tiles_total")?,
             plan: TilePlan {
-                width_px: row.try_get("width_px")?,
-                height_px: row.try_get("height_px")?,
-                samples: row.try_get("samples")?,
-                pixel_bytes: row.try_get("pixel_bytes")?,
-                edge_px: row.try_get("edge_px")?,
-                frames: row.try_get("frames_total")?,
+                width_px: row.get("width_px")?,
+                height_px: row.get("height_px")?,
+                samples: row.get("samples")?,
+                pixel_bytes: row.get("pixel_bytes")?,
+                edge_px: row.get("edge_px")?,
+                frames: row.get("frames_total")?,
             },
-            is_rerenderable: match job_state(&row.try_get::<String, _>("state")?)? {
+            is_rerenderable: match job_state(&row.get::<String>("state")?)? {
                 Queued | Running | Succeeded => true,
                 Failed | Cancelled => false,
             },
@@ -94,14 +94,14 @@ const ABSURD_SHARES_SQL: &str = "
         (SELECT served_us FROM share_clock WHERE share_clock.priority = share.priority), 0) > ?";
 
 /// Number of submitters' shares that cannot be right.
-pub(crate) async fn absurd_shares(connection: &mut Connection) -> std::result::Result<i64, sqlx::Error> {
-    sqlx::query_scalar(ABSURD_SHARES_SQL).bind(MAX_LEAD_US).fetch_one(connection).await
+pub(crate) async fn absurd_shares(connection: &mut Connection) -> Result<i64> {
+    db::query_scalar(ABSURD_SHARES_SQL).bind(MAX_LEAD_US).fetch_one(connection).await
 }
 
 /// Starts all shares again from zero: they only decide who is next.
 pub(crate) async fn reset_shares(connection: &mut Connection) -> Result<()> {
-    sqlx::query("UPDATE share SET served_us = 0").execute(&mut *connection).await?;
-    sqlx::query("DELETE FROM share_clock").execute(connection).await?;
+    db::query("UPDATE share SET served_us = 0").execute(&mut *connection).await?;
+    db::query("DELETE FROM share_clock").execute(connection).await?;
     Ok(())
 }
 
@@ -109,11 +109,11 @@ pub(crate) async fn reset_shares(connection: &mut Connection) -> Result<()> {
 /// again.
 pub(crate) async fn forget_pictures(connection: &mut Connection, hashes: &[String]) -> Result<Reopened> {
     let hashes = json_list(hashes);
-    let lost = sqlx::query(
+    let lost = db::query(
         "SELECT frame.job, frame.number AS frame, frame.picture_key, frame.tiles_total, job.state, job.width_px,
                 job.height_px, job.samples, job.pixel_bytes, job.edge_px, job.frames_total
          FROM frame JOIN job ON job.number = frame.job
-         WHERE frame.picture IS NOT NULL AND frame.picture IN (SELECT value FROM json_each(?))",
+         WHERE frame.picture IS NOT NULL AND frame.picture IN (SELECT value FROM @texts(?))",
     )
     .bind(&hashes)
     .fetch_all(&mut *connection)
@@ -129,7 +129,7 @@ pub(crate) async fn forget_pictures(connection: &mut Connection, hashes: &[Strin
             reopened.void += 1;
         }
     }
-    sqlx::query("DELETE FROM picture WHERE hash IN (SELECT value FROM json_each(?))")
+    db::query("DELETE FROM picture WHERE hash IN (SELECT value FROM @texts(?))")
         .bind(&hashes)
         .execute(connection)
         .await?;
@@ -137,17 +137,17 @@ pub(crate) async fn forget_pictures(connection: &mut Connection, hashes: &[Strin
 }
 
 async fn reopen(connection: &mut Connection, lost: &LostFrame) -> Result<()> {
-    sqlx::query("DELETE FROM verification WHERE job = ? AND frame = ?")
+    db::query("DELETE FROM verification WHERE job = ? AND frame = ?")
         .bind(lost.job)
         .bind(lost.frame)
         .execute(&mut *connection)
         .await?;
-    sqlx::query("DELETE FROM tile WHERE job = ? AND frame = ?")
+    db::query("DELETE FROM tile WHERE job = ? AND frame = ?")
         .bind(lost.job)
         .bind(lost.frame)
         .execute(&mut *connection)
         .await?;
-    let opened = sqlx::query(
+    let opened = db::query(
         "UPDATE frame SET state = 'open', picture = NULL, size_bytes = NULL, tiles_done = 0, tiles_total = ?
          WHERE job = ? AND number = ? AND state = 'stored'",
     )
@@ -156,8 +156,8 @@ async fn reopen(connection: &mut Connection, lost: &LostFrame) -> Result<()> {
     .bind(lost.frame)
     .execute(&mut *connection)
     .await?;
-    expect_rows("frame: stored to open", 1, &opened)?;
-    let running = sqlx::query(
+    expect_rows("frame: stored to open", 1, opened)?;
+    let running = db::query(
         "UPDATE job SET state = 'running', finished_at_ms = NULL, frames_stored = frames_stored - 1,
                         tiles_done = tiles_done - ?, rays_done = rays_done - ?
          WHERE number = ? AND state IN ('queued', 'running', 'succeeded')",
@@ -167,7 +167,7 @@ async fn reopen(connection: &mut Connection, lost: &LostFrame) -> Result<()> {
     .bind(lost.job)
     .execute(&mut *connection)
     .await?;
-    expect_rows("job: succeeded to running", 1, &running)?;
+    expect_rows("job: succeeded to running", 1, running)?;
     let opening = FrameOpening {
         job: lost.job,
         frame: lost.frame,
@@ -179,7 +179,7 @@ async fn reopen(connection: &mut Connection, lost: &LostFrame) -> Result<()> {
 }
 
 async fn void(connection: &mut Connection, lost: &LostFrame) -> Result<()> {
-    let voided = sqlx::query(
+    let voided = db::query(
         "UPDATE frame SET state = 'void', picture = NULL, size_bytes = NULL
          WHERE job = ? AND number = ? AND state = 'stored'",
     )
@@ -187,10 +187,10 @@ async fn void(connection: &mut Connection, lost: &LostFrame) -> Result<()> {
     .bind(lost.frame)
     .execute(&mut *connection)
     .await?;
-    expect_rows("frame: stored to void", 1, &voided)?;
-    let counters = sqlx::query("UPDATE job SET frames_stored = frames_stored - 1 WHERE number = ?")
+    expect_rows("frame: stored to void", 1, voided)?;
+    let counters = db::query("UPDATE job SET frames_stored = frames_stored - 1 WHERE number = ?")
         .bind(lost.job)
         .execute(connection)
         .await?;
-    expect_rows("job: counters", 1, &counters)
+    expect_rows("job: counters", 1, counters)
 }

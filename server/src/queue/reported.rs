@@ -4,13 +4,13 @@
 use std::collections::{BTreeMap, HashMap};
 
 use proto::{LeaseId, Rect, WorkerId};
-use sqlx::Row;
 
 use super::lease::{self, LeaseEnd};
 use super::{
     Connection, Queue, Result, TransitionContext, Wake, exclusion, json_list, parse_column, verification, workers,
 };
 use crate::content_store::ContentKind;
+use crate::db;
 
 /// Tile of a live lease.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -55,10 +55,10 @@ impl Queue {
         worker: WorkerId,
         leases: &[LeaseId],
     ) -> Result<HashMap<LeaseId, ReportedTile>> {
-        let rows = sqlx::query(
+        let rows = db::query(
             "SELECT lease.id, tile.job, tile.frame, tile.x_px, tile.y_px, tile.width_px, tile.height_px, pixel_bytes
              FROM lease JOIN tile ON tile.id = lease.tile JOIN job ON job.number = tile.job
-             WHERE lease.ended IS NULL AND lease.worker = ?1 AND lease.id IN (SELECT value FROM json_each(?2))
+             WHERE lease.ended IS NULL AND lease.worker = ?1 AND lease.id IN (SELECT value FROM @texts(?2))
              UNION ALL
              SELECT verification_lease.id, tile.job, tile.frame, tile.x_px, tile.y_px, tile.width_px, tile.height_px,
                     pixel_bytes
@@ -66,24 +66,24 @@ impl Queue {
              JOIN job ON job.number = verification.job
              JOIN tile ON tile.job = verification.job AND tile.frame = verification.frame
                       AND tile.position = verification_lease.position
-             WHERE verifier = ?1 AND verification_lease.id IN (SELECT value FROM json_each(?2))",
+             WHERE verifier = ?1 AND verification_lease.id IN (SELECT value FROM @texts(?2))",
         )
         .bind(worker.to_string())
         .bind(json_list(leases))
         .fetch_all(self.readers())
         .await?;
         let tiles = rows.iter().map(|row| {
-            let id: String = row.try_get("id")?;
+            let id: String = row.get("id")?;
             let tile = ReportedTile {
-                job: row.try_get("job")?,
-                frame: row.try_get("frame")?,
+                job: row.get("job")?,
+                frame: row.get("frame")?,
                 rect: Rect {
-                    x: row.try_get("x_px")?,
-                    y: row.try_get("y_px")?,
-                    width: row.try_get("width_px")?,
-                    height: row.try_get("height_px")?,
+                    x: row.get("x_px")?,
+                    y: row.get("y_px")?,
+                    width: row.get("width_px")?,
+                    height: row.get("height_px")?,
                 },
-                pixel_bytes: row.try_get("pixel_bytes")?,
+                pixel_bytes: row.get("pixel_bytes")?,
             };
             Ok((parse_column("lease.id", &id, |id| id.parse().ok())?, tile))
         });

@@ -3,29 +3,29 @@
 //! Deletes only rows. The sweep deletes unreferenced bytes afterwards, so that a kill between the two leaves
 //! bytes without a row, which the next sweep finds, and never a row without bytes.
 
+use db::Row;
 use proto::{JobId, Retention};
-use sqlx::Row;
-use sqlx::sqlite::SqliteRow;
 
 use super::cleanup::{self, RemovedContent};
 use super::{Connection, Queue, Result, TransitionContext, json_numbers, parse_column};
-use crate::database::Durability;
+use crate::db;
+use crate::db::Durability;
 
 /// `job.keep_ms` of a job that is kept forever.
 const FOREVER: i64 = -1;
 
 /// Jobs past their own retention.
-const OVER_SQL: &str = "SELECT number, id, name, finished_at_ms, keep_ms FROM job INDEXED BY job_by_own_end
+const OVER_SQL: &str = "SELECT number, id, name, finished_at_ms, keep_ms FROM job @index(job_by_own_end)
      WHERE finished_at_ms IS NOT NULL AND keep_ms >= 0 AND finished_at_ms + keep_ms <= ? AND cleanup IS NOT 'delete'
      ORDER BY finished_at_ms + keep_ms LIMIT ?";
 
 /// Jobs without a retention of their own that finished before the given time.
-const OLD_SQL: &str = "SELECT number, id, name, finished_at_ms, keep_ms FROM job INDEXED BY job_by_finish
+const OLD_SQL: &str = "SELECT number, id, name, finished_at_ms, keep_ms FROM job @index(job_by_finish)
      WHERE finished_at_ms IS NOT NULL AND keep_ms IS NULL AND finished_at_ms <= ? AND cleanup IS NOT 'delete'
      ORDER BY finished_at_ms LIMIT ?";
 
 /// Jobs that may be deleted for the store's size, oldest first.
-const OLDEST_SQL: &str = "SELECT number, id, name, finished_at_ms, keep_ms FROM job INDEXED BY job_not_for_ever
+const OLDEST_SQL: &str = "SELECT number, id, name, finished_at_ms, keep_ms FROM job @index(job_not_for_ever)
      WHERE finished_at_ms IS NOT NULL AND (keep_ms IS NULL OR keep_ms >= 0)
        AND (finished_at_ms, number) > (?, ?) AND cleanup IS NOT 'delete'
      ORDER BY finished_at_ms, number LIMIT ?";
@@ -35,7 +35,7 @@ const FREED_SQL: &str = "SELECT coalesce(sum(size_bytes), 0) FROM (
          SELECT DISTINCT picture, size_bytes FROM frame AS own
          WHERE own.job = ?1 AND own.picture IS NOT NULL AND NOT EXISTS (
              SELECT 1 FROM frame AS other WHERE other.picture = own.picture AND other.picture IS NOT NULL
-             AND other.job <> ?1 AND other.job NOT IN (SELECT value FROM json_each(?2))))";
+             AND other.job <> ?1 AND other.job NOT IN (SELECT value FROM @texts(?2))))";
 
 /// Finished job, as read from the database.
 #[derive(Clone, Debug)]
@@ -58,18 +58,18 @@ pub(super) async fn keep(connection: &mut Connection, job: i64, keep: Retention)
         Retention::For(time) => i64::try_from(time.as_millis()).unwrap_or(FOREVER),
     };
     let kept =
-        sqlx::query("UPDATE job SET keep_ms = ? WHERE number = ?").bind(keep_ms).bind(job).execute(connection).await?;
-    super::expect_rows("job: retention stored", 1, &kept)
+        db::query("UPDATE job SET keep_ms = ? WHERE number = ?").bind(keep_ms).bind(job).execute(connection).await?;
+    super::expect_rows("job: retention stored", 1, kept)
 }
 
-fn read(row: &SqliteRow) -> Result<FinishedJob> {
-    let id: String = row.try_get("id")?;
+fn read(row: &Row) -> Result<FinishedJob> {
+    let id: String = row.get("id")?;
     Ok(FinishedJob {
-        number: row.try_get("number")?,
+        number: row.get("number")?,
         id: parse_column("job.id", &id, |id| id.parse().ok())?,
-        name: row.try_get("name")?,
-        finished_at_ms: row.try_get("finished_at_ms")?,
-        keep_ms: row.try_get("keep_ms")?,
+        name: row.get("name")?,
+        finished_at_ms: row.get("finished_at_ms")?,
+        keep_ms: row.get("keep_ms")?,
     })
 }
 
@@ -78,10 +78,10 @@ impl Queue {
     /// `limit` of each.
     pub(crate) async fn expired_jobs(&self, kept_ms: Option<i64>, limit: u32) -> Result<Vec<FinishedJob>> {
         let wall_ms = self.clock.wall_ms();
-        let mut rows = sqlx::query(OVER_SQL).bind(wall_ms).bind(limit).fetch_all(self.readers()).await?;
+        let mut rows = db::query(OVER_SQL).bind(wall_ms).bind(limit).fetch_all(self.readers()).await?;
         if let Some(kept_ms) = kept_ms {
             let before_ms = wall_ms.saturating_sub(kept_ms);
-            rows.extend(sqlx::query(OLD_SQL).bind(before_ms).bind(limit).fetch_all(self.readers()).await?);
+            rows.extend(db::query(OLD_SQL).bind(before_ms).bind(limit).fetch_all(self.readers()).await?);
         }
         rows.iter().map(read).collect()
     }
@@ -89,13 +89,13 @@ impl Queue {
     /// Finished jobs not kept forever, from the oldest; only those after `after` if given.
     pub(crate) async fn oldest_jobs(&self, after: Option<&FinishedJob>, limit: u32) -> Result<Vec<FinishedJob>> {
         let (finished_at_ms, number) = after.map_or((i64::MIN, i64::MIN), |job| (job.finished_at_ms, job.number));
-        let query = sqlx::query(OLDEST_SQL).bind(finished_at_ms).bind(number).bind(limit);
+        let query = db::query(OLDEST_SQL).bind(finished_at_ms).bind(number).bind(limit);
         query.fetch_all(self.readers()).await?.iter().map(read).collect()
     }
 
     /// Bytes of a job's pictures that no job uses once it and the jobs `gone` are deleted.
     pub(crate) async fn freed_bytes(&self, job: &FinishedJob, gone: &[i64]) -> Result<u64> {
-        let query = sqlx::query_scalar(FREED_SQL).bind(job.number).bind(json_numbers(gone.iter().copied()));
+        let query = db::query_scalar(FREED_SQL).bind(job.number).bind(json_numbers(gone.iter().copied()));
         Ok(query.fetch_one(self.readers()).await?)
     }
 
@@ -116,7 +116,7 @@ async fn remove(
     job: &FinishedJob,
     moment: TransitionContext,
 ) -> Result<Option<RemovedContent>> {
-    let same: Option<i64> = sqlx::query_scalar(
+    let same: Option<i64> = db::query_scalar(
         "SELECT number FROM job
          WHERE number = ? AND finished_at_ms = ? AND keep_ms IS ? AND cleanup IS NOT 'delete'",
     )
@@ -134,7 +134,7 @@ async fn remove(
 mod tests {
     use super::*;
     use crate::clock::Clock;
-    use crate::database::Database;
+    use crate::db::Database;
 
     #[tokio::test]
     async fn retention_queries_need_no_full_table_scan() {
@@ -143,9 +143,9 @@ mod tests {
         let (queue, _) = Queue::open(store.into(), Clock::manual().0, 1000).await.expect("opens");
         for statement in [OVER_SQL, OLD_SQL, OLDEST_SQL, FREED_SQL] {
             let plan = format!("EXPLAIN QUERY PLAN {statement}");
-            let rows = sqlx::query(sqlx::AssertSqlSafe(plan)).fetch_all(queue.readers()).await.expect("explains");
+            let rows = db::made_query(plan).fetch_all(queue.readers()).await.expect("explains");
             for row in rows {
-                let step: String = row.get("detail");
+                let step: String = row.get("detail").expect("a text");
                 let reads = ["SCAN job", "SCAN frame", "SCAN tile", "SCAN own", "SCAN other", "TEMP B-TREE FOR ORDER"];
                 let ordered = step.contains("USING INDEX job_not_for_ever");
                 assert!(ordered || !reads.iter().any(|word| step.contains(word)), "{step} in {statement}");

@@ -3,9 +3,8 @@
 //!
 //! A worker's own report, its speed over all scenes lately, counts only where nothing was measured in the job.
 
-use sqlx::Row;
-
 use super::{Connection, Result, TransitionContext};
+use crate::db;
 
 /// Measurements older than about this have almost no weight.
 const DECAY_SECONDS: f64 = 16.0;
@@ -57,7 +56,7 @@ pub(super) async fn record(
     if rays <= 0.0 || seconds < MIN_SECONDS {
         return Ok(());
     }
-    sqlx::query(
+    db::query(
         "INSERT INTO speed (job, worker, rays, seconds, at_ms)
          SELECT number, ?2, ?3, ?4, ?5 FROM job WHERE number = ?1 AND finished_at_ms IS NULL
          ON CONFLICT (job, worker) DO UPDATE SET
@@ -85,7 +84,7 @@ pub(super) async fn of_holder(
     job: i64,
     moment: TransitionContext,
 ) -> Result<Option<JobSpeed>> {
-    let row = sqlx::query(concat!(
+    let row = db::query(concat!(
         "SELECT max(",
         measured_sql!(),
         ") FILTER (WHERE speed.worker = ?2) AS own, max(",
@@ -98,14 +97,14 @@ pub(super) async fn of_holder(
     .bind(moment.now_ms - MAX_AGE_MS)
     .fetch_one(connection)
     .await?;
-    let measured = row.try_get::<Option<f64>, _>("own")?.or(row.try_get("fastest")?);
-    let overall: Option<f64> = row.try_get("overall")?;
+    let measured = row.get::<Option<f64>>("own")?.or(row.get("fastest")?);
+    let overall: Option<f64> = row.get("overall")?;
     Ok(measured.map(JobSpeed::Measured).or(overall.map(JobSpeed::Overall)))
 }
 
 /// Restarts the ages at startup, because the server's clock starts at zero.
 pub(super) async fn recover(connection: &mut Connection, now_ms: i64) -> Result<()> {
-    sqlx::query("UPDATE speed SET at_ms = ?").bind(now_ms).execute(&mut *connection).await?;
-    sqlx::query("UPDATE worker SET delivered_ms = ? WHERE state <> 'gone'").bind(now_ms).execute(connection).await?;
+    db::query("UPDATE speed SET at_ms = ?").bind(now_ms).execute(&mut *connection).await?;
+    db::query("UPDATE worker SET delivered_ms = ? WHERE state <> 'gone'").bind(now_ms).execute(connection).await?;
     Ok(())
 }

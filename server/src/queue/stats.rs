@@ -2,9 +2,8 @@
 //!
 //! Counting changes nothing, and no decision depends on it.
 
-use sqlx::Row;
-
 use super::{Queue, Result};
+use crate::db;
 
 /// Jobs by state; the index covers the query.
 const JOBS_SQL: &str = "SELECT state, count(*) AS number FROM job GROUP BY state";
@@ -96,31 +95,28 @@ impl Queue {
         let age_seconds = |created_at_ms: Option<i64>| {
             created_at_ms.map_or(0.0, |then_ms| (self.clock.wall_ms() - then_ms).max(0) as f64 / 1e3)
         };
-        let jobs = sqlx::query(JOBS_SQL).fetch_all(readers).await?;
-        let left = sqlx::query(UNFINISHED_SQL).fetch_one(readers).await?;
-        let oldest_queued: Option<i64> = sqlx::query_scalar(OLDEST_QUEUED_SQL).fetch_optional(readers).await?;
-        let workers = sqlx::query(WORKERS_SQL).fetch_all(readers).await?;
+        let jobs = db::query(JOBS_SQL).fetch_all(readers).await?;
+        let left = db::query(UNFINISHED_SQL).fetch_one(readers).await?;
+        let oldest_queued: Option<i64> = db::query_scalar(OLDEST_QUEUED_SQL).fetch_optional(readers).await?;
+        let workers = db::query(WORKERS_SQL).fetch_all(readers).await?;
         Ok(QueueStats {
-            jobs: jobs
-                .iter()
-                .map(|row| Ok((row.try_get("state")?, row.try_get("number")?)))
-                .collect::<Result<Vec<_>>>()?,
-            unfinished: left.try_get("jobs")?,
-            oldest_seconds: age_seconds(left.try_get("oldest_ms")?),
+            jobs: jobs.iter().map(|row| Ok((row.get("state")?, row.get("number")?))).collect::<Result<Vec<_>>>()?,
+            unfinished: left.get("jobs")?,
+            oldest_seconds: age_seconds(left.get("oldest_ms")?),
             oldest_queued_seconds: age_seconds(oldest_queued),
-            tiles_left: left.try_get("tiles")?,
-            tiles_done: left.try_get("tiles_done")?,
-            tiles_ready: sqlx::query_scalar(READY_SQL).fetch_one(readers).await?,
-            leases: sqlx::query_scalar(LEASED_SQL).fetch_one(readers).await?,
-            rays_left: left.try_get("rays")?,
+            tiles_left: left.get("tiles")?,
+            tiles_done: left.get("tiles_done")?,
+            tiles_ready: db::query_scalar(READY_SQL).fetch_one(readers).await?,
+            leases: db::query_scalar(LEASED_SQL).fetch_one(readers).await?,
+            rays_left: left.get("rays")?,
             workers: workers
                 .iter()
                 .map(|row| {
                     Ok(WorkerCount {
-                        state: row.try_get("state")?,
-                        device: row.try_get("device")?,
-                        number: row.try_get("number")?,
-                        rays_per_second: row.try_get("rays_per_second")?,
+                        state: row.get("state")?,
+                        device: row.get("device")?,
+                        number: row.get("number")?,
+                        rays_per_second: row.get("rays_per_second")?,
                     })
                 })
                 .collect::<Result<Vec<_>>>()?,
@@ -135,12 +131,12 @@ mod tests {
     #[tokio::test]
     async fn counting_reads_indexes() {
         let folder = tempfile::tempdir().expect("a temporary folder");
-        let store = crate::database::Database::open(folder.path()).await.expect("opens");
+        let store = db::Database::open(folder.path()).await.expect("opens");
         for statement in STATEMENTS {
-            let explain = sqlx::AssertSqlSafe(format!("EXPLAIN QUERY PLAN {statement}"));
-            let rows = sqlx::query(explain).fetch_all(store.readers()).await.expect("explains");
+            let explain = db::made_query(format!("EXPLAIN QUERY PLAN {statement}"));
+            let rows = explain.fetch_all(store.readers()).await.expect("explains");
             for row in rows {
-                let step: String = row.get("detail");
+                let step: String = row.get("detail").expect("a text");
                 let is_indexed = step.contains("INDEX") || step.contains("TEMP B-TREE");
                 assert!(is_indexed, "{step} in {statement}");
             }

@@ -2,16 +2,17 @@
 
 use super::lease::{self, LeaseEnd, LiveLease};
 use super::{Connection, Result, TransitionContext, Wake, expect_rows, finish, row_count};
+use crate::db;
 
 /// Makes a frame's stitch ready after its last tile.
 pub(super) async fn create(connection: &mut Connection, job: i64, frame: u32) -> Result<()> {
-    let stitching = sqlx::query("UPDATE frame SET state = 'stitching' WHERE job = ? AND number = ? AND state = 'open'")
+    let stitching = db::query("UPDATE frame SET state = 'stitching' WHERE job = ? AND number = ? AND state = 'open'")
         .bind(job)
         .bind(frame)
         .execute(&mut *connection)
         .await?;
-    expect_rows("frame: open to stitching", 1, &stitching)?;
-    let made = sqlx::query(
+    expect_rows("frame: open to stitching", 1, stitching)?;
+    let made = db::query(
         "INSERT INTO tile (job, frame, kind, position, x_px, y_px, width_px, height_px, rays, state)
          SELECT number, ?2, 'stitch', -1, 0, 0, width_px, height_px, 0, 'ready' FROM job WHERE number = ?1
          ON CONFLICT (job, frame, position) DO UPDATE SET state = 'ready' WHERE state = 'void'",
@@ -20,7 +21,7 @@ pub(super) async fn create(connection: &mut Connection, job: i64, frame: u32) ->
     .bind(frame)
     .execute(connection)
     .await?;
-    expect_rows("tile: stitch made", 1, &made)
+    expect_rows("tile: stitch made", 1, made)
 }
 
 /// Reopens the tiles whose blobs a stitch found missing or damaged; after they are rendered again, the stitch
@@ -37,10 +38,10 @@ pub(super) async fn redo_tiles(
     if !is_stitching(connection, held).await? {
         return Ok(ring);
     }
-    let rays: Vec<i64> = sqlx::query_scalar(
+    let rays: Vec<i64> = db::query_scalar(
         "UPDATE tile SET state = 'ready', blob = NULL, blob_bytes = NULL
          WHERE job = ? AND frame = ? AND kind = 'render' AND state = 'done'
-           AND position IN (SELECT value FROM json_each(?)) RETURNING rays",
+           AND position IN (SELECT value FROM @texts(?)) RETURNING rays",
     )
     .bind(held.job)
     .bind(held.frame)
@@ -54,13 +55,13 @@ pub(super) async fn redo_tiles(
     ring.add(lease::revoke_duplicates(connection, [held.tile]).await?);
     let job = super::job_id(connection, held.job).await?;
     tracing::warn!(%job, frame = held.frame, tiles = rays.len(), "blobs damaged; rendering their tiles again");
-    let void = sqlx::query("UPDATE tile SET state = 'void' WHERE id = ? AND state IN ('ready', 'leased')")
+    let void = db::query("UPDATE tile SET state = 'void' WHERE id = ? AND state IN ('ready', 'leased')")
         .bind(held.tile)
         .execute(&mut *connection)
         .await?;
-    expect_rows("tile: stitch void", 1, &void)?;
+    expect_rows("tile: stitch void", 1, void)?;
     let count = row_count(rays.len());
-    let open = sqlx::query(
+    let open = db::query(
         "UPDATE frame SET state = 'open', tiles_done = tiles_done - ? WHERE job = ? AND number = ? AND state = 'stitching'",
     )
     .bind(count)
@@ -68,7 +69,7 @@ pub(super) async fn redo_tiles(
     .bind(held.frame)
     .execute(&mut *connection)
     .await?;
-    expect_rows("frame: stitching to open", 1, &open)?;
+    expect_rows("frame: stitching to open", 1, open)?;
     let back = finish::ProgressDelta { tiles: -count, rays: -rays.iter().sum::<i64>(), frames: 0 };
     finish::progress(connection, held.job, back).await?;
     Ok(ring)
@@ -76,7 +77,7 @@ pub(super) async fn redo_tiles(
 
 async fn is_stitching(connection: &mut Connection, held: &LiveLease) -> Result<bool> {
     let stitching: Option<bool> =
-        sqlx::query_scalar("SELECT state = 'stitching' FROM frame WHERE job = ? AND number = ?")
+        db::query_scalar("SELECT state = 'stitching' FROM frame WHERE job = ? AND number = ?")
             .bind(held.job)
             .bind(held.frame)
             .fetch_optional(connection)

@@ -1,12 +1,12 @@
 //! Stragglers: if no tile is ready, a tile that takes far longer than others of its job, or than its estimate, gets a
 //! duplicate lease; its first lease stays live. The first result counts; `deliver` ends the other lease.
 
+use crate::db;
 use std::collections::HashMap;
 
 use proto::LeaseId;
 use proto::bounded::RaysPerSecond;
 use proto::worker_protocol::{Batch, BatchWork};
-use sqlx::Row;
 
 use super::claim::{self, ClaimFilter, ClaimRequest, NewLease};
 use super::speeds::{self, JobSpeed};
@@ -31,7 +31,7 @@ const OLDEST_LEASES_SQL: &str = include_str!("stragglers.sql");
 
 /// Tiles of a frame that a single worker has leased for long.
 const STRAGGLER_TILES_SQL: &str = "SELECT tile.id, position, x_px, y_px, width_px, height_px, rays, lost
-     FROM lease INDEXED BY lease_live_by_worker JOIN tile ON tile.id = lease.tile
+     FROM lease @index(lease_live_by_worker) JOIN tile ON tile.id = lease.tile
      WHERE lease.worker = ? AND lease.ended IS NULL AND lease.granted_ms <= ?
        AND tile.job = ? AND tile.frame = ? AND tile.kind = 'render'
        AND NOT EXISTS (SELECT 1 FROM lease AS other
@@ -71,7 +71,7 @@ impl OldLease {
             None => {
                 let speed = speeds::of_holder(connection, &self.worker, self.job, moment).await?;
                 let rays: i64 =
-                    sqlx::query_scalar(HELD_RAYS_SQL).bind(&self.worker).bind(self.job).fetch_one(connection).await?;
+                    db::query_scalar(HELD_RAYS_SQL).bind(&self.worker).bind(self.job).fetch_one(connection).await?;
                 let rays_per_second = speed.map_or(fair_share::DEFAULT_RAYS_PER_SECOND, JobSpeed::get);
                 let estimate_ms = (rays as f64 / rays_per_second * 1e3) as i64;
                 let least_ms = match speed {
@@ -86,8 +86,8 @@ impl OldLease {
 }
 
 /// Camera rays of the tiles of a job that a worker holds.
-const HELD_RAYS_SQL: &str = "SELECT coalesce(sum(tile.rays), 0) FROM lease INDEXED BY lease_live_by_worker
-     CROSS JOIN tile ON tile.id = lease.tile
+const HELD_RAYS_SQL: &str = "SELECT coalesce(sum(tile.rays), 0) FROM lease @index(lease_live_by_worker)
+     @join tile ON tile.id = lease.tile
      WHERE lease.worker = ? AND lease.ended IS NULL AND tile.job = ?";
 
 /// Grants a duplicate lease on the oldest straggler.
@@ -102,11 +102,11 @@ pub(super) async fn claim(
     let mut again_ms: Option<i64> = None;
     for row in &found {
         let old = OldLease {
-            job: row.try_get("job")?,
-            frame: row.try_get("frame")?,
-            stitch: row.try_get::<String, _>("kind")? == "stitch",
-            worker: row.try_get("worker")?,
-            granted_ms: row.try_get("granted_ms")?,
+            job: row.get("job")?,
+            frame: row.get("frame")?,
+            stitch: row.get::<String>("kind")? == "stitch",
+            worker: row.get("worker")?,
+            granted_ms: row.get("granted_ms")?,
         };
         let median_ms = match patience.get(&old.job) {
             Some(known) => *known,
@@ -139,7 +139,7 @@ async fn duplicate_leases(
         let work = claim::stitch_work(connection, job.number, old.frame, lease).await?;
         return Ok(Batch { job: job.id, frame: old.frame, tile_seconds: Some(job.tile_seconds), work });
     }
-    let held = sqlx::query(STRAGGLER_TILES_SQL)
+    let held = db::query(STRAGGLER_TILES_SQL)
         .bind(&old.worker)
         .bind(old.granted_ms)
         .bind(old.job)
@@ -168,12 +168,11 @@ async fn grant(
     view: &ClaimFilter,
     moment: TransitionContext,
 ) -> Result<()> {
-    let again = sqlx::query(
-        "UPDATE tile SET epoch = epoch + 1 WHERE state = 'leased' AND id IN (SELECT value FROM json_each(?))",
-    )
-    .bind(super::json_numbers(grants.iter().map(|grant| grant.tile)))
-    .execute(&mut *connection)
-    .await?;
-    expect_rows("tile: leased to leased twice", row_count(grants.len()).unsigned_abs(), &again)?;
+    let again =
+        db::query("UPDATE tile SET epoch = epoch + 1 WHERE state = 'leased' AND id IN (SELECT value FROM @texts(?))")
+            .bind(super::json_numbers(grants.iter().map(|grant| grant.tile)))
+            .execute(&mut *connection)
+            .await?;
+    expect_rows("tile: leased to leased twice", row_count(grants.len()).unsigned_abs(), again)?;
     claim::make_leases(connection, grants, &view.worker, moment).await
 }

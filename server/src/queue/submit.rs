@@ -3,6 +3,7 @@
 use proto::{JobId, Retention};
 
 use super::{Connection, Result, TransitionContext, retention};
+use crate::db;
 use crate::tile_plan::TilePlan;
 
 /// Job that passed validation.
@@ -58,7 +59,7 @@ impl NewJob {
 /// Inserts a job's row and its file; returns its number.
 pub(super) async fn submit(connection: &mut Connection, job: &NewJob, moment: TransitionContext) -> Result<i64> {
     let plan = job.plan;
-    let number: i64 = sqlx::query_scalar(
+    let number: i64 = db::query_scalar(
         "INSERT INTO job (id, name, submitter, priority, state, fresh, width_px, height_px, samples, pixel_bytes,
                           edge_px, media_type, frames_total, tiles_total, rays_total, warnings, nodes,
                           tile_seconds, created_at_ms)
@@ -84,7 +85,7 @@ pub(super) async fn submit(connection: &mut Connection, job: &NewJob, moment: Tr
     .bind(moment.wall_ms)
     .fetch_one(&mut *connection)
     .await?;
-    sqlx::query("INSERT INTO job_file (job, text) VALUES (?, ?)")
+    db::query("INSERT INTO job_file (job, text) VALUES (?, ?)")
         .bind(number)
         .bind(&job.file_text)
         .execute(&mut *connection)

@@ -6,13 +6,13 @@ use std::time::Duration;
 use proto::bounded::RaysPerSecond;
 use proto::worker_protocol::{Batch, LeaseReport};
 use proto::{LeaseId, WorkerId};
-use sqlx::Row;
 
 use super::claim::{self, ClaimOutcome, ClaimRequest};
 use super::lease::{self, LeaseEnd};
 use super::reported::{self, RejectedResult};
 use super::verification::{self, VerificationOutcome};
 use super::{Connection, FrameOpening, Result, TransitionContext, Wake, deliver, open_frame, parse_column, workers};
+use crate::db;
 use crate::tile_plan::TilePlan;
 
 /// A lease granted in a response that the worker never received is released after this time: the worker does
@@ -191,7 +191,7 @@ async fn touch_worker(
     turn: &SyncInput,
     moment: TransitionContext,
 ) -> Result<Option<WorkerRow>> {
-    let row = sqlx::query(
+    let row = db::query(
         "UPDATE worker SET seen_ms = ?1, rays_per_second = coalesce(?2, rays_per_second), owner = coalesce(owner, ?3)
          WHERE id = ?4 AND state <> 'gone' AND coalesce(owner, ?3) = ?3
          RETURNING state, coalesce(max_nodes, ?5) AS max_nodes",
@@ -204,13 +204,13 @@ async fn touch_worker(
     .fetch_optional(connection)
     .await?;
     let Some(row) = row else { return Ok(None) };
-    let state = parse_column("worker.state", &row.try_get::<String, _>("state")?, |state| match state {
+    let state = parse_column("worker.state", &row.get::<String>("state")?, |state| match state {
         "ready" => Some(SyncState::Ready),
         "draining" => Some(SyncState::Draining),
         "starting" | "quarantined" => Some(SyncState::Other),
         _ => None,
     })?;
-    Ok(Some(WorkerRow { state, max_nodes: row.try_get("max_nodes")? }))
+    Ok(Some(WorkerRow { state, max_nodes: row.get("max_nodes")? }))
 }
 
 /// Renews the leases that the worker lists, reports those that have ended, and releases those that it never
@@ -255,14 +255,14 @@ async fn claim_or_nothing(
     max_nodes: i64,
     moment: TransitionContext,
 ) -> Result<NextWork> {
-    sqlx::query("SAVEPOINT claim").execute(&mut *connection).await?;
+    db::query("SAVEPOINT claim").execute(&mut *connection).await?;
     match claim_work(connection, turn, max_nodes, moment).await {
         Ok(next) => {
-            sqlx::query("RELEASE claim").execute(connection).await?;
+            db::query("RELEASE claim").execute(connection).await?;
             Ok(next)
         }
         Err(error) => {
-            sqlx::query("ROLLBACK TO claim; RELEASE claim").execute(connection).await?;
+            db::query("ROLLBACK TO claim; RELEASE claim").execute(connection).await?;
             tracing::error!(
                 code = "claim_failed", worker = %turn.worker, %error, cause = ?std::error::Error::source(&error),
                 "a claim failed; its worker gets no work: run `sdfarm doctor`"

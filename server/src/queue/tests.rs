@@ -14,7 +14,8 @@ use proto::{JobId, WorkerId};
 
 use super::{FrameOpening, NewJob, NewWorker, NextWork, Queue, SyncInput};
 use crate::clock::{Clock, ManualClock};
-use crate::database::Database;
+use crate::db;
+use crate::db::Database;
 use crate::tile_plan::TilePlan;
 
 const LEASE_MS: i64 = 1000;
@@ -76,7 +77,7 @@ impl Fixture {
 
     /// Process id of a worker.
     async fn process(&self, worker: WorkerId) -> u32 {
-        let process = sqlx::query_scalar("SELECT process FROM worker WHERE id = ?").bind(worker.to_string());
+        let process = db::query_scalar("SELECT process FROM worker WHERE id = ?").bind(worker.to_string());
         process.fetch_optional(self.queue.readers()).await.expect("reads").unwrap_or(u32::MAX)
     }
 
@@ -131,8 +132,7 @@ impl Fixture {
                  SELECT 1 FROM tile WHERE tile.job = job.number AND state IN ('ready', 'leased'))",
         ];
         let all = CHECKS.map(|check| format!("SELECT ({check}) AS wrong")).join(" UNION ALL ");
-        let wrong: Vec<i64> =
-            sqlx::query_scalar(sqlx::AssertSqlSafe(all)).fetch_all(self.queue.readers()).await.expect("counts");
+        let wrong: Vec<i64> = db::made_query(all).scalar().fetch_all(self.queue.readers()).await.expect("counts");
         for (check, wrong) in CHECKS.iter().zip(wrong) {
             assert_eq!(wrong, 0, "{check}");
         }
@@ -190,9 +190,9 @@ async fn a_full_disk_rejects_jobs_until_space_is_freed() {
         bench
             .queue
             .database
-            .write(crate::database::Durability::Relaxed, move |connection| {
+            .write(db::Durability::Relaxed, move |connection| {
                 Box::pin(async move {
-                    sqlx::query(statement).execute(connection).await?;
+                    db::query(statement).execute(connection).await?;
                     Ok(())
                 })
             })
@@ -236,9 +236,9 @@ async fn a_job_of_unknown_size_goes_to_any_worker() {
 
 /// Runs a statement in the writer.
 async fn execute(bench: &Fixture, statement: &'static str) {
-    let write = bench.queue.database.write(crate::database::Durability::Relaxed, move |connection| {
+    let write = bench.queue.database.write(db::Durability::Relaxed, move |connection| {
         Box::pin(async move {
-            sqlx::query(statement).execute(connection).await?;
+            db::query(statement).execute(connection).await?;
             Ok(())
         })
     });

@@ -5,7 +5,8 @@
 use proto::JobId;
 
 use super::{Queue, Result, expect_rows, recover};
-use crate::database::Durability;
+use crate::db;
+use crate::db::Durability;
 
 impl Queue {
     /// Stores the trace context of a job that is about to be accepted.
@@ -13,12 +14,12 @@ impl Queue {
         self.database
             .write(Durability::Relaxed, move |connection| {
                 Box::pin(async move {
-                    let kept = sqlx::query("INSERT INTO job_trace (job, traceparent) VALUES (?, ?)")
+                    let kept = db::query("INSERT INTO job_trace (job, traceparent) VALUES (?, ?)")
                         .bind(job.to_string())
                         .bind(traceparent)
                         .execute(connection)
                         .await?;
-                    expect_rows("job_trace: stored", 1, &kept)
+                    expect_rows("job_trace: stored", 1, kept)
                 })
             })
             .await
@@ -26,7 +27,7 @@ impl Queue {
 
     /// Trace context of a job, if it has one.
     pub(crate) async fn trace_of(&self, job: JobId) -> Result<Option<String>> {
-        Ok(sqlx::query_scalar("SELECT traceparent FROM job_trace WHERE job = ?")
+        Ok(db::query_scalar("SELECT traceparent FROM job_trace WHERE job = ?")
             .bind(job.to_string())
             .fetch_optional(self.readers())
             .await?)
@@ -42,7 +43,7 @@ impl Queue {
                 .database
                 .write(Durability::Relaxed, move |connection| {
                     Box::pin(async move {
-                        let dropped = sqlx::query(
+                        let dropped = db::query(
                             "DELETE FROM job_trace WHERE job IN (SELECT job FROM job_trace WHERE job < ? AND NOT EXISTS (
                                  SELECT 1 FROM job WHERE job.id = job_trace.job AND finished_at_ms IS NULL) LIMIT ?)",
                         )

@@ -2,18 +2,17 @@
 //!
 //! It goes back as far as ended leases are kept, which is an hour.
 
+use crate::db;
 use std::collections::{BTreeMap, BTreeSet};
-
-use sqlx::Row;
 
 use super::{Connection, Result, expect_rows, finish, json_numbers, repair, row_count};
 
 /// Undoes all results of a worker under leases that were granted after that of its last confirmed result. Returns the
 /// hashes of the pictures that are forgotten.
 pub(super) async fn undo_unconfirmed(connection: &mut Connection, worker: &str) -> Result<Vec<String>> {
-    let rows = sqlx::query(
+    let rows = db::query(
         "SELECT tile.id, tile.job, tile.frame, tile.kind, tile.state, frame.state AS frame_state, frame.picture
-         FROM lease INDEXED BY lease_by_worker JOIN tile ON tile.id = lease.tile
+         FROM lease @index(lease_by_worker) JOIN tile ON tile.id = lease.tile
          JOIN frame ON frame.job = tile.job AND frame.number = tile.frame
          WHERE lease.worker = ?1 AND lease.ended = 'done'
            AND lease.id > coalesce((SELECT verified_lease FROM worker WHERE id = ?1), '')",
@@ -24,15 +23,15 @@ pub(super) async fn undo_unconfirmed(connection: &mut Connection, worker: &str) 
     let mut pictures = BTreeSet::new();
     let mut frames: BTreeMap<(i64, u32, bool), Vec<i64>> = BTreeMap::new();
     for row in &rows {
-        let state: String = row.try_get("frame_state")?;
-        if let Some(picture) = row.try_get::<Option<String>, _>("picture")? {
+        let state: String = row.get("frame_state")?;
+        if let Some(picture) = row.get::<Option<String>>("picture")? {
             pictures.insert(picture);
         } else if (state == "open" || state == "stitching")
-            && row.try_get::<String, _>("kind")? == "render"
-            && row.try_get::<String, _>("state")? == "done"
+            && row.get::<String>("kind")? == "render"
+            && row.get::<String>("state")? == "done"
         {
-            let key = (row.try_get("job")?, row.try_get("frame")?, state == "stitching");
-            frames.entry(key).or_default().push(row.try_get("id")?);
+            let key = (row.get("job")?, row.get("frame")?, state == "stitching");
+            frames.entry(key).or_default().push(row.get("id")?);
         }
     }
     let mut tiles = 0;
@@ -60,14 +59,14 @@ async fn reopen_tiles(
     is_stitching: bool,
     tiles: &[i64],
 ) -> Result<usize> {
-    let rays: Vec<i64> = sqlx::query_scalar(
+    let rays: Vec<i64> = db::query_scalar(
         "UPDATE tile SET state = 'ready', blob = NULL, blob_bytes = NULL
-         WHERE state = 'done' AND id IN (SELECT value FROM json_each(?)) RETURNING rays",
+         WHERE state = 'done' AND id IN (SELECT value FROM @texts(?)) RETURNING rays",
     )
     .bind(json_numbers(tiles.iter().copied()))
     .fetch_all(&mut *connection)
     .await?;
-    sqlx::query("UPDATE lease SET ended = 'void' WHERE ended = 'done' AND tile IN (SELECT value FROM json_each(?))")
+    db::query("UPDATE lease SET ended = 'void' WHERE ended = 'done' AND tile IN (SELECT value FROM @texts(?))")
         .bind(json_numbers(tiles.iter().copied()))
         .execute(&mut *connection)
         .await?;
@@ -77,11 +76,11 @@ async fn reopen_tiles(
              AND tile IN (SELECT id FROM tile WHERE job = ? AND frame = ? AND position = -1)",
             "UPDATE tile SET state = 'void' WHERE job = ? AND frame = ? AND position = -1 AND state IN ('ready', 'leased')",
         ] {
-            sqlx::query(statement).bind(job).bind(frame).execute(&mut *connection).await?;
+            db::query(statement).bind(job).bind(frame).execute(&mut *connection).await?;
         }
     }
     let count = row_count(rays.len());
-    let opened = sqlx::query(
+    let opened = db::query(
         "UPDATE frame SET state = 'open', tiles_done = tiles_done - ?
          WHERE job = ? AND number = ? AND state IN ('open', 'stitching')",
     )
@@ -90,7 +89,7 @@ async fn reopen_tiles(
     .bind(frame)
     .execute(&mut *connection)
     .await?;
-    expect_rows("frame: tiles undone", 1, &opened)?;
+    expect_rows("frame: tiles undone", 1, opened)?;
     let back = finish::ProgressDelta { tiles: -count, rays: -rays.iter().sum::<i64>(), frames: 0 };
     finish::progress(connection, job, back).await?;
     Ok(rays.len())

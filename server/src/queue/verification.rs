@@ -8,9 +8,9 @@
 mod leases;
 mod verdict;
 
+use crate::db;
 use proto::LeaseId;
 use proto::worker_protocol::{Batch, BatchWork};
-use sqlx::Row;
 
 pub(super) use leases::{discard_expired, live_lease_ids, release_of, renew, reset_after_restart};
 pub(super) use verdict::{deliver, reject};
@@ -98,7 +98,7 @@ pub(super) async fn choose(
     if candidates.is_empty() || policy == VerificationPolicy::default() {
         return Ok((skipped, ring));
     }
-    let row = sqlx::query(
+    let row = db::query(
         "SELECT pool, registered_ms, (SELECT count(*) FROM verification) AS pending,
                 EXISTS (SELECT 1 FROM worker AS other WHERE other.state <> 'gone' AND other.state = 'ready'
                         AND other.id <> worker.id) AS has_other
@@ -107,11 +107,11 @@ pub(super) async fn choose(
     .bind(worker)
     .fetch_one(&mut *connection)
     .await?;
-    if row.try_get("pool")? {
+    if row.get("pool")? {
         return Ok((skipped, ring));
     }
-    let is_new = moment.now_ms - row.try_get::<i64, _>("registered_ms")? < policy.new_worker_ms;
-    let (mut pending, has_other): (i64, bool) = (row.try_get("pending")?, row.try_get("has_other")?);
+    let is_new = moment.now_ms - row.get::<i64>("registered_ms")? < policy.new_worker_ms;
+    let (mut pending, has_other): (i64, bool) = (row.get("pending")?, row.get("has_other")?);
     for candidate in candidates {
         if !is_new && jitter() >= policy.share {
             continue;
@@ -135,13 +135,13 @@ async fn insert(
 ) -> Result<()> {
     let position = match candidate.part {
         DeliveredPart::Tile(tile) => {
-            sqlx::query_scalar("SELECT position FROM tile WHERE id = ?").bind(tile).fetch_one(&mut *connection).await?
+            db::query_scalar("SELECT position FROM tile WHERE id = ?").bind(tile).fetch_one(&mut *connection).await?
         }
         DeliveredPart::Stitch => STITCH,
         DeliveredPart::WholeFrame => WHOLE_FRAME,
     };
     // A result that was delivered again, because the first was lost, is verified instead of it.
-    sqlx::query(
+    db::query(
         "INSERT OR REPLACE INTO verification (job, frame, position, worker, lease, hash, created_ms)
          VALUES (?, ?, ?, ?, ?, ?, ?)",
     )
@@ -184,10 +184,10 @@ pub(super) async fn claim(
     moment: TransitionContext,
 ) -> Result<Option<Batch>> {
     let worker = claimant.worker.to_string();
-    let next = sqlx::query(NEXT_SQL).bind(&worker).bind(claimant.max_nodes).fetch_optional(&mut *connection).await?;
+    let next = db::query(NEXT_SQL).bind(&worker).bind(claimant.max_nodes).fetch_optional(&mut *connection).await?;
     let Some(next) = next else { return Ok(None) };
-    let (number, job): (i64, i64) = (next.try_get("number")?, next.try_get("job")?);
-    let (frame, position): (u32, i64) = (next.try_get("frame")?, next.try_get("position")?);
+    let (number, job): (i64, i64) = (next.get("number")?, next.get("job")?);
+    let (frame, position): (u32, i64) = (next.get("frame")?, next.get("position")?);
     let work = match position {
         STITCH => {
             let lease = LeaseId::new();
@@ -202,7 +202,7 @@ pub(super) async fn claim(
             BatchWork::Render { tiles, whole_frame: true }
         }
         _ => {
-            let together = sqlx::query(TOGETHER_SQL)
+            let together = db::query(TOGETHER_SQL)
                 .bind(&worker)
                 .bind(job)
                 .bind(frame)
@@ -211,7 +211,7 @@ pub(super) async fn claim(
                 .await?;
             let (mut all, mut granted) = (Vec::new(), Vec::new());
             for row in together {
-                let (number, position): (i64, i64) = (row.try_get("number")?, row.try_get("position")?);
+                let (number, position): (i64, i64) = (row.get("number")?, row.get("position")?);
                 let rows = tiles(connection, job, frame, Some(position)).await?;
                 let (tiles, _) = claim::new_leases(&rows)?;
                 granted.extend(tiles.iter().map(|tile| (number, tile.lease, position)));
@@ -226,13 +226,8 @@ pub(super) async fn claim(
 }
 
 /// Tiles of a frame, or one of them.
-async fn tiles(
-    connection: &mut Connection,
-    job: i64,
-    frame: u32,
-    position: Option<i64>,
-) -> Result<Vec<sqlx::sqlite::SqliteRow>> {
-    Ok(sqlx::query(
+async fn tiles(connection: &mut Connection, job: i64, frame: u32, position: Option<i64>) -> Result<Vec<db::Row>> {
+    Ok(db::query(
         "SELECT id, position, x_px, y_px, width_px, height_px FROM tile
          WHERE job = ?1 AND frame = ?2 AND kind = 'render' AND (?3 IS NULL OR position = ?3) ORDER BY position",
     )

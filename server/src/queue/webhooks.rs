@@ -4,14 +4,14 @@
 
 use std::time::Duration;
 
+use db::Row;
 use proto::JobId;
 use proto::webhook::{DeliveryState, DeliveryView};
-use sqlx::Row;
-use sqlx::sqlite::SqliteRow;
 
 use super::{Queue, Result, expect_rows, json_list, json_numbers, parse_column};
 use crate::clock::rfc3339;
-use crate::database::Durability;
+use crate::db;
+use crate::db::Durability;
 
 /// Retention of finished deliveries.
 const RETENTION_MS: i64 = 7 * 24 * 3_600_000;
@@ -78,12 +78,12 @@ pub(crate) enum Attempt {
 impl Queue {
     /// Due deliveries, the longest overdue first, without those that must wait for others.
     pub(crate) async fn due_deliveries(&self, busy: &BusyReceivers, limit: u32) -> Result<Vec<Delivery>> {
-        let rows = sqlx::query(
+        let rows = db::query(
             "SELECT number, id, event, url, target, submitter, job, name, body, attempts FROM delivery
              WHERE state = 'pending' AND next_at_ms <= ?
-               AND submitter NOT IN (SELECT value FROM json_each(?))
-               AND target NOT IN (SELECT value FROM json_each(?))
-               AND number NOT IN (SELECT value FROM json_each(?))
+               AND submitter NOT IN (SELECT value FROM @texts(?))
+               AND target NOT IN (SELECT value FROM @texts(?))
+               AND number NOT IN (SELECT value FROM @texts(?))
              ORDER BY next_at_ms LIMIT ?",
         )
         .bind(self.clock.wall_ms())
@@ -96,16 +96,16 @@ impl Queue {
         rows.iter()
             .map(|row| {
                 Ok(Delivery {
-                    number: row.try_get("number")?,
-                    id: row.try_get("id")?,
-                    event: row.try_get("event")?,
-                    url: row.try_get("url")?,
-                    target: row.try_get("target")?,
-                    submitter: row.try_get("submitter")?,
-                    job: row.try_get("job")?,
-                    name: row.try_get("name")?,
-                    body: row.try_get("body")?,
-                    attempts: row.try_get("attempts")?,
+                    number: row.get("number")?,
+                    id: row.get("id")?,
+                    event: row.get("event")?,
+                    url: row.get("url")?,
+                    target: row.get("target")?,
+                    submitter: row.get("submitter")?,
+                    job: row.get("job")?,
+                    name: row.get("name")?,
+                    body: row.get("body")?,
+                    attempts: row.get("attempts")?,
                 })
             })
             .collect()
@@ -125,7 +125,7 @@ impl Queue {
         self.database
             .write(Durability::Relaxed, move |connection| {
                 Box::pin(async move {
-                    let done = sqlx::query(
+                    let done = db::query(
                         "UPDATE delivery SET state = ?, attempts = attempts + 1, status = ?, error = ?,
                                              next_at_ms = ?, finished_at_ms = ?
                          WHERE number = ? AND state = 'pending'",
@@ -138,7 +138,7 @@ impl Queue {
                     .bind(number)
                     .execute(connection)
                     .await?;
-                    expect_rows("delivery: attempted", 1, &done)
+                    expect_rows("delivery: attempted", 1, done)
                 })
             })
             .await
@@ -146,7 +146,7 @@ impl Queue {
 
     /// A job's deliveries, oldest first.
     pub(crate) async fn deliveries(&self, job: JobId) -> Result<Vec<DeliveryView>> {
-        let rows = sqlx::query(
+        let rows = db::query(
             "SELECT id, event, url, state, attempts, next_at_ms, status, error FROM delivery
              WHERE job = ? ORDER BY number LIMIT ?",
         )
@@ -166,7 +166,7 @@ impl Queue {
                 .database
                 .write(Durability::Relaxed, move |connection| {
                     Box::pin(async move {
-                        let dropped = sqlx::query(
+                        let dropped = db::query(
                             "DELETE FROM delivery WHERE number IN (
                                  SELECT number FROM delivery
                                  WHERE finished_at_ms IS NOT NULL AND finished_at_ms < ? LIMIT ?)",
@@ -192,16 +192,16 @@ fn receiver(url: &str) -> String {
     reqwest::Url::parse(url).map_or_else(|_| String::new(), |url| url.origin().ascii_serialization())
 }
 
-fn view(row: &SqliteRow) -> Result<DeliveryView> {
-    let state: String = row.try_get("state")?;
+fn view(row: &Row) -> Result<DeliveryView> {
+    let state: String = row.get("state")?;
     Ok(DeliveryView {
-        id: row.try_get("id")?,
-        event: row.try_get("event")?,
-        receiver: receiver(&row.try_get::<String, _>("url")?),
+        id: row.get("id")?,
+        event: row.get("event")?,
+        receiver: receiver(&row.get::<String>("url")?),
         state: parse_column("delivery.state", &state, DeliveryState::parse)?,
-        attempts: row.try_get("attempts")?,
-        next_at: row.try_get::<Option<i64>, _>("next_at_ms")?.map(rfc3339),
-        status: row.try_get("status")?,
-        error: row.try_get("error")?,
+        attempts: row.get("attempts")?,
+        next_at: row.get::<Option<i64>>("next_at_ms")?.map(rfc3339),
+        status: row.get("status")?,
+        error: row.get("error")?,
     })
 }

@@ -1,8 +1,8 @@
 //! Workers: registration, draining and exit.
 
+use crate::db;
 use proto::worker_protocol::RegisterRequest;
 use proto::{JobId, WorkerId};
-use sqlx::Row;
 
 use super::lease::{self, LeaseEnd};
 use super::{Connection, Queue, Result, TransitionContext, Wake, expect_rows, parse_column, verification};
@@ -34,7 +34,7 @@ pub(super) async fn register(
     moment: TransitionContext,
 ) -> Result<Registration> {
     let worker = WorkerId::new();
-    let made = sqlx::query(
+    let made = db::query(
         "INSERT INTO worker (id, name, device, state, pool, process, max_nodes, generation, seen_ms, registered_ms, owner)
          VALUES (?1, ?2, ?3, 'ready', ?4, ?5, ?6, ?7, ?8, ?8, ?9)",
     )
@@ -49,14 +49,14 @@ pub(super) async fn register(
     .bind(new.owner)
     .execute(connection)
     .await?;
-    expect_rows("worker: registered", 1, &made)?;
+    expect_rows("worker: registered", 1, made)?;
     Ok(Registration { worker })
 }
 
 impl Queue {
     /// Owner of a worker that has not exited.
     pub(crate) async fn worker_owner(&self, worker: WorkerId) -> Result<Option<String>> {
-        let owner = sqlx::query_scalar("SELECT owner FROM worker WHERE id = ? AND state <> 'gone'")
+        let owner = db::query_scalar("SELECT owner FROM worker WHERE id = ? AND state <> 'gone'")
             .bind(worker.to_string())
             .fetch_optional(self.readers())
             .await?;
@@ -70,10 +70,10 @@ impl Queue {
             LeaseNeed::JobFile(job) => (Some(job.to_string()), None),
             LeaseNeed::Blob(hash) => (None, Some(hash)),
         };
-        let found: Option<i64> = sqlx::query_scalar(
+        let found: Option<i64> = db::query_scalar(
             "SELECT 1 FROM worker
-             CROSS JOIN lease ON lease.worker = worker.id AND lease.ended IS NULL
-             CROSS JOIN tile ON tile.id = lease.tile
+             @join lease ON lease.worker = worker.id AND lease.ended IS NULL
+             @join tile ON tile.id = lease.tile
              WHERE worker.owner = ?1 AND worker.state <> 'gone'
                AND (?2 IS NULL OR tile.job = (SELECT number FROM job WHERE id = ?2))
                AND (?3 IS NULL OR EXISTS (SELECT 1 FROM tile AS input WHERE input.blob = ?3 AND input.job = tile.job))
@@ -101,7 +101,7 @@ pub(crate) enum LeaseNeed<'a> {
 
 /// Asks the pool worker with this process id to drain; false if there is none yet.
 pub(super) async fn drain(connection: &mut Connection, process: u32) -> Result<bool> {
-    let drained = sqlx::query(
+    let drained = db::query(
         "UPDATE worker SET state = 'draining' WHERE process = ? AND pool = 1
          AND state IN ('starting', 'ready', 'quarantined')",
     )
@@ -120,14 +120,14 @@ pub(super) async fn reaped(
     moment: TransitionContext,
 ) -> Result<(Option<WorkerId>, Wake)> {
     let rows =
-        sqlx::query("UPDATE worker SET state = 'gone' WHERE process = ? AND pool = 1 AND state <> 'gone' RETURNING id")
+        db::query("UPDATE worker SET state = 'gone' WHERE process = ? AND pool = 1 AND state <> 'gone' RETURNING id")
             .bind(process)
             .fetch_all(&mut *connection)
             .await?;
     let mut ring = Wake::default();
     let mut worker = None;
     for row in rows {
-        let id: String = row.try_get("id")?;
+        let id: String = row.get("id")?;
         ring.add(end_leases(connection, &id, cause, message, moment).await?);
         worker = Some(parse_column("worker.id", &id, |id| id.parse().ok())?);
     }
@@ -141,11 +141,11 @@ pub(super) async fn deregister(
     moment: TransitionContext,
 ) -> Result<Wake> {
     let id = worker.to_string();
-    let gone = sqlx::query("UPDATE worker SET state = 'gone' WHERE id = ? AND state <> 'gone'")
+    let gone = db::query("UPDATE worker SET state = 'gone' WHERE id = ? AND state <> 'gone'")
         .bind(&id)
         .execute(&mut *connection)
         .await?;
-    expect_rows("worker: gone", 1, &gone)?;
+    expect_rows("worker: gone", 1, gone)?;
     end_leases(connection, &id, LeaseEnd::Released, "its worker shut down", moment).await
 }
 

@@ -15,7 +15,7 @@ use prometheus_client::metrics::info::Info;
 use prometheus_client::registry::{Metric, Registry};
 use proto::worker_protocol::{Phase, Timing};
 
-use crate::database::CommitTimes;
+use crate::db::CommitTimes;
 
 /// Labels of a sample.
 pub(super) type Labels = Vec<(&'static str, String)>;

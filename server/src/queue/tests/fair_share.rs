@@ -6,6 +6,7 @@ use proto::worker_protocol::{Batch, BatchWork, LeaseOutcome, LeaseReport};
 use proto::{JobId, WorkerId};
 
 use super::{Fixture, leases, new_job, speed, turn};
+use crate::db;
 use crate::queue::{NewJob, NextWork, SyncInput};
 use crate::tile_plan::TilePlan;
 
@@ -147,7 +148,7 @@ async fn shares_without_work_or_credit_are_removed() {
     }
     submit(&bench, job_of("waiting", 1, 0)).await;
     bench.queue.prune().await.expect("prunes");
-    let left: Vec<String> = sqlx::query_scalar("SELECT submitter FROM share ORDER BY submitter")
+    let left: Vec<String> = db::query_scalar("SELECT submitter FROM share ORDER BY submitter")
         .fetch_all(bench.queue.readers())
         .await
         .expect("reads");
@@ -156,7 +157,7 @@ async fn shares_without_work_or_credit_are_removed() {
 
 /// Total charge of a submitter, in seconds.
 async fn served(bench: &Fixture, submitter: &str) -> f64 {
-    let served = sqlx::query_scalar("SELECT served_us FROM share WHERE submitter = ?").bind(submitter);
+    let served = db::query_scalar("SELECT served_us FROM share WHERE submitter = ?").bind(submitter);
     let served_us: i64 = served.fetch_one(bench.queue.readers()).await.expect("reads");
     served_us as f64 / 1e6
 }

@@ -8,6 +8,7 @@ use proto::worker_protocol::{Batch, LeaseOutcome, LeaseReport};
 use proto::{JobId, WorkerId};
 
 use super::{Fixture, execute, leases, speed, turn};
+use crate::db;
 use crate::queue::{BacklogLimits, ChangeOutcome, DeleteOutcome, NextWork, RetryOutcome, SyncInput, SyncOutcome};
 
 /// Rows of a piece in the quick tests.
@@ -64,7 +65,7 @@ async fn state(bench: &Fixture, job: JobId) -> Option<JobState> {
 }
 
 async fn count(bench: &Fixture, statement: &'static str) -> i64 {
-    sqlx::query_scalar(statement).fetch_one(bench.queue.readers()).await.expect("counts")
+    db::query_scalar(statement).fetch_one(bench.queue.readers()).await.expect("counts")
 }
 
 #[tokio::test]
@@ -201,13 +202,13 @@ async fn add_large_job(bench: &Fixture, frames: u32) -> JobId {
          INSERT INTO frame (job, number, state, picture_key, tiles_total, tiles_done, picture, size_bytes)
          SELECT job.number, n, iif(n % 5 = 0, 'open', 'stored'), 'key ' || n, 10, iif(n % 5 = 0, 0, 10),
                 iif(n % 5 = 0, NULL, 'picture ' || n), iif(n % 5 = 0, NULL, 5)
-         FROM job CROSS JOIN counted WHERE n < job.frames_total",
+         FROM job @join counted WHERE n < job.frames_total",
         "WITH RECURSIVE counted (n) AS (SELECT 0 UNION ALL SELECT n + 1 FROM counted WHERE n < 9)
          INSERT INTO tile (job, frame, kind, position, x_px, y_px, width_px, height_px, rays, state, blob, blob_bytes)
          SELECT frame.job, frame.number, 'render', n, 0, 0, 32, 32, 1,
                 iif(frame.state = 'stored', 'done', iif(n = 0, 'leased', 'ready')),
                 iif(frame.state = 'stored', frame.number || ' ' || n, NULL), iif(frame.state = 'stored', 5, NULL)
-         FROM frame CROSS JOIN counted",
+         FROM frame @join counted",
         "INSERT INTO lease (id, tile, epoch, worker, generation, granted_ms, expires_ms, ended)
          SELECT 'lease ' || id, id, 1, (SELECT min(id) FROM worker), 1, 0, 1000000000,
                 iif(state = 'leased', NULL, 'done') FROM tile",

@@ -5,18 +5,18 @@ use std::collections::BTreeSet;
 use std::fmt;
 use std::sync::Mutex;
 
+use db::Readers;
 use proptest::strategy::{Strategy, ValueTree};
 use proptest::test_runner::TestRunner;
 use proto::job::JobState;
-use sqlx::Row;
-use sqlx::sqlite::SqlitePool;
 use tracing::field::{Field, Visit};
 use tracing::span::{Attributes, Id, Record};
 use tracing::{Event, Metadata, Subscriber};
 
 use super::sequences::{Pair, sequence};
 use super::{Fixture, new_job};
-use crate::database::Database;
+use crate::db;
+use crate::db::Database;
 
 /// Number of recorded sequences.
 const SEQUENCES: usize = 40;
@@ -113,11 +113,10 @@ fn is_wasteful(step: &str) -> bool {
     !by_short && !SMALL.contains(&table) && (is_table || scanned.contains(" USING "))
 }
 
-async fn plan(readers: &SqlitePool, statement: &str) -> Vec<String> {
-    let explained = sqlx::AssertSqlSafe(format!("EXPLAIN QUERY PLAN {statement}"));
-    let rows = sqlx::query(explained).fetch_all(readers).await;
+async fn plan(readers: &Readers, statement: &str) -> Vec<String> {
+    let rows = db::made_query(format!("EXPLAIN QUERY PLAN {statement}")).fetch_all(readers).await;
     let rows = rows.unwrap_or_else(|error| panic!("{error}: {statement}"));
-    rows.iter().map(|row| row.get::<String, _>("detail")).collect()
+    rows.iter().map(|row| row.get("detail").expect("a text")).collect()
 }
 
 #[tokio::test]

@@ -7,6 +7,7 @@ use proto::WorkerId;
 use proto::worker_protocol::{Batch, LeaseOutcome, LeaseReport};
 
 use super::{Fixture, leases, new_job, speed, turn};
+use crate::db;
 use crate::queue::{FrameOpening, NewJob, NextWork, OpenOutcome, SyncInput, SyncOutcome};
 use crate::tile_plan::TilePlan;
 
@@ -51,7 +52,7 @@ async fn fail_thrice(bench: &Fixture, worker: WorkerId) {
 }
 
 async fn state(bench: &Fixture, worker: WorkerId) -> String {
-    let state = sqlx::query_scalar("SELECT state FROM worker WHERE id = ?").bind(worker.to_string());
+    let state = db::query_scalar("SELECT state FROM worker WHERE id = ?").bind(worker.to_string());
     state.fetch_one(bench.queue.readers()).await.expect("reads")
 }
 
@@ -175,12 +176,13 @@ async fn two_different_pictures_of_one_key_are_counted_and_the_last_that_bypasse
     let number = bench.queue.submit(new).await.expect("accepted");
     let reused = bench.queue.reuse(opening(number, 0, plan)).await.expect("opens");
     assert_eq!(reused, OpenOutcome::Stored);
-    let row = sqlx::query_as(
+    let row = db::query(
         "SELECT job.state, rays_done, rays_total, picture FROM job JOIN frame ON frame.job = job.number
          WHERE job.number = ?",
     );
-    let (state, rays_done, rays_total, hash): (String, i64, i64, String) =
-        row.bind(number).fetch_one(bench.queue.readers()).await.expect("reads");
-    assert_eq!((state.as_str(), rays_done), ("succeeded", rays_total), "the rays of a reused picture count");
-    assert_eq!(hash, blake3::hash(b"second").to_hex().to_string());
+    let row = row.bind(number).fetch_one(bench.queue.readers()).await.expect("reads");
+    assert_eq!(row.get::<String>("state").expect("a text"), "succeeded");
+    let rays = |column| row.get::<i64>(column).expect("a number");
+    assert_eq!(rays("rays_done"), rays("rays_total"), "the rays of a reused picture count");
+    assert_eq!(row.get::<String>("picture").expect("a text"), blake3::hash(b"second").to_hex().to_string());
 }

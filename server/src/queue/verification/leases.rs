@@ -1,9 +1,9 @@
 //! Leases of verifications: granted, renewed, released. None of them changes a tile.
 
+use crate::db;
 use std::collections::HashSet;
 
 use proto::LeaseId;
-use sqlx::Row;
 
 use super::super::{Connection, Result, TransitionContext, Wake, expect_rows, json_list, json_numbers};
 
@@ -19,9 +19,9 @@ pub(super) async fn grant(
     granted: &[(i64, LeaseId, i64)],
     moment: TransitionContext,
 ) -> Result<()> {
-    sqlx::query(
+    db::query(
         "UPDATE verification SET verifier = ?, granted_ms = ?, expires_ms = ?
-         WHERE verifier IS NULL AND number IN (SELECT value FROM json_each(?))",
+         WHERE verifier IS NULL AND number IN (SELECT value FROM @texts(?))",
     )
     .bind(worker)
     .bind(moment.now_ms)
@@ -30,19 +30,19 @@ pub(super) async fn grant(
     .execute(&mut *connection)
     .await?;
     let rows: Vec<_> = granted.iter().map(|(number, lease, position)| (lease.to_string(), number, position)).collect();
-    let made = sqlx::query(
+    let made = db::query(
         "INSERT INTO verification_lease (id, verification, position)
          SELECT value ->> 0, value ->> 1, value ->> 2 FROM json_each(?)",
     )
     .bind(serde_json::json!(rows).to_string())
     .execute(connection)
     .await?;
-    expect_rows("verification: leased", granted.len() as u64, &made)
+    expect_rows("verification: leased", granted.len() as u64, made)
 }
 
 /// Live leases of a worker on verifications.
 pub(in super::super) async fn live_lease_ids(connection: &mut Connection, worker: &str) -> Result<HashSet<String>> {
-    let ids: Vec<String> = sqlx::query_scalar(
+    let ids: Vec<String> = db::query_scalar(
         "SELECT id FROM verification JOIN verification_lease ON verification = number WHERE verifier = ?",
     )
     .bind(worker)
@@ -58,20 +58,20 @@ pub(in super::super) async fn renew(
     held: &[String],
     moment: TransitionContext,
 ) -> Result<Wake> {
-    sqlx::query(
+    db::query(
         "UPDATE verification SET expires_ms = ?1 WHERE verifier = ?2 AND EXISTS (
              SELECT 1 FROM verification_lease
-             WHERE verification = number AND id IN (SELECT value FROM json_each(?3)))",
+             WHERE verification = number AND id IN (SELECT value FROM @texts(?3)))",
     )
     .bind(moment.now_ms + moment.lease_ms)
     .bind(worker)
     .bind(json_list(held))
     .execute(&mut *connection)
     .await?;
-    let unheard: Vec<i64> = sqlx::query_scalar(
+    let unheard: Vec<i64> = db::query_scalar(
         "SELECT number FROM verification WHERE verifier = ?1 AND granted_ms <= ?2 AND NOT EXISTS (
              SELECT 1 FROM verification_lease
-             WHERE verification = number AND id IN (SELECT value FROM json_each(?3)))",
+             WHERE verification = number AND id IN (SELECT value FROM @texts(?3)))",
     )
     .bind(worker)
     .bind(moment.now_ms - UNHEARD_LEASE_MS)
@@ -87,18 +87,18 @@ pub(super) async fn release(connection: &mut Connection, numbers: &[i64]) -> Res
         return Ok(Wake::default());
     }
     for statement in [
-        "DELETE FROM verification_lease WHERE verification IN (SELECT value FROM json_each(?))",
+        "DELETE FROM verification_lease WHERE verification IN (SELECT value FROM @texts(?))",
         "UPDATE verification SET verifier = NULL, granted_ms = NULL, expires_ms = NULL
-         WHERE number IN (SELECT value FROM json_each(?))",
+         WHERE number IN (SELECT value FROM @texts(?))",
     ] {
-        sqlx::query(statement).bind(json_numbers(numbers.iter().copied())).execute(&mut *connection).await?;
+        db::query(statement).bind(json_numbers(numbers.iter().copied())).execute(&mut *connection).await?;
     }
     Ok(Wake::WORK)
 }
 
 /// Releases all verifications of a worker that is leaving.
 pub(in super::super) async fn release_of(connection: &mut Connection, worker: &str) -> Result<Wake> {
-    let numbers: Vec<i64> = sqlx::query_scalar("SELECT number FROM verification WHERE verifier = ?")
+    let numbers: Vec<i64> = db::query_scalar("SELECT number FROM verification WHERE verifier = ?")
         .bind(worker)
         .fetch_all(&mut *connection)
         .await?;
@@ -107,8 +107,8 @@ pub(in super::super) async fn release_of(connection: &mut Connection, worker: &s
 
 /// Releases the verification of each of these leases.
 pub(super) async fn release_all(connection: &mut Connection, leases: &[String]) -> Result<Wake> {
-    let numbers: Vec<i64> = sqlx::query_scalar(
-        "SELECT DISTINCT verification FROM verification_lease WHERE id IN (SELECT value FROM json_each(?))",
+    let numbers: Vec<i64> = db::query_scalar(
+        "SELECT DISTINCT verification FROM verification_lease WHERE id IN (SELECT value FROM @texts(?))",
     )
     .bind(json_list(leases))
     .fetch_all(&mut *connection)
@@ -121,7 +121,7 @@ pub(in super::super) async fn discard_expired(
     connection: &mut Connection,
     moment: TransitionContext,
 ) -> Result<(u64, Wake)> {
-    let rows = sqlx::query(
+    let rows = db::query(
         "SELECT number, verifier IS NULL AS old FROM verification
          WHERE expires_ms <= ? OR (verifier IS NULL AND created_ms <= ?)",
     )
@@ -131,12 +131,12 @@ pub(in super::super) async fn discard_expired(
     .await?;
     let (mut expired, mut old) = (Vec::new(), Vec::new());
     for row in &rows {
-        let list = if row.try_get("old")? { &mut old } else { &mut expired };
-        list.push(row.try_get("number")?);
+        let list = if row.get("old")? { &mut old } else { &mut expired };
+        list.push(row.get("number")?);
     }
     if !old.is_empty() {
         tracing::warn!(count = old.len(), "results could not be verified: no other worker rendered them again in time");
-        sqlx::query("DELETE FROM verification WHERE number IN (SELECT value FROM json_each(?))")
+        db::query("DELETE FROM verification WHERE number IN (SELECT value FROM @texts(?))")
             .bind(json_numbers(old.iter().copied()))
             .execute(&mut *connection)
             .await?;
@@ -146,13 +146,13 @@ pub(in super::super) async fn discard_expired(
 
 /// Releases all verifications at startup, because the clock starts at zero; every remote worker counts as new.
 pub(in super::super) async fn reset_after_restart(connection: &mut Connection, now_ms: i64) -> Result<()> {
-    sqlx::query("DELETE FROM verification_lease WHERE verification IN (SELECT number FROM verification)")
+    db::query("DELETE FROM verification_lease WHERE verification IN (SELECT number FROM verification)")
         .execute(&mut *connection)
         .await?;
-    sqlx::query("UPDATE verification SET verifier = NULL, granted_ms = NULL, expires_ms = NULL, created_ms = ?")
+    db::query("UPDATE verification SET verifier = NULL, granted_ms = NULL, expires_ms = NULL, created_ms = ?")
         .bind(now_ms)
         .execute(&mut *connection)
         .await?;
-    sqlx::query("UPDATE worker SET registered_ms = ? WHERE state <> 'gone'").bind(now_ms).execute(connection).await?;
+    db::query("UPDATE worker SET registered_ms = ? WHERE state <> 'gone'").bind(now_ms).execute(connection).await?;
     Ok(())
 }

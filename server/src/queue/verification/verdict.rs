@@ -1,11 +1,11 @@
 //! Verdicts: compares the hash of a second rendering with the first, and decides who was wrong.
 
+use crate::db;
 use std::collections::BTreeMap;
 
+use db::Row;
 use proto::worker_protocol::{LeaseOutcome, LeaseReport};
 use proto::{LeaseId, WorkerId};
-use sqlx::Row;
-use sqlx::sqlite::SqliteRow;
 
 use super::super::reported::RejectedResult;
 use super::super::{Connection, LeaseEnd, Result, TransitionContext, Wake, exclusion, json_list, undo, workers};
@@ -43,19 +43,19 @@ enum Verdict {
 }
 
 impl Case {
-    fn read(row: &SqliteRow) -> Result<Self> {
-        let second: Option<String> = row.try_get("second_worker")?;
+    fn read(row: &Row) -> Result<Self> {
+        let second: Option<String> = row.get("second_worker")?;
         let second = match second {
-            Some(worker) => Some(Testimony { worker, hash: row.try_get("second_hash")? }),
+            Some(worker) => Some(Testimony { worker, hash: row.get("second_hash")? }),
             None => None,
         };
         Ok(Self {
-            number: row.try_get("number")?,
-            job: row.try_get("job")?,
-            frame: row.try_get("frame")?,
-            position: row.try_get("position")?,
-            first: Testimony { worker: row.try_get("worker")?, hash: row.try_get("hash")? },
-            lease: row.try_get("lease")?,
+            number: row.get("number")?,
+            job: row.get("job")?,
+            frame: row.get("frame")?,
+            position: row.get("position")?,
+            first: Testimony { worker: row.get("worker")?, hash: row.get("hash")? },
+            lease: row.get("lease")?,
             second,
         })
     }
@@ -81,9 +81,9 @@ async fn cases<'a>(
     worker: &str,
     reports: &'a [LeaseReport],
 ) -> Result<BTreeMap<i64, (Case, &'a LeaseOutcome)>> {
-    let rows = sqlx::query(
+    let rows = db::query(
         "SELECT verification_lease.id, verification.* FROM verification_lease JOIN verification ON number = verification
-         WHERE verifier = ? AND verification_lease.id IN (SELECT value FROM json_each(?))",
+         WHERE verifier = ? AND verification_lease.id IN (SELECT value FROM @texts(?))",
     )
     .bind(worker)
     .bind(json_list(reports.iter().map(|report| report.lease)))
@@ -91,7 +91,7 @@ async fn cases<'a>(
     .await?;
     let mut cases = BTreeMap::new();
     for row in &rows {
-        let id: String = row.try_get("id")?;
+        let id: String = row.get("id")?;
         let report = reports.iter().find(|report| report.lease.to_string() == id);
         if let Some(report) = report {
             let case = Case::read(row)?;
@@ -114,7 +114,7 @@ pub(in super::super) async fn deliver(
     }
     let worker = worker.to_string();
     let is_pool: bool =
-        sqlx::query_scalar("SELECT pool FROM worker WHERE id = ?").bind(&worker).fetch_one(&mut *connection).await?;
+        db::query_scalar("SELECT pool FROM worker WHERE id = ?").bind(&worker).fetch_one(&mut *connection).await?;
     for (number, (case, told)) in cases(connection, &worker, reports).await? {
         let hash = match told {
             LeaseOutcome::Blob { hash, .. } if case.position >= 0 => hash,
@@ -161,7 +161,7 @@ async fn conclude(
     let wrong = match verdict {
         Verdict::Open => {
             let mut ring = leases::release(connection, &[case.number]).await?;
-            sqlx::query("UPDATE verification SET second_worker = ?, second_hash = ? WHERE number = ?")
+            db::query("UPDATE verification SET second_worker = ?, second_hash = ? WHERE number = ?")
                 .bind(worker)
                 .bind(hash)
                 .bind(case.number)
@@ -171,7 +171,7 @@ async fn conclude(
             return Ok(ring);
         }
         Verdict::Confirmed { wrong } => {
-            sqlx::query("UPDATE worker SET verified_lease = max(coalesce(verified_lease, ''), ?) WHERE id = ?")
+            db::query("UPDATE worker SET verified_lease = max(coalesce(verified_lease, ''), ?) WHERE id = ?")
                 .bind(&case.lease)
                 .bind(&case.first.worker)
                 .execute(&mut *connection)
@@ -203,7 +203,7 @@ async fn condemn(
         "DELETE FROM verification WHERE worker = ?",
         "UPDATE verification SET second_worker = NULL, second_hash = NULL WHERE second_worker = ?",
     ] {
-        sqlx::query(statement).bind(worker).execute(&mut *connection).await?;
+        db::query(statement).bind(worker).execute(&mut *connection).await?;
     }
     let undone = undo::undo_unconfirmed(connection, worker).await?;
     ring.add(Wake { work: true, news: true });
@@ -229,7 +229,7 @@ pub(in super::super) async fn reject(
 }
 
 async fn drop_case(connection: &mut Connection, number: i64) -> Result<()> {
-    sqlx::query("DELETE FROM verification WHERE number = ?").bind(number).execute(connection).await?;
+    db::query("DELETE FROM verification WHERE number = ?").bind(number).execute(connection).await?;
     Ok(())
 }
 

@@ -5,8 +5,7 @@
 
 use std::path::{Path, PathBuf};
 
-use sqlx::sqlite::SqliteConnection;
-
+use super::{Connection, query};
 use crate::telemetry::host::disk;
 
 /// A WAL of this size is checkpointed between two commits, and restarted.
@@ -48,7 +47,7 @@ impl Wal {
     }
 
     /// Checkpoints the WAL if it is large; must be called outside a transaction.
-    pub(super) async fn checkpoint_if_large(&mut self, connection: &mut SqliteConnection) {
+    pub(super) async fn checkpoint_if_large(&mut self, connection: &mut Connection) {
         if self.size_bytes() < self.limit_bytes() {
             return;
         }
@@ -57,7 +56,7 @@ impl Wal {
             return;
         }
         for statement in [WAIT_FOR_READERS, "PRAGMA wal_checkpoint(TRUNCATE)", WAIT_FOR_LOCKS] {
-            if let Err(error) = sqlx::query(statement).execute(&mut *connection).await {
+            if let Err(error) = query(statement).execute(&mut *connection).await {
                 tracing::warn!(%error, "could not checkpoint the database's WAL");
             }
         }
@@ -71,21 +70,22 @@ impl Wal {
 
 #[cfg(test)]
 mod tests {
+    use sqlx::ConnectOptions;
     use sqlx::sqlite::{SqliteConnectOptions, SqliteJournalMode};
-    use sqlx::{ConnectOptions, Connection};
 
     use super::*;
 
     const LIMIT: u64 = 1 << 20;
 
-    async fn connect(file: &Path) -> SqliteConnection {
+    async fn connect(file: &Path) -> Connection {
         let options = SqliteConnectOptions::new().filename(file).create_if_missing(true);
-        options.journal_mode(SqliteJournalMode::Wal).connect().await.expect("connects")
+        let options = options.journal_mode(SqliteJournalMode::Wal);
+        Connection::Sqlite(options.connect().await.expect("connects"))
     }
 
-    async fn write(connection: &mut SqliteConnection, log: &mut Wal) {
+    async fn write(connection: &mut Connection, log: &mut Wal) {
         let text = "x".repeat(32 << 10);
-        sqlx::query("INSERT INTO t VALUES (?)").bind(text).execute(&mut *connection).await.expect("writes");
+        query("INSERT INTO t VALUES (?)").bind(text).execute(&mut *connection).await.expect("writes");
         log.checkpoint_if_large(connection).await;
     }
 
@@ -95,17 +95,18 @@ mod tests {
         let file = folder.path().join("farm.sqlite");
         let (mut writer, mut log) = (connect(&file).await, Wal::new(&file, LIMIT));
         // Disables the engine's automatic checkpoints.
-        sqlx::query("PRAGMA wal_autocheckpoint = 0").execute(&mut writer).await.expect("sets");
-        sqlx::query("CREATE TABLE t (text TEXT)").execute(&mut writer).await.expect("creates");
+        query("PRAGMA wal_autocheckpoint = 0").execute(&mut writer).await.expect("sets");
+        query("CREATE TABLE t (text TEXT)").execute(&mut writer).await.expect("creates");
         let mut readers = [connect(&file).await, connect(&file).await];
         for round in 0..100 {
             for reader in &mut readers {
-                sqlx::query("SELECT count(*) FROM t").fetch_one(reader).await.expect("reads");
+                query("SELECT count(*) FROM t").fetch_one(reader).await.expect("reads");
             }
             write(&mut writer, &mut log).await;
             assert!(log.size_bytes() <= 2 * LIMIT, "{} bytes in round {round}", log.size_bytes());
         }
-        let rows: i64 = sqlx::query_scalar("SELECT count(*) FROM t").fetch_one(&mut readers[0]).await.expect("reads");
+        let rows: i64 =
+            crate::db::query_scalar("SELECT count(*) FROM t").fetch_one(&mut readers[0]).await.expect("reads");
         assert_eq!(rows, 100);
     }
 
@@ -114,15 +115,15 @@ mod tests {
         let folder = tempfile::tempdir().expect("a temporary folder");
         let file = folder.path().join("farm.sqlite");
         let (mut writer, mut log) = (connect(&file).await, Wal::new(&file, LIMIT));
-        sqlx::query("CREATE TABLE t (text TEXT)").execute(&mut writer).await.expect("creates");
+        query("CREATE TABLE t (text TEXT)").execute(&mut writer).await.expect("creates");
         let mut reader = connect(&file).await;
-        let mut old = reader.begin().await.expect("begins");
-        sqlx::query("SELECT count(*) FROM t").fetch_one(&mut *old).await.expect("reads");
+        query("BEGIN").execute(&mut reader).await.expect("begins");
+        query("SELECT count(*) FROM t").fetch_one(&mut reader).await.expect("reads");
         for _ in 0..100 {
             write(&mut writer, &mut log).await;
         }
         assert!(log.size_bytes() > 3 * LIMIT, "it is needed");
-        old.rollback().await.expect("ends");
+        query("ROLLBACK").execute(&mut reader).await.expect("ends");
         for _ in 0..70 {
             write(&mut writer, &mut log).await;
         }

@@ -3,7 +3,12 @@
 //!
 //! It has no statements about jobs, tiles or leases: those are in `queue`.
 
+mod connection;
+mod dialect;
 mod external;
+mod query;
+mod row;
+mod value;
 mod wal;
 mod writer;
 
@@ -14,11 +19,14 @@ use std::time::Duration;
 use futures_util::future::BoxFuture;
 use proto::fail_point::{self, FailPoint};
 use sqlx::ConnectOptions;
-use sqlx::sqlite::{
-    SqliteConnectOptions, SqliteConnection, SqliteJournalMode, SqlitePool, SqlitePoolOptions, SqliteSynchronous,
-};
+use sqlx::sqlite::{SqliteConnectOptions, SqliteJournalMode, SqlitePoolOptions, SqliteSynchronous};
 
 use crate::audit_log;
+pub(crate) use connection::{Connection, Readers, Target};
+#[cfg(test)]
+pub(crate) use query::made_query;
+pub(crate) use query::{Changed, Statement, query, query_scalar};
+pub(crate) use row::Row;
 use wal::Wal;
 pub(crate) use writer::{CommitTimes, Durability};
 use writer::{Urgency, Writer};
@@ -42,7 +50,7 @@ pub(crate) fn migrations() -> impl Iterator<Item = (i64, &'static [u8])> {
 
 /// Error when reading or writing the database.
 #[derive(Clone, Debug, thiserror::Error)]
-pub(crate) enum DatabaseError {
+pub enum DatabaseError {
     /// The engine failed.
     #[error("a database operation failed")]
     Sql(#[source] Arc<sqlx::Error>),
@@ -111,7 +119,7 @@ pub(crate) enum OpenError {
 #[derive(Debug)]
 pub(crate) struct Database {
     writer: Writer,
-    readers: SqlitePool,
+    readers: Readers,
     commits: CommitTimes,
 }
 
@@ -163,8 +171,8 @@ impl Database {
             .await?;
         let commits = CommitTimes::default();
         Ok(Self {
-            writer: Writer::start(connection, commits.clone(), Wal::new(&file, wal::LIMIT_BYTES)),
-            readers,
+            writer: Writer::start(Connection::Sqlite(connection), commits.clone(), Wal::new(&file, wal::LIMIT_BYTES)),
+            readers: Readers::Sqlite(readers),
             commits,
         })
     }
@@ -174,7 +182,7 @@ impl Database {
     pub(crate) async fn write<T, F>(&self, durability: Durability, operation: F) -> Result<T, DatabaseError>
     where
         T: Send + 'static,
-        F: for<'c> FnOnce(&'c mut SqliteConnection) -> BoxFuture<'c, Result<T, DatabaseError>> + Send + 'static,
+        F: for<'c> FnOnce(&'c mut Connection) -> BoxFuture<'c, Result<T, DatabaseError>> + Send + 'static,
     {
         let Some(entry) = audit_log::pending_entry().filter(|entry| !entry.is_written()) else {
             return self.writer.write(Urgency::Ordinary, durability, operation).await;
@@ -195,7 +203,7 @@ impl Database {
     pub(crate) async fn write_for_worker<T, F>(&self, durability: Durability, operation: F) -> Result<T, DatabaseError>
     where
         T: Send + 'static,
-        F: for<'c> FnOnce(&'c mut SqliteConnection) -> BoxFuture<'c, Result<T, DatabaseError>> + Send + 'static,
+        F: for<'c> FnOnce(&'c mut Connection) -> BoxFuture<'c, Result<T, DatabaseError>> + Send + 'static,
     {
         self.writer.write(Urgency::Worker, durability, operation).await
     }
@@ -211,7 +219,7 @@ impl Database {
     }
 
     /// Connections for reading.
-    pub(crate) fn readers(&self) -> &SqlitePool {
+    pub(crate) fn readers(&self) -> &Readers {
         &self.readers
     }
 

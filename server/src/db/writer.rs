@@ -12,14 +12,12 @@ use futures_util::future::BoxFuture;
 use prometheus_client::metrics::gauge::Gauge;
 use prometheus_client::metrics::histogram::Histogram;
 use proto::fail_point::{self, FailPoint};
-use sqlx::Connection;
-use sqlx::sqlite::SqliteConnection;
 use tokio::sync::{Mutex, mpsc, oneshot, watch};
 use tokio::task::JoinHandle;
 use tokio::time::Instant;
 
-use super::DatabaseError;
 use super::wal::Wal;
+use super::{Connection, DatabaseError, query};
 use crate::clock::monotonic_now;
 use crate::telemetry::{counts, seconds};
 
@@ -87,7 +85,7 @@ pub(super) struct Writer {
 
 impl Writer {
     /// Starts the task that owns `connection`.
-    pub(super) fn start(connection: SqliteConnection, times: CommitTimes, log: Wal) -> Self {
+    pub(super) fn start(connection: Connection, times: CommitTimes, log: Wal) -> Self {
         let (worker, urgent) = mpsc::channel(QUEUE_CAPACITY);
         let (ordinary, rest) = mpsc::channel(QUEUE_CAPACITY);
         let waiting = Waiting { urgent: WaitingQueue::new(urgent), ordinary: WaitingQueue::new(rest) };
@@ -107,7 +105,7 @@ impl Writer {
     ) -> Result<T, DatabaseError>
     where
         T: Send + 'static,
-        F: for<'c> FnOnce(&'c mut SqliteConnection) -> BoxFuture<'c, Result<T, DatabaseError>> + Send + 'static,
+        F: for<'c> FnOnce(&'c mut Connection) -> BoxFuture<'c, Result<T, DatabaseError>> + Send + 'static,
     {
         let senders = self.operations.lock().expect("no holder panics").clone().ok_or(DatabaseError::Closed)?;
         let sender = match urgency {
@@ -140,7 +138,7 @@ impl Writer {
 trait WriteOperation: Send {
     fn durability(&self) -> Durability;
     /// Runs it; if this returns false, it must be rolled back.
-    fn run<'c>(&'c mut self, connection: &'c mut SqliteConnection) -> BoxFuture<'c, bool>;
+    fn run<'c>(&'c mut self, connection: &'c mut Connection) -> BoxFuture<'c, bool>;
     /// Whether it failed because the disk is full.
     fn has_found_disk_full(&self) -> bool;
     /// Sends the result to the caller, once the transaction has ended.
@@ -157,13 +155,13 @@ struct PendingWrite<T, F> {
 impl<T, F> WriteOperation for PendingWrite<T, F>
 where
     T: Send,
-    F: for<'c> FnOnce(&'c mut SqliteConnection) -> BoxFuture<'c, Result<T, DatabaseError>> + Send,
+    F: for<'c> FnOnce(&'c mut Connection) -> BoxFuture<'c, Result<T, DatabaseError>> + Send,
 {
     fn durability(&self) -> Durability {
         self.durability
     }
 
-    fn run<'c>(&'c mut self, connection: &'c mut SqliteConnection) -> BoxFuture<'c, bool> {
+    fn run<'c>(&'c mut self, connection: &'c mut Connection) -> BoxFuture<'c, bool> {
         Box::pin(async move {
             let work = self.work.take().expect("an operation runs once");
             let result = match fail_point::trigger(FailPoint::DatabaseWrite) {
@@ -274,7 +272,7 @@ impl Turn {
 }
 
 struct WriterTask {
-    connection: SqliteConnection,
+    connection: Connection,
     synchronous: Durability,
     times: CommitTimes,
     bell: watch::Sender<()>,
@@ -331,7 +329,7 @@ impl WriterTask {
         self.times.operations.observe(group.len() as f64);
         if done.is_err() {
             // SQLite ends a transaction automatically after some errors; then there is nothing to roll back.
-            drop(sqlx::query("ROLLBACK").execute(&mut self.connection).await);
+            drop(query("ROLLBACK").execute(&mut self.connection).await);
         }
         (group, done)
     }
@@ -358,17 +356,17 @@ impl WriterTask {
                 } else {
                     "ROLLBACK TO operation; RELEASE operation; SAVEPOINT operation"
                 };
-                sqlx::query(next).execute(&mut self.connection).await?;
+                query(next).execute(&mut self.connection).await?;
             }
             let operation = group.last_mut().expect("it was just added");
             was_kept = Some(operation.run(&mut self.connection).await);
         }
         if was_kept == Some(false) {
-            sqlx::query("ROLLBACK TO operation").execute(&mut self.connection).await?;
+            query("ROLLBACK TO operation").execute(&mut self.connection).await?;
         }
         fail_point::trigger(FailPoint::DatabaseCommit).map_err(struck_down)?;
         // Releases the last savepoint as well.
-        sqlx::query("COMMIT").execute(&mut self.connection).await?;
+        query("COMMIT").execute(&mut self.connection).await?;
         Ok(())
     }
 
@@ -381,13 +379,13 @@ impl WriterTask {
         };
         // If it fails half-way the setting is unknown: the weaker one is assumed.
         self.synchronous = Durability::Relaxed;
-        sqlx::query(begin).execute(&mut self.connection).await?;
+        query(begin).execute(&mut self.connection).await?;
         self.synchronous = durability;
         Ok(())
     }
 
     async fn checkpoint(&mut self) {
-        if let Err(error) = sqlx::query("PRAGMA wal_checkpoint(TRUNCATE)").execute(&mut self.connection).await {
+        if let Err(error) = query("PRAGMA wal_checkpoint(TRUNCATE)").execute(&mut self.connection).await {
             tracing::warn!(%error, "could not checkpoint the database's WAL");
         }
     }
@@ -403,17 +401,15 @@ mod tests {
     use std::sync::{Arc, Mutex};
 
     use futures_util::future::BoxFuture;
-    use sqlx::sqlite::SqliteConnection;
     use tokio::sync::oneshot;
 
-    use crate::database::{Database, DatabaseError, Durability};
+    use crate::db::{Connection, Database, DatabaseError, Durability};
 
     /// Operation that records that it ran.
     fn record(
         order: &Arc<Mutex<Vec<&'static str>>>,
         name: &'static str,
-    ) -> impl for<'c> FnOnce(&'c mut SqliteConnection) -> BoxFuture<'c, Result<(), DatabaseError>> + Send + 'static
-    {
+    ) -> impl for<'c> FnOnce(&'c mut Connection) -> BoxFuture<'c, Result<(), DatabaseError>> + Send + 'static {
         let order = Arc::clone(order);
         move |_| {
             Box::pin(async move {
