@@ -4,6 +4,7 @@
 //! It has no statements about jobs, tiles or leases: those are in `queue`.
 
 mod external;
+mod first_write;
 mod wal;
 mod writer;
 
@@ -18,7 +19,7 @@ use sqlx::sqlite::{
     SqliteConnectOptions, SqliteConnection, SqliteJournalMode, SqlitePool, SqlitePoolOptions, SqliteSynchronous,
 };
 
-use crate::audit_log;
+pub(crate) use first_write::{FirstWrite, with_first_write};
 use wal::Wal;
 pub(crate) use writer::{CommitTimes, Durability};
 use writer::{Urgency, Writer};
@@ -169,14 +170,14 @@ impl Database {
         })
     }
 
-    /// Runs `operation` in a transaction of the writer and returns when it is committed. The first one of a request
-    /// that is recorded in the audit log also writes its entry.
+    /// Runs `operation` in a transaction of the writer and returns when it is committed. The first one of a task
+    /// with a [`FirstWrite`] also writes that.
     pub(crate) async fn write<T, F>(&self, durability: Durability, operation: F) -> Result<T, DatabaseError>
     where
         T: Send + 'static,
         F: for<'c> FnOnce(&'c mut SqliteConnection) -> BoxFuture<'c, Result<T, DatabaseError>> + Send + 'static,
     {
-        let Some(entry) = audit_log::pending_entry().filter(|entry| !entry.is_written()) else {
+        let Some(entry) = first_write::of_task().filter(|entry| !entry.is_written()) else {
             return self.writer.write(Urgency::Ordinary, durability, operation).await;
         };
         let written = Arc::clone(&entry);

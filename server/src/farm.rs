@@ -225,13 +225,9 @@ impl Farm {
         Ok(FrameOpening { job: number, frame, picture_key, tiles: plan.tiles(), samples: plan.samples })
     }
 
-    /// Whether an operation that makes room should run again: the disk was too full even for that, but the database's
-    /// WAL is shorter now, and the reserve is released.
+    /// See [`SpaceReserve::has_made_room`].
     pub(crate) fn has_made_room(&self, error: &DatabaseError) -> bool {
-        if error.is_full() {
-            self.reserve.release();
-        }
-        error.is_full()
+        self.reserve.has_made_room(error)
     }
 
     /// Requests the maintenance task to delete what no row refers to any more.

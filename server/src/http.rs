@@ -33,8 +33,6 @@ mod trace_context;
 mod webhooks;
 mod worker_protocol;
 
-pub(crate) use auth::Peer;
-
 use std::any::Any;
 use std::sync::Arc;
 

@@ -17,6 +17,8 @@ mod estimate;
 mod events;
 mod fair_queue;
 mod farm;
+mod histograms;
+mod host;
 mod http;
 mod integrity;
 mod job_cache;

@@ -11,8 +11,9 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use rustix::fs::FallocateFlags;
 
+use crate::database::DatabaseError;
+use crate::host::disk;
 use crate::private_files;
-use crate::telemetry::host::disk;
 
 /// Name of the file in the data folder.
 pub(crate) const FILE: &str = "reserve";
@@ -60,6 +61,15 @@ impl SpaceReserve {
         if let Err(error) = fs::remove_file(&self.file) {
             tracing::error!(%error, "could not release the reserve");
         }
+    }
+
+    /// Whether an operation that makes room should run again: the disk was too full even for that, but the database's
+    /// WAL is shorter now, and the space is released.
+    pub(crate) fn has_made_room(&self, error: &DatabaseError) -> bool {
+        if error.is_full() {
+            self.release();
+        }
+        error.is_full()
     }
 
     /// Sets the space aside again if there is room for it and as much again. Returns whether it was and is no longer

@@ -19,7 +19,7 @@ use crate::estimate;
 use crate::events::EventHub;
 use crate::farm::{Farm, ServerCounters};
 use crate::job_cache::JobCache;
-use crate::listen::Listeners;
+use crate::listen::{ListenError, Listeners};
 use crate::lock::{FolderLock, LockError};
 use crate::pool::Pool;
 use crate::preview_helper::PreviewHelper;
@@ -87,6 +87,15 @@ pub enum StartError {
         /// Error of the system.
         source: io::Error,
     },
+}
+
+impl From<ListenError> for StartError {
+    fn from(error: ListenError) -> Self {
+        match error {
+            ListenError::Tls(error) => Self::Tls(error.to_string()),
+            ListenError::Bind { address, source } => Self::Listen { address, source },
+        }
+    }
 }
 
 const RESTORE_FIX: &str = "restore it from a backup, or move it away to start with an empty farm";

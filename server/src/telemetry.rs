@@ -3,7 +3,6 @@
 //! It only reads and counts; nothing in the farm depends on it. Counting is limited to a fraction of the time:
 //! counts are cached for 1 s, or longer if counting took long.
 
-pub(crate) mod host;
 mod metrics;
 
 use std::collections::{HashMap, VecDeque};
@@ -20,10 +19,10 @@ use crate::admission::Shares;
 use crate::clock::monotonic_now;
 use crate::database::{Database, DatabaseError};
 use crate::farm::{Farm, ServerCounters};
+use crate::host::{self, Disk, Process};
 use crate::queue::QueueStats;
-use host::{Disk, Process};
+pub(crate) use metrics::Metrics;
 use metrics::{Labels, replace};
-pub(crate) use metrics::{Metrics, counts, seconds};
 
 /// Minimum time for which counts are cached.
 const COUNTS_TTL: Duration = Duration::from_secs(1);

@@ -12,9 +12,9 @@ use super::store_check::{self, StoreComparison};
 use super::{DataFolderError, database};
 use crate::clock::Clock;
 use crate::database::{Database, Durability};
+use crate::host;
 use crate::lock::{FolderLock, LockError};
 use crate::queue::{Reopened, absurd_shares, forget_pictures, reset_shares};
-use crate::telemetry::host;
 
 /// Free disk space below which there is a warning.
 const MIN_DISK_BYTES: u64 = 5 << 30;

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 
 use sqlx::sqlite::SqliteConnection;
 
-use crate::telemetry::host::disk;
+use crate::host::disk;
 
 /// A WAL of this size is checkpointed between two commits, and restarted.
 pub(super) const LIMIT_BYTES: u64 = 64 << 20;

@@ -21,7 +21,7 @@ use tokio::time::Instant;
 use super::DatabaseError;
 use super::wal::Wal;
 use crate::clock::monotonic_now;
-use crate::telemetry::{counts, seconds};
+use crate::histograms::{counts, seconds};
 
 /// Maximum number of operations committed together.
 const MAX_GROUP: usize = 256;

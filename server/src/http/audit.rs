@@ -14,12 +14,13 @@ use proto::audit::AuditPage;
 use proto::{JobId, Problem};
 use serde::Deserialize;
 
-use super::auth::{Caller, Peer};
+use super::auth::Caller;
 use super::body;
 use super::error::ApiError;
 use super::request_id::RequestId;
 use crate::audit_log::{AuditRecord, EntryKind};
 use crate::farm::Farm;
+use crate::listen::Peer;
 
 /// Default number of entries on a page.
 const DEFAULT_PAGE_SIZE: u32 = 100;

@@ -22,16 +22,13 @@ use crate::api_keys::{ApiKey, KeyLookup, constant_time_eq};
 use crate::audit_log;
 use crate::budget::Share;
 use crate::farm::Farm;
+use crate::listen::Peer;
 
 /// Time limit for the start of a response, unless its route waits or receives a large body.
 const RESPONSE_TIMEOUT: Duration = Duration::from_mins(1);
 
 /// Submitter of all jobs on a farm without keys.
 pub(super) const KEYLESS_SUBMITTER: &str = "local";
-
-/// Address of the client.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Peer(pub(crate) IpAddr);
 
 /// Caller of a request; an extension of every request and response.
 #[derive(Clone, Debug)]
