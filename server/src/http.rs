@@ -1,5 +1,5 @@
-//! The HTTP layer: the whole API on one screen. Handlers read the request, call the farm, and respond; they
-//! decide nothing about jobs.
+//! The HTTP layer: the whole API on one screen. Handlers read the request, call a service, and respond;
+//! they decide nothing about jobs.
 
 mod audit;
 mod auth;
@@ -28,13 +28,14 @@ mod range;
 mod request_id;
 mod retention;
 mod start_page;
+mod state;
+mod submission;
 mod submit_options;
 mod trace_context;
 mod webhooks;
 mod worker_protocol;
 
 use std::any::Any;
-use std::sync::Arc;
 
 use axum::extract::Request;
 use axum::middleware;
@@ -45,12 +46,13 @@ use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 use utoipa_swagger_ui::{Config, SwaggerUi};
 
-use crate::farm::Farm;
+pub(crate) use state::{ApiState, Handles};
+
 use error::ApiError;
 use openapi::Document;
 
 /// Users' routes; each is documented at its handler.
-fn user_routes() -> OpenApiRouter<Arc<Farm>> {
+fn user_routes() -> OpenApiRouter<ApiState> {
     OpenApiRouter::new()
         .routes(routes!(start_page::get))
         .routes(routes!(jobs::submit, jobs::list))
@@ -89,7 +91,7 @@ fn user_routes() -> OpenApiRouter<Arc<Farm>> {
 }
 
 /// Workers' routes: see `proto::worker_protocol`.
-fn worker_routes() -> axum::Router<Arc<Farm>> {
+fn worker_routes() -> axum::Router<ApiState> {
     axum::Router::new()
         .route(proto::worker_protocol::REGISTER_PATH, post(worker_protocol::register))
         .route(proto::worker_protocol::SYNC_PATH, post(worker_protocol::sync))
@@ -99,22 +101,22 @@ fn worker_routes() -> axum::Router<Arc<Farm>> {
 }
 
 /// Router of the whole API.
-pub(crate) fn router(farm: Arc<Farm>) -> axum::Router {
+pub(crate) fn router(state: ApiState) -> axum::Router {
     let (users, described) = user_routes().split_for_parts();
     let document = Document::new(&described);
     let pages = SwaggerUi::new("/docs").config(Config::from("/openapi.json").validator_url("none"));
     users
         .merge(worker_routes())
-        .with_state(Arc::clone(&farm))
+        .with_state(state.clone())
         .route("/openapi.json", get(openapi::openapi).with_state(document))
         .merge(pages)
         .fallback(unknown_route)
         .method_not_allowed_fallback(method_not_allowed)
         .layer(CatchPanicLayer::custom(panic_response))
-        .layer(middleware::from_fn_with_state(Arc::clone(&farm), auth::authenticate_and_authorize))
-        .layer(middleware::from_fn_with_state(Arc::clone(&farm), host_check::host_and_origin))
-        .layer(middleware::from_fn_with_state(Arc::clone(&farm), audit::record_request))
-        .layer(middleware::from_fn_with_state(farm, request_id::trace))
+        .layer(middleware::from_fn_with_state(state.clone(), auth::authenticate_and_authorize))
+        .layer(middleware::from_fn_with_state(state.clone(), host_check::host_and_origin))
+        .layer(middleware::from_fn_with_state(state.clone(), audit::record_request))
+        .layer(middleware::from_fn_with_state(state, request_id::trace))
 }
 
 /// `OpenAPI` document of the router.

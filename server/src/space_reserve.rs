@@ -13,10 +13,8 @@ use rustix::fs::FallocateFlags;
 
 use crate::database::DatabaseError;
 use crate::host::disk;
-use crate::private_files;
+use crate::private_files::{self, RESERVE_FILE};
 
-/// Name of the file in the data folder.
-pub(crate) const FILE: &str = "reserve";
 /// Size of the file.
 const MAX_BYTES: u64 = 16 << 20;
 /// On a small disk the file takes at most this part of it.
@@ -32,7 +30,7 @@ pub(crate) struct SpaceReserve {
 impl SpaceReserve {
     /// Sets space aside, or releases what was set aside if the disk is full: then the server needs it to start.
     pub(crate) fn open(data: &Path) -> Self {
-        let reserve = Self { file: data.join(FILE), is_released: AtomicBool::new(true) };
+        let reserve = Self { file: data.join(RESERVE_FILE), is_released: AtomicBool::new(true) };
         let disk = disk(data);
         if reserve.file.exists() && disk.free_bytes >= size_bytes(disk.total_bytes) {
             reserve.is_released.store(false, Ordering::Relaxed);
@@ -117,7 +115,7 @@ mod tests {
     fn space_is_set_aside_and_released_once() {
         let folder = tempfile::tempdir().expect("a temporary folder");
         let reserve = SpaceReserve::open(folder.path());
-        let file = folder.path().join(FILE);
+        let file = folder.path().join(RESERVE_FILE);
         assert!(file.metadata().expect("set aside").len() > 0 && !reserve.is_released());
         for _ in 0..2 {
             reserve.release();

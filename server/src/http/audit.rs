@@ -18,8 +18,7 @@ use super::auth::Caller;
 use super::body;
 use super::error::ApiError;
 use super::request_id::RequestId;
-use crate::audit_log::{AuditRecord, EntryKind};
-use crate::farm::Farm;
+use crate::audit_log::{AuditLog, AuditRecord, EntryKind};
 use crate::listen::Peer;
 
 /// Default number of entries on a page.
@@ -33,12 +32,11 @@ const NO_ROUTE: &str = "-";
 ///
 /// A change is recorded with the write that makes it, also if its client has left.
 pub(super) async fn record_request(
-    State(farm): State<Arc<Farm>>,
+    State(audit): State<Arc<AuditLog>>,
     parameters: Result<RawPathParams, RawPathParamsRejection>,
     request: Request,
     next: Next,
 ) -> Response {
-    let audit = &farm.admission.audit;
     let expected = expected_record(&request, parameters.ok().as_ref());
     let route = expected.route.clone();
     if !may_change(request.method(), &route) {
@@ -183,11 +181,11 @@ struct PageQuery {
         (status = 422, description = "Invalid query parameters", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
     )
 )]
-pub(super) async fn list(State(farm): State<Arc<Farm>>, uri: Uri) -> Result<Json<AuditPage>, ApiError> {
+pub(super) async fn list(State(audit): State<Arc<AuditLog>>, uri: Uri) -> Result<Json<AuditPage>, ApiError> {
     let query: PageQuery = body::read_query(&uri)?;
     let limit = query.limit.unwrap_or(DEFAULT_PAGE_SIZE);
     if !(1..=MAX_PAGE).contains(&limit) {
         return Err(ApiError::WrongQuery(format!("limit is {limit}, but must be from 1 to {MAX_PAGE}")));
     }
-    Ok(Json(farm.admission.audit.page(query.cursor, limit).await?))
+    Ok(Json(audit.page(query.cursor, limit).await?))
 }

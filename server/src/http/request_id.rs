@@ -14,7 +14,7 @@ use tracing::{Instrument, Span};
 
 use super::trace_context;
 use crate::clock::monotonic_now;
-use crate::farm::Farm;
+use crate::telemetry::Telemetry;
 
 const REQUEST_ID: HeaderName = HeaderName::from_static("x-request-id");
 /// Maximum length of request ids sent by clients.
@@ -25,7 +25,7 @@ const MAX_ID_CHARACTERS: usize = 64;
 pub(super) struct RequestId(pub(super) String);
 
 /// Assigns a request its id, logs it, and writes the body of a problem.
-pub(super) async fn trace(State(farm): State<Arc<Farm>>, mut request: Request, next: Next) -> Response {
+pub(super) async fn trace(State(telemetry): State<Arc<Telemetry>>, mut request: Request, next: Next) -> Response {
     let id = client_request_id(&request).unwrap_or_else(|| uuid::Uuid::now_v7().to_string());
     request.extensions_mut().insert(RequestId(id.clone()));
     let method = request.method().clone();
@@ -36,7 +36,7 @@ pub(super) async fn trace(State(farm): State<Arc<Farm>>, mut request: Request, n
     async move {
         let mut response = next.run(request).await;
         let elapsed_ms = start.elapsed().as_secs_f64() * 1e3;
-        farm.telemetry.metrics.record_response(&route, method.as_str(), response.status().as_u16(), start.elapsed());
+        telemetry.metrics.record_response(&route, method.as_str(), response.status().as_u16(), start.elapsed());
         if response.status().is_server_error() {
             tracing::warn!(status = response.status().as_u16(), elapsed_ms, %route, "answered");
         } else {

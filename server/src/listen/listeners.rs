@@ -47,10 +47,7 @@ impl Listeners {
     /// Binds the addresses, and reads the certificate.
     pub(crate) async fn open(config: &Config) -> Result<Self, ListenError> {
         let tls = match &config.tls {
-            Some(files) => {
-                let tls = Tls::open(&files.certificate, &files.key);
-                Some(Arc::new(tls.map_err(|error| ListenError::Tls(error))?))
-            }
+            Some(files) => Some(Arc::new(Tls::open(&files.certificate, &files.key)?)),
             None => None,
         };
         let (public, address) = bind(config.listen).await?;
