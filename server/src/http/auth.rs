@@ -1,14 +1,14 @@
 //! Authentication and authorization: each request must have the permission that its route requires.
 //!
-//! `permissions` has the permission of each route; `audit` records the outcome in the audit log.
+//! The table of routes has the permission of each; `audit` records the outcome in the audit log.
 
 use std::net::IpAddr;
 use std::sync::Arc;
 use std::time::Duration;
 
 use axum::body::{Body, HttpBody};
-use axum::extract::{FromRequestParts, MatchedPath, RawPathParams, Request, State};
-use axum::http::{HeaderMap, HeaderValue, Method, header};
+use axum::extract::{FromRequestParts, RawPathParams, Request, State};
+use axum::http::{HeaderMap, HeaderValue, header};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 use futures_util::StreamExt;
@@ -16,7 +16,7 @@ use proto::JobId;
 use proto::api_key::Scope;
 
 use super::error::ApiError;
-use super::permissions::{Permission, required_permission};
+use super::routes::{self, Audit, Permission, Policy};
 use super::state::handle_group;
 use crate::admission::{
     CallerClass, Holder, RateLimitStatus, RateLimited, RateLimits, ResponseShares, Shares, UNCOUNTED_BYTES,
@@ -27,9 +27,6 @@ use crate::budget::Share;
 use crate::listen::Peer;
 use crate::pool::Pool;
 use crate::queue::Queue;
-
-/// Time limit for the start of a response, unless its route waits or receives a large body.
-const RESPONSE_TIMEOUT: Duration = Duration::from_mins(1);
 
 /// Submitter of all jobs on a farm without keys.
 pub(super) const KEYLESS_SUBMITTER: &str = "local";
@@ -100,14 +97,14 @@ pub(super) async fn authenticate_and_authorize(
     mut request: Request,
     next: Next,
 ) -> Response {
-    let route = request.extensions().get::<MatchedPath>().map_or("", MatchedPath::as_str);
-    let need = required_permission(request.method(), route);
+    let policy = routes::policy_of(&request);
+    let need = policy.permission;
     let peer = request.extensions().get::<Peer>().map(|peer| peer.0);
     let caller = match gate.caller(need, peer, request.headers()) {
         Ok(caller) => caller,
         Err(error) => return gate.reject(peer, Caller::Anonymous, error),
     };
-    let holder = holder(&caller, need, route, request.method(), peer);
+    let holder = holder(&caller, policy, peer);
     let place = match gate.shares.request(&holder) {
         Ok(place) => place,
         Err(exhausted) => {
@@ -131,8 +128,7 @@ pub(super) async fn authenticate_and_authorize(
         record.key = caller.key().map(|key| key.id().to_owned());
     });
     request.extensions_mut().insert(holder.clone());
-    let route = request.extensions().get::<MatchedPath>().map_or("", MatchedPath::as_str);
-    let limit = response_timeout(route, &request);
+    let limit = time_limit(policy, request.headers());
     let answer = with_timeout(next.run(request), limit);
     let response = match caller.key() {
         None => answer.await,
@@ -229,12 +225,11 @@ fn hold_shares(shares: &Shares, holder: &Holder, place: Share, response: Respons
 }
 
 /// Caller of a request to a route, as far as limits are concerned.
-fn holder(caller: &Caller, need: Permission, route: &str, method: &Method, peer: Option<IpAddr>) -> Holder {
+fn holder(caller: &Caller, policy: Policy, peer: Option<IpAddr>) -> Holder {
     let is_admin = caller.key().is_some_and(|key| key.scopes().is_allowed(Scope::Admin));
-    let submits = *method == Method::POST && (route == "/v1/jobs" || route == "/v1/jobs/{id}/resubmit");
-    let class = if need == Permission::Scope(Scope::Worker) {
+    let class = if policy.permission == Permission::Scope(Scope::Worker) {
         CallerClass::Worker
-    } else if is_health(route) || (is_admin && !submits) {
+    } else if policy.is_polled || (is_admin && policy.audit != Audit::NewJob) {
         CallerClass::Reserved
     } else {
         CallerClass::User
@@ -246,15 +241,9 @@ fn holder(caller: &Caller, need: Permission, route: &str, method: &Method, peer:
     }
 }
 
-fn is_health(route: &str) -> bool {
-    matches!(route, "/livez" | "/readyz" | "/metrics")
-}
-
-/// Time limit for the start of the response; request bodies have a minimum rate instead.
-fn response_timeout(route: &str, request: &Request) -> Option<Duration> {
-    let takes_in = route.starts_with("/v1/worker/") || (route == "/v1/jobs" && request.method() == Method::POST);
-    let waits = route.ends_with("/events") || request.headers().contains_key("prefer");
-    (!takes_in && !waits).then_some(RESPONSE_TIMEOUT)
+/// Time limit for the start of the response; none if the client prefers to wait.
+fn time_limit(policy: Policy, headers: &HeaderMap) -> Option<Duration> {
+    policy.time_limit.filter(|_| !headers.contains_key("prefer"))
 }
 
 async fn with_timeout(answer: impl Future<Output = Response>, limit: Option<Duration>) -> Response {
@@ -319,23 +308,16 @@ impl From<RateLimited> for ApiError {
 mod tests {
     use super::*;
 
-    fn limited(method: Method, route: &str, header: Option<&str>) -> bool {
-        let mut request = Request::builder().method(method).uri("/");
-        if let Some(name) = header {
-            request = request.header(name, "wait=5");
-        }
-        response_timeout(route, &request.body(Body::empty()).expect("a request")) == Some(RESPONSE_TIMEOUT)
-    }
-
     #[test]
-    fn only_waiting_and_uploading_routes_have_no_response_limit() {
-        assert!(limited(Method::GET, "/v1/jobs", None));
-        assert!(limited(Method::POST, "/v1/jobs/{id}/cancel", None));
-        assert!(limited(Method::PATCH, "/v1/jobs/{id}", Some("accept")));
-        assert!(!limited(Method::POST, "/v1/jobs", None));
-        assert!(!limited(Method::GET, "/v1/jobs/{id}", Some("prefer")));
-        assert!(!limited(Method::GET, "/v1/jobs/{id}/events", None));
-        assert!(!limited(Method::PUT, "/v1/worker/blobs/{hash}", None));
+    fn a_client_that_prefers_to_wait_has_no_time_limit() {
+        let policy =
+            |time_limit| Policy { permission: Permission::Public, time_limit, audit: Audit::Nothing, is_polled: false };
+        let mut headers = HeaderMap::new();
+        headers.insert(header::ACCEPT, HeaderValue::from_static("*/*"));
+        assert_eq!(time_limit(policy(routes::limit::MINUTE), &headers), routes::limit::MINUTE);
+        assert_eq!(time_limit(policy(routes::limit::NONE), &headers), None);
+        headers.insert("prefer", HeaderValue::from_static("wait=5"));
+        assert_eq!(time_limit(policy(routes::limit::MINUTE), &headers), None);
     }
 
     #[tokio::test]
@@ -343,7 +325,7 @@ mod tests {
         let answer = with_timeout(std::future::pending(), Some(Duration::from_millis(1))).await;
         assert_eq!(answer.status(), ApiError::ResponseTimeout { limit_seconds: 0 }.into_response().status());
         assert!(answer.status().is_server_error());
-        for limit in [None, Some(RESPONSE_TIMEOUT)] {
+        for limit in [routes::limit::NONE, routes::limit::MINUTE] {
             assert!(with_timeout(std::future::ready(Response::default()), limit).await.status().is_success());
         }
     }

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use axum::body::Body;
-use axum::extract::{MatchedPath, Request, State};
+use axum::extract::{Request, State};
 use axum::http::{HeaderName, HeaderValue, header};
 use axum::middleware::Next;
 use axum::response::Response;
@@ -12,7 +12,7 @@ use proto::{JobId, Problem};
 use tracing::field::Empty;
 use tracing::{Instrument, Span};
 
-use super::trace_context;
+use super::{routes, trace_context};
 use crate::clock::monotonic_now;
 use crate::telemetry::Telemetry;
 
@@ -29,8 +29,8 @@ pub(super) async fn trace(State(telemetry): State<Arc<Telemetry>>, mut request: 
     let id = client_request_id(&request).unwrap_or_else(|| uuid::Uuid::now_v7().to_string());
     request.extensions_mut().insert(RequestId(id.clone()));
     let method = request.method().clone();
-    let route = request.extensions().get::<MatchedPath>().map_or("", MatchedPath::as_str).to_owned();
-    let span = span_of(&request, &id, &route);
+    let route = routes::path_of(&request).to_owned();
+    let span = span_of(&request, &id);
     trace_context::set_parent(&span, request.headers());
     let start = monotonic_now();
     async move {
@@ -55,10 +55,9 @@ pub(super) async fn trace(State(telemetry): State<Arc<Telemetry>>, mut request: 
 }
 
 /// Polling routes have a span with another name, which is not exported.
-fn span_of(request: &Request, id: &str, route: &str) -> Span {
+fn span_of(request: &Request, id: &str) -> Span {
     let (method, path) = (request.method(), request.uri().path());
-    let asks_again = [proto::worker_protocol::SYNC_PATH, "/livez", "/readyz", "/metrics"].contains(&route);
-    let span = if asks_again {
+    let span = if routes::policy_of(request).is_polled {
         tracing::info_span!("poll", request_id = %id, %method, %path, job = Empty)
     } else {
         tracing::info_span!("request", request_id = %id, %method, %path, job = Empty)
