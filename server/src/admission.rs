@@ -1,4 +1,4 @@
-//! Admission: API keys, request rates, the audit log.
+//! Admission: request rates, and what each caller may have in progress.
 //!
 //! Depends on no routes or responses; the HTTP layer calls it.
 
@@ -6,7 +6,6 @@ mod shares;
 
 use std::net::IpAddr;
 use std::num::NonZeroU32;
-use std::sync::Arc;
 use std::time::Duration;
 
 use axum::http::{HeaderName, HeaderValue};
@@ -16,10 +15,7 @@ use governor::state::keyed::DefaultKeyedStateStore;
 use governor::{Quota, RateLimiter};
 use tokio_util::sync::CancellationToken;
 
-use crate::api_keys::{ApiKey, ApiKeys};
-use crate::audit_log::AuditLog;
-use crate::clock::Clock;
-use crate::db::{Database, DatabaseError};
+use crate::api_keys::ApiKey;
 
 pub(crate) use shares::{CallerClass, Holder, ResponseShares, Shares, UNCOUNTED_BYTES, address_name};
 
@@ -62,29 +58,20 @@ impl RateLimitStatus {
     }
 }
 
-/// API keys, request rates and the audit log of a farm.
+/// Request rates of keys and addresses.
 #[derive(Debug)]
-pub(crate) struct Admission {
-    /// API keys.
-    pub(crate) keys: ApiKeys,
-    /// Audit log.
-    pub(crate) audit: AuditLog,
-    /// Requests in progress, and their bytes in memory.
-    pub(crate) shares: Shares,
+pub(crate) struct RateLimits {
     address_limiter: AddressLimiter,
     rejection_limiter: AddressLimiter,
 }
 
-impl Admission {
-    /// Opens the keys and the audit log of a farm.
-    pub(crate) async fn open(store: Arc<Database>, clock: Clock, shares: Shares) -> Result<Self, DatabaseError> {
-        Ok(Self {
-            shares,
-            keys: ApiKeys::open(Arc::clone(&store), clock.clone()).await?,
-            audit: AuditLog::new(store, clock),
+impl RateLimits {
+    /// Limits of a server that starts now.
+    pub(crate) fn new() -> Self {
+        Self {
             address_limiter: RateLimiter::keyed(Quota::per_second(REQUESTS_PER_ADDRESS)).with_middleware(),
             rejection_limiter: RateLimiter::keyed(Quota::per_second(REJECTIONS_PER_ADDRESS)).with_middleware(),
-        })
+        }
     }
 
     /// Counts a request of a key, or of an address on a farm without keys; requests from this machine are
@@ -124,12 +111,8 @@ impl Admission {
         }
     }
 
-    /// Reloads keys, writes the audit log and removes idle addresses until shutdown.
+    /// Removes idle addresses until shutdown.
     pub(crate) async fn run(&self, end: CancellationToken) {
-        tokio::join!(self.keys.run(end.clone()), self.audit.run(end.clone()), self.prune(end));
-    }
-
-    async fn prune(&self, end: CancellationToken) {
         loop {
             tokio::select! {
                 () = end.cancelled() => return,
@@ -165,58 +148,52 @@ mod tests {
     /// Number of requests above every limit, however slowly the test sends them.
     const MANY: u32 = 1_000_000;
 
-    async fn doors() -> (Admission, tempfile::TempDir) {
-        let folder = tempfile::tempdir().expect("a temporary folder");
-        let store = Arc::new(Database::open(folder.path()).await.expect("opens"));
-        (Admission::open(store, Clock::manual().0, Shares::new(100, 100)).await.expect("opens"), folder)
-    }
-
-    #[tokio::test]
-    async fn requests_are_limited_per_address_but_not_from_this_machine() {
-        let (doors, _folder) = doors().await;
-        let pace = doors.admit(None, Some(ELSEWHERE), true).expect("the first").expect("it is counted");
+    #[test]
+    fn requests_are_limited_per_address_but_not_from_this_machine() {
+        let limits = RateLimits::new();
+        let pace = limits.admit(None, Some(ELSEWHERE), true).expect("the first").expect("it is counted");
         assert_eq!((pace.per_second, pace.remaining), (1000, 999));
         let headers: Vec<_> = pace.headers().map(|(name, value)| (name.to_string(), value)).collect();
         let wanted = [("ratelimit-policy", "\"requests\";q=1000;w=1"), ("ratelimit", "\"requests\";r=999;t=1")];
         assert_eq!(headers, wanted.map(|(name, value)| (name.to_owned(), HeaderValue::from_static(value))));
         let admitted =
-            (1..MANY).find_map(|count| doors.admit(None, Some(ELSEWHERE), true).err().map(|refusal| (count, refusal)));
+            (1..MANY).find_map(|count| limits.admit(None, Some(ELSEWHERE), true).err().map(|refusal| (count, refusal)));
         let (admitted, refusal) = admitted.expect("there is a limit");
         assert!(admitted >= 1000, "{admitted} were admitted");
         assert_eq!((refusal.per_second, refusal.retry_seconds), (1000, 1));
         for (peer, is_local) in [(Some(HERE), true), (Some(ELSEWHERE), false), (None, true)] {
-            assert!((0..3000).all(|_| matches!(doors.admit(None, peer, is_local), Ok(None))), "{peer:?} {is_local}");
+            assert!((0..3000).all(|_| matches!(limits.admit(None, peer, is_local), Ok(None))), "{peer:?} {is_local}");
         }
     }
 
-    #[tokio::test]
-    async fn rejections_are_limited_for_each_address_separately() {
-        let (doors, _folder) = doors().await;
-        let told = (0..MANY).find_map(|count| doors.count_rejection(Some(HERE)).err().map(|refusal| (count, refusal)));
+    #[test]
+    fn rejections_are_limited_for_each_address_separately() {
+        let limits = RateLimits::new();
+        let told = (0..MANY).find_map(|count| limits.count_rejection(Some(HERE)).err().map(|refusal| (count, refusal)));
         let (told, refusal) = told.expect("there is a limit");
         assert!(told >= 20, "{told} were sent with a reason");
         assert_eq!((refusal.per_second, refusal.retry_seconds), (20, 1));
-        assert!(doors.count_rejection(Some(ELSEWHERE)).is_ok());
-        assert!((0..100).all(|_| doors.count_rejection(None).is_ok()));
+        assert!(limits.count_rejection(Some(ELSEWHERE)).is_ok());
+        assert!((0..100).all(|_| limits.count_rejection(None).is_ok()));
     }
 
     #[tokio::test]
     async fn idle_addresses_are_removed_if_there_are_many() {
-        let (doors, _folder) = doors().await;
-        let count = || [doors.address_limiter.len(), doors.rejection_limiter.len()];
+        let limits = RateLimits::new();
+        let count = || [limits.address_limiter.len(), limits.rejection_limiter.len()];
         let address = |number: u32| Some(IpAddr::V4(Ipv4Addr::from_bits((10 << 24) + number)));
         for number in 0..10_000 {
-            doors.admit(None, address(number), true).expect("its first request");
+            limits.admit(None, address(number), true).expect("its first request");
         }
-        doors.count_rejection(address(0)).expect("its first rejection");
+        limits.count_rejection(address(0)).expect("its first rejection");
         // An address that sent one request is idle after 1 ms.
         let idle = Duration::from_millis(50);
         tokio::time::sleep(idle).await;
-        doors.remove_idle_addresses();
+        limits.remove_idle_addresses();
         assert_eq!(count(), [10_000, 1]);
-        doors.admit(None, address(10_000), true).expect("its first request");
+        limits.admit(None, address(10_000), true).expect("its first request");
         tokio::time::sleep(idle).await;
-        doors.remove_idle_addresses();
+        limits.remove_idle_addresses();
         assert_eq!(count(), [0, 1]);
     }
 

@@ -14,10 +14,10 @@ use futures_util::stream::BoxStream;
 use zip::write::{SimpleFileOptions, StreamWriter};
 use zip::{CompressionMethod, DateTime, ZipWriter};
 
-use crate::content_store::{ContentError, ContentKind};
+use crate::content_store::{ContentError, ContentKind, ContentStore};
 use crate::db::DatabaseError;
-use crate::farm::{Farm, PictureState, SyncError};
-use crate::queue::{FrameSet, StoredFrame};
+use crate::pictures::{PictureError, PictureState, Pictures};
+use crate::queue::{FrameSet, Queue, StoredFrame};
 
 /// Approximate size of the chunks of a response.
 const CHUNK_BYTES: usize = 32 << 10;
@@ -46,7 +46,7 @@ pub(crate) enum ArchiveError {
     },
     /// A picture's file could not be checked.
     #[error(transparent)]
-    Check(#[from] SyncError),
+    Check(#[from] PictureError),
     /// A picture's file is missing or damaged.
     #[error("the picture of frame {0} is missing or damaged; it is rendered again")]
     PictureMissing(u32),
@@ -91,7 +91,9 @@ struct ArchiveEntry {
 
 /// Archive in progress.
 pub(crate) struct Archive {
-    farm: Arc<Farm>,
+    queue: Queue,
+    content: Arc<ContentStore>,
+    pictures: Arc<Pictures>,
     frames: FrameSet,
     basket: SharedBuffer,
     /// `None` once everything is written.
@@ -103,10 +105,20 @@ pub(crate) struct Archive {
 
 impl Archive {
     /// Starts an archive of the stored pictures among these frames.
-    pub(crate) fn new(farm: Arc<Farm>, frames: FrameSet) -> Self {
+    pub(crate) fn new(queue: Queue, content: Arc<ContentStore>, pictures: Arc<Pictures>, frames: FrameSet) -> Self {
         let basket = SharedBuffer::default();
         let writer = Some(ZipWriter::new_stream(basket.clone()));
-        Self { farm, frames, basket, writer, waiting: VecDeque::new(), next_frame: 0, picture: None }
+        Self {
+            queue,
+            content,
+            pictures,
+            frames,
+            basket,
+            writer,
+            waiting: VecDeque::new(),
+            next_frame: 0,
+            picture: None,
+        }
     }
 
     /// Next chunk; `None` at the end.
@@ -132,16 +144,15 @@ impl Archive {
     /// Starts the next picture; false if there is none.
     async fn begin_next(&mut self) -> Result<bool, ArchiveError> {
         if self.waiting.is_empty() {
-            self.waiting =
-                self.farm.queue.stored_frames(self.frames.job, self.next_frame, FRAMES_PER_PAGE).await?.into();
+            self.waiting = self.queue.stored_frames(self.frames.job, self.next_frame, FRAMES_PER_PAGE).await?.into();
         }
         let Some(frame) = self.waiting.pop_front() else { return Ok(false) };
         self.next_frame = frame.number + 1;
         let gone = || ArchiveError::PictureMissing(frame.number);
-        let PictureState::Intact(name) = self.farm.check_picture(&frame.picture, frame.size_bytes).await? else {
+        let PictureState::Intact(name) = self.pictures.check(&frame.picture, frame.size_bytes).await? else {
             return Err(gone());
         };
-        let (_, bytes) = self.farm.content.get(ContentKind::Picture, &name, None).await?.ok_or_else(gone)?;
+        let (_, bytes) = self.content.get(ContentKind::Picture, &name, None).await?.ok_or_else(gone)?;
         let options = SimpleFileOptions::default()
             .compression_method(CompressionMethod::Stored)
             .last_modified_time(DateTime::default())

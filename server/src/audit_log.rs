@@ -9,14 +9,13 @@ mod refusals;
 use std::sync::{Arc, Mutex, OnceLock};
 use std::time::Duration;
 
-use crate::db;
-use crate::db::{Connection, Row};
+use futures_util::future::BoxFuture;
 use proto::JobId;
 use proto::audit::{AuditEntry, AuditPage};
 use tokio_util::sync::CancellationToken;
 
 use crate::clock::{Clock, rfc3339};
-use crate::db::{Database, DatabaseError, Durability};
+use crate::db::{self, Connection, Database, DatabaseError, Durability, FirstWrite, Row, with_first_write};
 use refusals::Refusals;
 
 /// Maximum number of entries of changes to keys, the pool and the farm.
@@ -115,34 +114,32 @@ pub(crate) struct PendingEntry {
 }
 
 impl PendingEntry {
-    /// Writes the entry in the transaction of a change; returns its number.
-    pub(crate) async fn insert(&self, connection: &mut Connection) -> Result<i64, DatabaseError> {
-        let record = self.record.lock().expect("no holder panics").clone();
-        insert(connection, &record, self.at_ms, 1).await
-    }
-
     /// Whether the entry is committed.
     pub(crate) fn is_written(&self) -> bool {
         self.number.get().is_some()
     }
+}
 
-    /// Remembers that the entry is committed.
-    pub(crate) fn set_number(&self, number: i64) {
+impl FirstWrite for PendingEntry {
+    fn is_written(&self) -> bool {
+        self.number.get().is_some()
+    }
+
+    fn insert<'c>(&'c self, connection: &'c mut Connection) -> BoxFuture<'c, Result<i64, DatabaseError>> {
+        let record = self.record.lock().expect("no holder panics").clone();
+        Box::pin(async move { insert(connection, &record, self.at_ms, 1).await })
+    }
+
+    fn set_number(&self, number: i64) {
         // It is set already if this was not the request's first change.
         let _ = self.number.set(number);
     }
 }
 
-/// Entry of the request that this task handles; `None` if the request changes nothing.
-pub(crate) fn pending_entry() -> Option<Arc<PendingEntry>> {
-    ENTRY.try_with(Arc::clone).ok()
-}
-
-/// Adds to the record of the request that this task handles.
+/// Adds to the record of the request that this task handles; does nothing if the request changes nothing.
 pub(crate) fn describe(add: impl FnOnce(&mut AuditRecord)) {
-    if let Some(entry) = pending_entry() {
-        add(&mut entry.record.lock().expect("no holder panics"));
-    }
+    // Outside a request that may change something there is no entry, which is not an error.
+    let _ = ENTRY.try_with(|entry| add(&mut entry.record.lock().expect("no holder panics")));
 }
 
 /// The audit log.
@@ -170,7 +167,8 @@ impl AuditLog {
             record: Mutex::new(expected),
             number: OnceLock::new(),
         });
-        (ENTRY.scope(Arc::clone(&entry), handling).await, entry)
+        let recorded = with_first_write(Arc::<PendingEntry>::clone(&entry), handling);
+        (ENTRY.scope(Arc::clone(&entry), recorded).await, entry)
     }
 
     /// Records the outcome of a request that changed something, before its response is sent.

@@ -6,6 +6,7 @@
 mod connection;
 mod dialect;
 mod external;
+mod first_write;
 mod query;
 mod row;
 mod value;
@@ -21,8 +22,8 @@ use proto::fail_point::{self, FailPoint};
 use sqlx::ConnectOptions;
 use sqlx::sqlite::{SqliteConnectOptions, SqliteJournalMode, SqlitePoolOptions, SqliteSynchronous};
 
-use crate::audit_log;
 pub(crate) use connection::{Connection, Readers, Target};
+pub(crate) use first_write::{FirstWrite, with_first_write};
 #[cfg(test)]
 pub(crate) use query::made_query;
 pub(crate) use query::{Changed, Statement, query, query_scalar};
@@ -177,14 +178,14 @@ impl Database {
         })
     }
 
-    /// Runs `operation` in a transaction of the writer and returns when it is committed. The first one of a request
-    /// that is recorded in the audit log also writes its entry.
+    /// Runs `operation` in a transaction of the writer and returns when it is committed. The first one of a task
+    /// with a [`FirstWrite`] also writes that.
     pub(crate) async fn write<T, F>(&self, durability: Durability, operation: F) -> Result<T, DatabaseError>
     where
         T: Send + 'static,
         F: for<'c> FnOnce(&'c mut Connection) -> BoxFuture<'c, Result<T, DatabaseError>> + Send + 'static,
     {
-        let Some(entry) = audit_log::pending_entry().filter(|entry| !entry.is_written()) else {
+        let Some(entry) = first_write::of_task().filter(|entry| !entry.is_written()) else {
             return self.writer.write(Urgency::Ordinary, durability, operation).await;
         };
         let written = Arc::clone(&entry);

@@ -8,8 +8,9 @@ use proto::preview_helper::{CostSample, Estimate, HelperRequest};
 use proto::rounding;
 
 use crate::fair_queue::{FairQueue, WaitingLimits};
-use crate::farm::Farm;
-use crate::queue::ReadyWorker;
+use crate::pool::Pool;
+use crate::preview_helper::PreviewHelper;
+use crate::queue::{Queue, ReadyWorker};
 use crate::tile_plan::TilePlan;
 
 /// Maximum time for rendering a sample, in milliseconds.
@@ -23,32 +24,47 @@ const MAX_CONCURRENT: usize = 1;
 /// Overhead of a job in seconds: claim, delivery, commits.
 const JOB_OVERHEAD_SECONDS: f64 = 0.01;
 
-/// Turns of submitters for estimates.
-pub(crate) fn turns() -> Arc<FairQueue> {
-    FairQueue::new(MAX_CONCURRENT, WaitingLimits::of_one(MAX_WAITING))
+/// Estimates of jobs.
+#[derive(Debug)]
+pub(crate) struct Estimator {
+    queue: Queue,
+    pool: Arc<Pool>,
+    preview_helper: Arc<PreviewHelper>,
+    /// Threads that the pool's CPU workers share.
+    threads: usize,
+    /// Turns of submitters.
+    turns: Arc<FairQueue>,
 }
 
-/// Estimates a job file; `None` if no sample could be rendered, which is logged.
-pub(crate) async fn estimate(farm: &Farm, submitter: &str, text: String, plan: TilePlan) -> Option<Estimate> {
-    let turn = tokio::time::timeout(MAX_WAIT, farm.estimates.enter(submitter)).await;
-    let Ok(Ok(_turn)) = turn else {
-        tracing::debug!(submitter, "too many estimates are requested");
-        return None;
-    };
-    let present = match farm.queue.ready_workers().await {
-        Ok(present) => present,
-        Err(error) => {
-            tracing::warn!(%error, "estimating without the workers' speeds");
-            Vec::new()
-        }
-    };
-    let threads = farm.config.cpu_threads();
-    let sketch = HelperRequest::MeasureCost { job: text, threads, render_ms: SAMPLE_BUDGET_MS };
-    match farm.preview_helper.sample(&sketch).await {
-        Ok(sample) => Some(estimate_from_sample(&sample, plan, &present, threads, farm.pool.target_size())),
-        Err(error) => {
-            tracing::warn!(%error, "could not estimate a job");
-            None
+impl Estimator {
+    /// Estimates for the current workers; the pool's CPU workers share `threads` threads.
+    pub(crate) fn new(queue: Queue, pool: Arc<Pool>, preview_helper: Arc<PreviewHelper>, threads: usize) -> Self {
+        let turns = FairQueue::new(MAX_CONCURRENT, WaitingLimits::of_one(MAX_WAITING));
+        Self { queue, pool, preview_helper, threads, turns }
+    }
+
+    /// Estimates a job file; `None` if no sample could be rendered, which is logged.
+    pub(crate) async fn estimate(&self, submitter: &str, text: String, plan: TilePlan) -> Option<Estimate> {
+        let turn = tokio::time::timeout(MAX_WAIT, self.turns.enter(submitter)).await;
+        let Ok(Ok(_turn)) = turn else {
+            tracing::debug!(submitter, "too many estimates are requested");
+            return None;
+        };
+        let present = match self.queue.ready_workers().await {
+            Ok(present) => present,
+            Err(error) => {
+                tracing::warn!(%error, "estimating without the workers' speeds");
+                Vec::new()
+            }
+        };
+        let threads = self.threads;
+        let request = HelperRequest::MeasureCost { job: text, threads, render_ms: SAMPLE_BUDGET_MS };
+        match self.preview_helper.sample(&request).await {
+            Ok(sample) => Some(estimate_from_sample(&sample, plan, &present, threads, self.pool.target_size())),
+            Err(error) => {
+                tracing::warn!(%error, "could not estimate a job");
+                None
+            }
         }
     }
 }

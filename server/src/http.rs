@@ -1,10 +1,11 @@
-//! The HTTP layer: the whole API on one screen. Handlers read the request, call the farm, and respond; they
-//! decide nothing about jobs.
+//! The HTTP layer: the whole API on one screen. Handlers read the request, call a service, and respond;
+//! they decide nothing about jobs.
 
 mod audit;
 mod auth;
 mod body;
 mod content_encoding;
+mod docs;
 mod error;
 mod events;
 mod files;
@@ -19,7 +20,6 @@ mod links;
 mod merge_patch;
 mod openapi;
 mod pause;
-mod permissions;
 mod pool;
 mod prefer;
 mod previews;
@@ -27,102 +27,94 @@ mod quota;
 mod range;
 mod request_id;
 mod retention;
+mod routes;
 mod start_page;
+mod state;
+mod submission;
 mod submit_options;
 mod trace_context;
 mod webhooks;
 mod worker_protocol;
 
-pub(crate) use auth::Peer;
-
 use std::any::Any;
-use std::sync::Arc;
 
 use axum::extract::Request;
 use axum::middleware;
 use axum::response::{IntoResponse, Response};
-use axum::routing::{get, post, put};
 use tower_http::catch_panic::CatchPanicLayer;
-use utoipa_axum::router::OpenApiRouter;
-use utoipa_axum::routes;
-use utoipa_swagger_ui::{Config, SwaggerUi};
 
-use crate::farm::Farm;
 use error::ApiError;
-use openapi::Document;
+pub(crate) use state::{ApiState, Handles};
 
-/// Users' routes; each is documented at its handler.
-fn user_routes() -> OpenApiRouter<Arc<Farm>> {
-    OpenApiRouter::new()
-        .routes(routes!(start_page::get))
-        .routes(routes!(jobs::submit, jobs::list))
-        .routes(routes!(jobs::get, job_changes::patch, job_changes::delete))
-        .routes(routes!(jobs::cancel))
-        .routes(routes!(job_changes::retry))
-        .routes(routes!(files::file))
-        .routes(routes!(files::resubmit))
-        .routes(routes!(events::follow))
-        .routes(routes!(pause::pause_job))
-        .routes(routes!(pause::resume_job))
-        .routes(routes!(pause::get))
-        .routes(routes!(pause::pause))
-        .routes(routes!(pause::resume))
-        .routes(routes!(webhooks::list))
-        .routes(routes!(frames::list))
-        .routes(routes!(frames::archive))
-        .routes(routes!(images::first_frame))
-        .routes(routes!(images::frame))
-        .routes(routes!(previews::preview))
-        .routes(routes!(previews::thumbnail))
-        .routes(routes!(links::sign))
-        // Needs no key: the link's signature authorizes the request.
-        .routes(routes!(links::follow))
-        .routes(routes!(images::forget))
-        .routes(routes!(retention::collect))
-        .routes(routes!(pool::workers))
-        .routes(routes!(pool::get, pool::put))
-        .routes(routes!(keys::list, keys::make))
-        .routes(routes!(keys::revoke))
-        .routes(routes!(audit::list))
-        .routes(routes!(openapi::job_schema))
-        .routes(routes!(health::livez))
-        .routes(routes!(health::readyz))
-        .routes(routes!(health::metrics))
-}
-
-/// Workers' routes: see `proto::worker_protocol`.
-fn worker_routes() -> axum::Router<Arc<Farm>> {
-    axum::Router::new()
-        .route(proto::worker_protocol::REGISTER_PATH, post(worker_protocol::register))
-        .route(proto::worker_protocol::SYNC_PATH, post(worker_protocol::sync))
-        .route("/v1/worker/jobs/{id}", get(worker_protocol::job))
-        .route("/v1/worker/blobs/{hash}", put(worker_protocol::put_blob).get(worker_protocol::get_blob))
-        .route("/v1/worker/pictures/{hash}", put(worker_protocol::put_picture))
+// A column each: method, path, permission, time limit, what the audit log records, handler. `polled` are the routes
+// that monitors and workers request again and again. A link's signature authorizes the request that follows it.
+routes::table! {
+    described {
+        GET    "/"                                          PUBLIC     MINUTE Nothing start_page::get;
+        POST   "/v1/jobs"                                   SUBMIT     NONE   NewJob  jobs::submit;
+        GET    "/v1/jobs"                                   READ_OWN   MINUTE Nothing jobs::list;
+        GET    "/v1/jobs/{id}"                              READ_OWN   MINUTE Nothing jobs::get;
+        PATCH  "/v1/jobs/{id}"                              CHANGE_OWN MINUTE Work    job_changes::patch;
+        DELETE "/v1/jobs/{id}"                              CHANGE_OWN MINUTE Work    job_changes::delete;
+        POST   "/v1/jobs/{id}/cancel"                       CHANGE_OWN MINUTE Work    jobs::cancel;
+        POST   "/v1/jobs/{id}/retry"                        CHANGE_OWN MINUTE Work    job_changes::retry;
+        GET    "/v1/jobs/{id}/file"                         READ_OWN   MINUTE Nothing files::file;
+        POST   "/v1/jobs/{id}/resubmit"                     CHANGE_OWN MINUTE NewJob  files::resubmit;
+        GET    "/v1/jobs/{id}/events"                       READ_OWN   NONE   Nothing events::follow;
+        POST   "/v1/jobs/{id}/pause"                        CHANGE_OWN MINUTE Work    pause::pause_job;
+        POST   "/v1/jobs/{id}/resume"                       CHANGE_OWN MINUTE Work    pause::resume_job;
+        GET    "/v1/farm"                                   READ       MINUTE Nothing pause::get;
+        POST   "/v1/farm/pause"                             ADMIN      MINUTE Admin   pause::pause;
+        POST   "/v1/farm/resume"                            ADMIN      MINUTE Admin   pause::resume;
+        GET    "/v1/jobs/{id}/webhooks"                     READ_OWN   MINUTE Nothing webhooks::list;
+        GET    "/v1/jobs/{id}/frames"                       READ_OWN   MINUTE Nothing frames::list;
+        GET    "/v1/jobs/{id}/frames.zip"                   READ_OWN   MINUTE Nothing frames::archive;
+        GET    "/v1/jobs/{id}/image"                        READ_OWN   MINUTE Nothing images::first_frame;
+        GET    "/v1/jobs/{id}/frames/{frame}/image"         READ_OWN   MINUTE Nothing images::frame;
+        GET    "/v1/jobs/{id}/frames/{frame}/preview"       READ_OWN   MINUTE Nothing previews::preview;
+        GET    "/v1/jobs/{id}/frames/{frame}/thumbnail"     READ_OWN   MINUTE Nothing previews::thumbnail;
+        POST   "/v1/jobs/{id}/frames/{frame}/link"          READ_OWN   MINUTE Work    links::sign;
+        GET    "/v1/pictures/{id}/{frame}/{content}"        PUBLIC     MINUTE Nothing links::follow;
+        DELETE "/v1/pictures/{hash}"                        ADMIN      MINUTE Admin   images::forget;
+        POST   "/v1/gc"                                     ADMIN      MINUTE Admin   retention::collect;
+        GET    "/v1/workers"                                READ       MINUTE Nothing pool::workers;
+        GET    "/v1/pool"                                   READ       MINUTE Nothing pool::get;
+        PUT    "/v1/pool"                                   ADMIN      MINUTE Admin   pool::put;
+        GET    "/v1/keys"                                   ADMIN      MINUTE Nothing keys::list;
+        POST   "/v1/keys"                                   ADMIN      MINUTE NewKey  keys::make;
+        DELETE "/v1/keys/{id}"                              ADMIN      MINUTE Admin   keys::revoke;
+        GET    "/v1/audit"                                  ADMIN      MINUTE Nothing audit::list;
+        GET    "/v1/schema/job"                             PUBLIC     MINUTE Nothing openapi::job_schema;
+        GET    "/livez"                                     PUBLIC     MINUTE Nothing health::livez, polled;
+        GET    "/readyz"                                    PUBLIC     MINUTE Nothing health::readyz, polled;
+        GET    "/metrics"                                   READ       MINUTE Nothing health::metrics, polled;
+    }
+    hidden {
+        POST   "/v1/worker/register"                        WORKER     NONE   Work    worker_protocol::register;
+        POST   "/v1/worker/sync"                            WORKER     NONE   Nothing worker_protocol::sync, polled;
+        GET    "/v1/worker/jobs/{id}"                       WORKER     NONE   Nothing worker_protocol::job;
+        PUT    "/v1/worker/blobs/{hash}"                    WORKER     NONE   Nothing worker_protocol::put_blob;
+        GET    "/v1/worker/blobs/{hash}"                    WORKER     NONE   Nothing worker_protocol::get_blob;
+        PUT    "/v1/worker/pictures/{hash}"                 WORKER     NONE   Nothing worker_protocol::put_picture;
+        GET    "/openapi.json"                              PUBLIC     MINUTE Nothing openapi::openapi;
+        GET    "/docs"                                      PUBLIC     MINUTE Nothing docs::redirect;
+        GET    "/docs/"                                     PUBLIC     MINUTE Nothing docs::page;
+        GET    "/docs/{*rest}"                              PUBLIC     MINUTE Nothing docs::file;
+    }
 }
 
 /// Router of the whole API.
-pub(crate) fn router(farm: Arc<Farm>) -> axum::Router {
-    let (users, described) = user_routes().split_for_parts();
-    let document = Document::new(&described);
-    let pages = SwaggerUi::new("/docs").config(Config::from("/openapi.json").validator_url("none"));
-    users
-        .merge(worker_routes())
-        .with_state(Arc::clone(&farm))
-        .route("/openapi.json", get(openapi::openapi).with_state(document))
-        .merge(pages)
+pub(crate) fn router(state: ApiState) -> axum::Router {
+    let (routes, _) = routes::router();
+    routes
+        .with_state(state.clone())
         .fallback(unknown_route)
         .method_not_allowed_fallback(method_not_allowed)
         .layer(CatchPanicLayer::custom(panic_response))
-        .layer(middleware::from_fn_with_state(Arc::clone(&farm), auth::authenticate_and_authorize))
-        .layer(middleware::from_fn_with_state(Arc::clone(&farm), host_check::host_and_origin))
-        .layer(middleware::from_fn_with_state(Arc::clone(&farm), audit::record_request))
-        .layer(middleware::from_fn_with_state(farm, request_id::trace))
-}
-
-/// `OpenAPI` document of the router.
-#[cfg(test)]
-fn document() -> Document {
-    Document::new(&user_routes().split_for_parts().1)
+        .layer(middleware::from_fn_with_state(state.clone(), auth::authenticate_and_authorize))
+        .layer(middleware::from_fn_with_state(state.clone(), host_check::host_and_origin))
+        .layer(middleware::from_fn_with_state(state.clone(), audit::record_request))
+        .layer(middleware::from_fn_with_state(state, request_id::trace))
 }
 
 async fn unknown_route(request: Request) -> ApiError {

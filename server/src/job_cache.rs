@@ -12,7 +12,8 @@ use tokio::sync::oneshot;
 use crate::db::DatabaseError;
 use crate::delivery_check::ExpectedPicture;
 use crate::fair_queue::{FairQueue, Place, TooManyWaiting, WaitingLimits};
-use crate::queue::Queue;
+use crate::queue::{FrameOpening, Queue};
+use crate::tile_plan::TilePlan;
 
 /// A file above this size is large. Parsing takes up to ten times the size of the file in memory, so large ones are
 /// parsed one after another: those of submitters on one thread, because the allocator keeps memory by thread.
@@ -139,6 +140,19 @@ impl JobCache {
         let (moves, job) = (job.is_animated(), Arc::clone(job));
         let key = move || job.cache_key(frame).to_hex().to_string();
         if moves { self.run(reader, key).await } else { Ok(key()) }
+    }
+
+    /// Opening of a frame of a job with this number and plan.
+    pub(crate) async fn frame_opening(
+        &self,
+        reader: Reader<'_>,
+        job: &Arc<scene::Job>,
+        number: i64,
+        frame: u32,
+        plan: TilePlan,
+    ) -> Result<FrameOpening, JobLoadError> {
+        let picture_key = self.picture_key(reader, job, frame).await?;
+        Ok(FrameOpening { job: number, frame, picture_key, tiles: plan.tiles(), samples: plan.samples })
     }
 
     /// Expected picture of a frame; for an animated job this copies the scene.

@@ -10,36 +10,41 @@ mod budget;
 mod clock;
 mod config;
 mod content_store;
+mod counters;
 mod data_folder;
 mod db;
 mod delivery_check;
 mod estimate;
 mod events;
 mod fair_queue;
-mod farm;
+mod histograms;
+mod host;
 mod http;
 mod integrity;
 mod job_cache;
 mod listen;
 mod lock;
 mod maintenance;
+mod orphans;
+mod pictures;
 mod pool;
 mod preview_helper;
 mod private_files;
 mod queue;
 mod retention;
+mod shutdown;
 mod signed_links;
 mod space_reserve;
 mod startup;
+mod submissions;
 mod telemetry;
 mod tile_plan;
 mod webhooks;
+mod worker_sync;
 
 use std::net::SocketAddr;
-use std::sync::Arc;
 use std::time::Duration;
 
-use tokio::sync::mpsc;
 use tokio_util::sync::CancellationToken;
 
 pub use api_keys::{OfflineApiKeys, OfflineApiKeysError};
@@ -57,10 +62,7 @@ pub use private_files::ExposedFile;
 pub use startup::StartError;
 pub use webhooks::{AddressRange, SecretError, webhook_secret};
 
-use db::Database;
-use farm::{Farm, OrphanCandidates};
-use listen::Listeners;
-use lock::FolderLock;
+use startup::Started;
 
 /// Time for the last responses after the pool has ended.
 const RESPONSE_DRAIN_TIMEOUT: Duration = Duration::from_secs(5);
@@ -75,14 +77,7 @@ pub enum ServeError {
 
 /// A server that has locked its data folder, opened its database and bound its address.
 #[derive(Debug)]
-pub struct Server {
-    listeners: Listeners,
-    farm: Arc<Farm>,
-    store: Arc<Database>,
-    orphans: mpsc::UnboundedReceiver<OrphanCandidates>,
-    // Dropped last, so that the lock is held until everything is closed.
-    lock: FolderLock,
-}
+pub struct Server(Started);
 
 impl Server {
     /// Locks the data folder, opens the database, repairs the state that the last server left, and binds the
@@ -93,57 +88,47 @@ impl Server {
 
     /// Starts a server with the given clock.
     pub async fn start_with_clock(config: Config, clock: Clock) -> Result<Self, StartError> {
-        startup::start(config, clock).await
+        startup::start(config, clock).await.map(Self)
     }
 
     /// Address on which it listens.
     pub fn address(&self) -> SocketAddr {
-        self.listeners.address()
+        self.0.listeners.address()
     }
 
     /// Its address as clients write it: `http://HOST:PORT`, or `https://HOST:PORT` with a certificate.
     pub fn url(&self) -> String {
-        let scheme = if self.farm.config.tls.is_some() { "https" } else { "http" };
+        let scheme = if self.0.config.tls.is_some() { "https" } else { "http" };
         format!("{scheme}://{}", self.address())
     }
 
     /// Serves until `shutdown`; then rejects new jobs, lets local workers finish or release their leases,
     /// and closes the database.
     pub async fn run(self, shutdown: CancellationToken) -> Result<(), ServeError> {
-        let Self { listeners: entrance, farm, store, orphans: leftovers, lock } = self;
-        let router = http::router(Arc::clone(&farm));
-        let (address, pool_address) = (entrance.address(), entrance.pool_address());
-        let mut serving = tokio::spawn(entrance.serve(router, farm.shutdown.clone()));
-        let janitor = tokio::spawn(maintenance::run(Arc::clone(&farm), leftovers, farm.shutdown.clone()));
-        let sending = tokio::spawn(webhooks::run(Arc::clone(&farm), farm.shutdown.clone()));
-        let telling = tokio::spawn({
-            let farm = Arc::clone(&farm);
-            async move { farm.events.run(farm.shutdown.clone()).await }
-        });
-        let admission = farm.clone();
-        let admission_task = tokio::spawn(async move { admission.admission.run(admission.shutdown.clone()).await });
-        let pool = farm.pool.start(&farm.config, pool_address, farm.queue.clone());
+        let Started { config, listeners, state, tasks, pool, queue, shutdown: stages, database, lock } = self.0;
+        let router = http::router(state);
+        let (address, pool_address) = (listeners.address(), listeners.pool_address());
+        let mut serving = tokio::spawn(listeners.serve(router, stages.closing().clone()));
+        let tasks = tasks.start(stages.closing());
+        let workers = pool.start(&config, pool_address, queue);
         tracing::info!(%address, "serving");
         let failed = tokio::select! {
             () = shutdown.cancelled() => None,
             ended = &mut serving => Some(ended),
         };
-        farm.is_shutting_down.cancel();
-        pool.end(farm.config.shutdown_grace).await;
-        farm.shutdown.cancel();
+        stages.begun().cancel();
+        workers.end(config.shutdown_grace).await;
+        stages.closing().cancel();
         let ended = match failed {
             Some(ended) => Some(ended),
             None => tokio::time::timeout(RESPONSE_DRAIN_TIMEOUT, serving).await.ok(),
         };
-        for (task, name) in [(janitor, "maintenance"), (telling, "event distribution"), (sending, "webhook delivery")] {
+        for (task, name) in tasks {
             if let Err(error) = task.await {
                 tracing::error!(%error, "{name} panicked");
             }
         }
-        if let Err(error) = admission_task.await {
-            tracing::error!(%error, "admission control panicked");
-        }
-        store.close().await;
+        database.close().await;
         drop(lock);
         tracing::info!("ended");
         match ended {

@@ -30,11 +30,10 @@ use tokio_util::task::TaskTracker;
 use tower::ServiceExt;
 
 use crate::admission::ResponseShares;
-use crate::http::Peer;
 use connection_limit::ConnectionLimit;
 use connection_limit::{ConnectionSlot, TrackedBody, Unsent};
 use file_limit::connection_limit;
-pub(crate) use listeners::Listeners;
+pub(crate) use listeners::{ListenError, Listeners};
 pub(crate) use min_rate::SlowBody;
 use min_rate::{TimedBody, TimedStream};
 use tls::Tls;
@@ -56,6 +55,10 @@ const HANDSHAKE_TIMEOUT: Duration = Duration::from_secs(10);
 const CLOSE_GRACE: Duration = Duration::from_millis(250);
 /// If no slot is free, the next attempt is made after this interval.
 const ACCEPT_RETRY_DELAY: Duration = Duration::from_millis(100);
+
+/// Address of the client, as an extension of each request.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Peer(pub(crate) IpAddr);
 
 /// Accepts connections until `ending`, then waits until busy ones have been answered.
 pub(crate) async fn serve(

@@ -2,17 +2,25 @@
 //!
 //! It changes no state itself; it calls the queue and the store.
 
+mod orphan_sweep;
+
+use std::path::PathBuf;
 use std::sync::Arc;
+use std::sync::atomic::Ordering;
 use std::time::Duration;
 
-use futures_util::stream::TryStreamExt;
 use tokio::sync::mpsc;
 use tokio_util::sync::CancellationToken;
 
-use crate::content_store::{self, ContentKind};
+use crate::content_store;
+use crate::counters::ServerCounters;
 use crate::db::DatabaseError;
-use crate::farm::{Farm, OrphanCandidates};
-use crate::retention;
+use crate::orphans::{OrphanCandidates, Orphans};
+use crate::preview_helper::PreviewHelper;
+use crate::queue::Queue;
+use crate::retention::Retention;
+use crate::space_reserve::SpaceReserve;
+pub(crate) use orphan_sweep::OrphanSweep;
 
 /// Interval at which leases are checked.
 const LEASE_CHECK_INTERVAL: Duration = Duration::from_secs(1);
@@ -20,142 +28,149 @@ const LEASE_CHECK_INTERVAL: Duration = Duration::from_secs(1);
 const CLEANUP_INTERVAL: Duration = Duration::from_mins(10);
 /// Minimum age at which content without a report is swept.
 const ORPHAN_GRACE: Duration = Duration::from_mins(10);
-/// Number of hashes that are checked, and deleted if they are orphans, while no result is taken.
-const SWEEP_BATCH: usize = 32;
 /// Delay after a piece of a large change that failed.
 const FAILED_PIECE_DELAY: Duration = Duration::from_secs(1);
 
-/// Runs maintenance until the farm is closed.
-pub(crate) async fn run(farm: Arc<Farm>, leftovers: mpsc::UnboundedReceiver<OrphanCandidates>, end: CancellationToken) {
-    tokio::join!(run_periodically(&farm, leftovers, &end), finish_changes(&farm, &end));
+/// The maintenance task.
+#[derive(Debug)]
+pub(crate) struct Maintenance {
+    /// Finishing of large changes.
+    pub(crate) changes: ChangeFinisher,
+    /// Expiry of leases.
+    pub(crate) leases: LeaseExpiry,
+    /// Deletion of orphans.
+    pub(crate) sweep: OrphanSweep,
+    /// Pruning of old rows and files.
+    pub(crate) cleanup: Cleanup,
 }
 
-/// Makes the pieces that are left of large changes, also of those that the last server began.
-async fn finish_changes(farm: &Farm, end: &CancellationToken) {
-    loop {
-        let wait = match farm.queue.clean_up_piece().await {
-            Ok(Some(removed)) => {
-                farm.sweep_removed(removed);
-                if end.is_cancelled() {
-                    return;
+/// Makes the pieces that are left of large changes.
+#[derive(Debug)]
+pub(crate) struct ChangeFinisher {
+    /// The queue.
+    pub(crate) queue: Queue,
+    /// Takes what the changes have removed.
+    pub(crate) orphans: Orphans,
+}
+
+/// Expires leases, and restores the space set aside.
+#[derive(Debug)]
+pub(crate) struct LeaseExpiry {
+    /// The queue.
+    pub(crate) queue: Queue,
+    /// Space set aside for a full disk.
+    pub(crate) reserve: Arc<SpaceReserve>,
+    /// Counters of what has expired.
+    pub(crate) counters: Arc<ServerCounters>,
+}
+
+/// Prunes old rows, jobs past their retention, and partial files.
+#[derive(Debug)]
+pub(crate) struct Cleanup {
+    /// The queue.
+    pub(crate) queue: Queue,
+    /// Deletion of jobs past their retention.
+    pub(crate) retention: Arc<Retention>,
+    /// Has old previews.
+    pub(crate) preview_helper: Arc<PreviewHelper>,
+    /// The data folder.
+    pub(crate) data: PathBuf,
+}
+
+impl Maintenance {
+    /// Runs maintenance until the farm is closed.
+    pub(crate) async fn run(self, candidates: mpsc::UnboundedReceiver<OrphanCandidates>, end: CancellationToken) {
+        tokio::join!(self.run_periodically(candidates, &end), self.changes.run(&end));
+    }
+
+    async fn run_periodically(
+        &self,
+        mut candidates: mpsc::UnboundedReceiver<OrphanCandidates>,
+        end: &CancellationToken,
+    ) {
+        let mut lease_check = tokio::time::interval(LEASE_CHECK_INTERVAL);
+        lease_check.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
+        let mut cleanup = tokio::time::interval(CLEANUP_INTERVAL);
+        loop {
+            let done = tokio::select! {
+                () = end.cancelled() => return,
+                Some(found) = candidates.recv() => self.sweep.sweep_in_pieces(found.kind, &found.hashes).await,
+                _ = lease_check.tick() => self.leases.expire().await,
+                _ = cleanup.tick() => self.clean_up(end).await,
+            };
+            if let Err(error) = done {
+                tracing::error!(%error, cause = ?std::error::Error::source(&error), "maintenance failed");
+            }
+        }
+    }
+
+    async fn clean_up(&self, end: &CancellationToken) -> Result<(), DatabaseError> {
+        self.cleanup.clean_up(end).await?;
+        self.sweep.sweep_unreported().await
+    }
+}
+
+impl ChangeFinisher {
+    /// Makes the pieces that are left of large changes, also of those that the last server began.
+    async fn run(&self, end: &CancellationToken) {
+        loop {
+            let wait = match self.queue.clean_up_piece().await {
+                Ok(Some(removed)) => {
+                    self.orphans.sweep_removed(removed);
+                    if end.is_cancelled() {
+                        return;
+                    }
+                    continue;
                 }
-                continue;
+                Ok(None) => CLEANUP_INTERVAL,
+                Err(error) => {
+                    let cause = std::error::Error::source(&error);
+                    tracing::error!(%error, ?cause, "could not finish a change of a job");
+                    FAILED_PIECE_DELAY
+                }
+            };
+            tokio::select! {
+                () = end.cancelled() => return,
+                () = self.queue.wake_signals().cleanup.notified(), if wait == CLEANUP_INTERVAL => {}
+                () = tokio::time::sleep(wait) => {}
             }
-            Ok(None) => CLEANUP_INTERVAL,
-            Err(error) => {
-                tracing::error!(%error, cause = ?std::error::Error::source(&error), "could not finish a change of a job");
-                FAILED_PIECE_DELAY
-            }
-        };
-        tokio::select! {
-            () = end.cancelled() => return,
-            () = farm.queue.wake_signals().cleanup.notified(), if wait == CLEANUP_INTERVAL => {}
-            () = tokio::time::sleep(wait) => {}
         }
     }
 }
 
-async fn run_periodically(
-    farm: &Arc<Farm>,
-    mut leftovers: mpsc::UnboundedReceiver<OrphanCandidates>,
-    end: &CancellationToken,
-) {
-    let mut rescue = tokio::time::interval(LEASE_CHECK_INTERVAL);
-    rescue.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
-    let mut tidy = tokio::time::interval(CLEANUP_INTERVAL);
-    loop {
-        let done = tokio::select! {
-            () = end.cancelled() => return,
-            Some(left) = leftovers.recv() => sweep_in_pieces(farm, left.kind, &left.hashes).await,
-            _ = rescue.tick() => expire_leases(farm).await,
-            _ = tidy.tick() => clean_up(farm).await,
-        };
-        if let Err(error) = done {
-            tracing::error!(%error, cause = ?std::error::Error::source(&error), "maintenance failed");
+impl LeaseExpiry {
+    async fn expire(&self) -> Result<(), DatabaseError> {
+        if self.reserve.restore() {
+            tracing::info!("there is room on the disk again");
+            self.queue.wake_signals().work.notify_waiters();
         }
+        let count = self.queue.expire_leases().await?;
+        self.counters.expired.fetch_add(count, Ordering::Relaxed);
+        let unverified = self.queue.expire_verifications().await?;
+        self.counters.unverified.fetch_add(unverified, Ordering::Relaxed);
+        Ok(())
     }
 }
 
-async fn expire_leases(farm: &Farm) -> Result<(), DatabaseError> {
-    if farm.reserve.restore() {
-        tracing::info!("there is room on the disk again");
-        farm.queue.wake_signals().work.notify_waiters();
-    }
-    let count = farm.queue.expire_leases().await?;
-    farm.totals.expired.fetch_add(count, std::sync::atomic::Ordering::Relaxed);
-    let unverified = farm.queue.expire_verifications().await?;
-    farm.totals.unverified.fetch_add(unverified, std::sync::atomic::Ordering::Relaxed);
-    Ok(())
-}
-
-/// Deletes orphans a few at a time: results wait while a sweep decides.
-async fn sweep_in_pieces(farm: &Arc<Farm>, kind: ContentKind, hashes: &[String]) -> Result<(), DatabaseError> {
-    for piece in hashes.chunks(SWEEP_BATCH) {
-        sweep(farm, kind, piece).await?;
-    }
-    Ok(())
-}
-
-async fn sweep(farm: &Arc<Farm>, kind: ContentKind, hashes: &[String]) -> Result<(), DatabaseError> {
-    let queue = &farm.queue;
-    let (count, young) = match kind {
-        ContentKind::Blob => farm.content.sweep(kind, hashes, async |names| queue.orphan_blobs(&names).await).await?,
-        ContentKind::Picture => {
-            farm.content.sweep(kind, hashes, async |names| queue.orphan_pictures(&names).await).await?
+impl Cleanup {
+    async fn clean_up(&self, end: &CancellationToken) -> Result<(), DatabaseError> {
+        self.queue.prune().await?;
+        self.queue.drop_traces().await?;
+        self.queue.prune_events().await?;
+        if let Err(error) = self.retention.collect_until_done(end).await {
+            tracing::error!(%error, cause = ?std::error::Error::source(&error), "could not remove old jobs");
         }
-    };
-    if !young.is_empty() {
-        let farm = Arc::clone(farm);
-        tokio::spawn(async move {
-            tokio::time::sleep(content_store::MIN_SWEEP_AGE).await;
-            farm.sweep_later(kind, young);
-        });
+        if let Err(error) = self.preview_helper.prune_coarse() {
+            tracing::warn!(%error, "could not remove old previews");
+        }
+        self.queue.prune_idempotency_keys().await?;
+        self.queue.prune_deliveries().await?;
+        let data = self.data.clone();
+        let removed =
+            tokio::task::spawn_blocking(move || content_store::remove_partial_writes(&data, ORPHAN_GRACE)).await;
+        if let Err(error) = removed.map_err(std::io::Error::other).flatten() {
+            tracing::warn!(%error, "could not remove partial files");
+        }
+        Ok(())
     }
-    if count > 0 {
-        tracing::debug!(count, ?kind, "removed orphaned content");
-    }
-    Ok(())
-}
-
-async fn clean_up(farm: &Arc<Farm>) -> Result<(), DatabaseError> {
-    farm.queue.prune().await?;
-    farm.queue.drop_traces().await?;
-    farm.queue.prune_events().await?;
-    if let Err(error) = retention::collect_until_done(farm).await {
-        tracing::error!(%error, cause = ?std::error::Error::source(&error), "could not remove old jobs");
-    }
-    if let Err(error) = farm.preview_helper.prune_coarse() {
-        tracing::warn!(%error, "could not remove old previews");
-    }
-    farm.queue.prune_idempotency_keys().await?;
-    farm.queue.prune_deliveries().await?;
-    let data = farm.config.data.clone();
-    let removed = tokio::task::spawn_blocking(move || content_store::remove_partial_writes(&data, ORPHAN_GRACE)).await;
-    if let Err(error) = removed.map_err(std::io::Error::other).flatten() {
-        tracing::warn!(%error, "could not remove partial files");
-    }
-    for kind in [ContentKind::Blob, ContentKind::Picture] {
-        let names = match unreported_hashes(farm, kind).await {
-            Ok(names) => names,
-            Err(error) => {
-                tracing::warn!(%error, ?kind, "could not list a folder");
-                continue;
-            }
-        };
-        sweep_in_pieces(farm, kind, &names).await?;
-    }
-    Ok(())
-}
-
-async fn unreported_hashes(farm: &Farm, kind: ContentKind) -> object_store::Result<Vec<String>> {
-    let now_seconds = farm.queue.wall_seconds();
-    farm.content
-        .list(kind)
-        .try_filter_map(async |meta| {
-            let age_seconds = now_seconds - meta.last_modified.timestamp();
-            let is_old = age_seconds > ORPHAN_GRACE.as_secs().cast_signed();
-            Ok(meta.location.filename().filter(|_| is_old).map(ToOwned::to_owned))
-        })
-        .try_collect()
-        .await
 }

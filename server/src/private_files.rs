@@ -5,8 +5,12 @@ use std::io;
 use std::os::unix::fs::{DirBuilderExt, MetadataExt, OpenOptionsExt, PermissionsExt};
 use std::path::{Path, PathBuf};
 
-use crate::{signed_links, space_reserve, webhooks};
-
+/// File of the secret that signs links.
+pub(crate) const LINK_SECRET_FILE: &str = "links.secret";
+/// File of the secret that signs webhooks.
+pub(crate) const WEBHOOK_SECRET_FILE: &str = "webhook-secret";
+/// File of the space set aside for a full disk.
+pub(crate) const RESERVE_FILE: &str = "reserve";
 /// Mode of files: their owner can read and write them.
 pub(crate) const FILE_MODE: u32 = 0o600;
 /// Mode of folders: their owner can use them.
@@ -70,7 +74,7 @@ pub(crate) fn restrict(data: &Path) -> Result<(), ExposedFile> {
 fn is_private(name: &str) -> bool {
     name.starts_with("farm.sqlite")
         || name.starts_with("farm-")
-        || ["lock", signed_links::FILE, webhooks::SECRET_FILE, space_reserve::FILE].contains(&name)
+        || ["lock", LINK_SECRET_FILE, WEBHOOK_SECRET_FILE, RESERVE_FILE].contains(&name)
 }
 
 fn restrict_one(path: &Path, wanted: u32) -> Result<(), ExposedFile> {

@@ -4,15 +4,19 @@
 //! This module chooses the jobs; the queue deletes rows, and bytes are swept as after any deletion.
 
 use std::collections::BTreeSet;
+use std::sync::Arc;
+use std::time::Duration;
 
 use futures_util::stream::TryStreamExt;
 use proto::retention::{GcReport, RemovalReason, RemovedJob};
+use tokio_util::sync::CancellationToken;
 
 use crate::clock::rfc3339;
-use crate::content_store::ContentKind;
+use crate::content_store::{ContentKind, ContentStore};
 use crate::db::DatabaseError;
-use crate::farm::Farm;
-use crate::queue::FinishedJob;
+use crate::orphans::Orphans;
+use crate::queue::{FinishedJob, Queue};
+use crate::space_reserve::SpaceReserve;
 
 /// Maximum number of jobs deleted by one call.
 const MAX_JOBS: usize = 1000;
@@ -37,102 +41,130 @@ struct Removal {
     freed_bytes: u64,
 }
 
-/// Deletes the jobs past their retention, or only lists them with `dry_run`.
-pub(crate) async fn collect(farm: &Farm, dry_run: bool) -> Result<GcReport, RetentionError> {
-    remove(farm, dry_run, store_bytes(farm).await?).await
+/// How long and how much is kept.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct RetentionLimits {
+    /// Retention of finished jobs that do not set their own; `None` means forever.
+    pub(crate) job_retention: Option<Duration>,
+    /// Maximum size of the store; `None` means no limit.
+    pub(crate) max_store_bytes: Option<u64>,
 }
 
-async fn remove(farm: &Farm, dry_run: bool, store_bytes: u64) -> Result<GcReport, RetentionError> {
-    let going = select_jobs(farm, store_bytes).await?;
-    let more = going.len() == MAX_JOBS;
-    let mut jobs = Vec::with_capacity(going.len());
-    for Removal { job, reason, freed_bytes } in going {
-        if !dry_run {
-            let removed = match farm.queue.remove(&job).await {
-                Err(error) if farm.has_made_room(&error) => farm.queue.remove(&job).await,
-                done => done,
-            };
-            let Some(removed) = removed? else { continue };
-            tracing::info!(job = %job.id, reason = reason.name(), freed_bytes, "deleted a job past its retention");
-            farm.sweep_removed(removed);
+/// Deletion of jobs past their retention.
+#[derive(Debug)]
+pub(crate) struct Retention {
+    queue: Queue,
+    content: Arc<ContentStore>,
+    reserve: Arc<SpaceReserve>,
+    orphans: Orphans,
+    limits: RetentionLimits,
+}
+
+impl Retention {
+    /// Keeps these limits.
+    pub(crate) fn new(
+        queue: Queue,
+        content: Arc<ContentStore>,
+        reserve: Arc<SpaceReserve>,
+        orphans: Orphans,
+        limits: RetentionLimits,
+    ) -> Self {
+        Self { queue, content, reserve, orphans, limits }
+    }
+
+    /// Deletes the jobs past their retention, or only lists them with `dry_run`.
+    pub(crate) async fn collect(&self, dry_run: bool) -> Result<GcReport, RetentionError> {
+        self.remove(dry_run, self.store_bytes().await?).await
+    }
+
+    async fn remove(&self, dry_run: bool, store_bytes: u64) -> Result<GcReport, RetentionError> {
+        let going = self.select_jobs(store_bytes).await?;
+        let more = going.len() == MAX_JOBS;
+        let mut jobs = Vec::with_capacity(going.len());
+        for Removal { job, reason, freed_bytes } in going {
+            if !dry_run {
+                let removed = match self.queue.remove(&job).await {
+                    Err(error) if self.reserve.has_made_room(&error) => self.queue.remove(&job).await,
+                    done => done,
+                };
+                let Some(removed) = removed? else { continue };
+                tracing::info!(job = %job.id, reason = reason.name(), freed_bytes, "deleted a job past its retention");
+                self.orphans.sweep_removed(removed);
+            }
+            let finished_at = rfc3339(job.finished_at_ms);
+            jobs.push(RemovedJob { id: job.id, name: job.name, finished_at, reason, freed_bytes });
         }
-        let finished_at = rfc3339(job.finished_at_ms);
-        jobs.push(RemovedJob { id: job.id, name: job.name, finished_at, reason, freed_bytes });
+        let freed_bytes = jobs.iter().map(|job| job.freed_bytes).sum();
+        Ok(GcReport { dry_run, store_bytes, max_store_bytes: self.limits.max_store_bytes, freed_bytes, jobs, more })
     }
-    let freed_bytes = jobs.iter().map(|job| job.freed_bytes).sum();
-    Ok(GcReport { dry_run, store_bytes, max_store_bytes: farm.config.max_store_bytes, freed_bytes, jobs, more })
-}
 
-/// Deletes all jobs past their retention, until shutdown.
-pub(crate) async fn collect_until_done(farm: &Farm) -> Result<(), RetentionError> {
-    while !farm.shutdown.is_cancelled() {
-        // The store is listed only if its size matters.
-        let store_bytes = if farm.config.max_store_bytes.is_some() { store_bytes(farm).await? } else { 0 };
-        if !remove(farm, false, store_bytes).await?.more {
-            break;
-        }
-    }
-    Ok(())
-}
-
-async fn store_bytes(farm: &Farm) -> object_store::Result<u64> {
-    let mut sum_bytes = 0;
-    for kind in [ContentKind::Picture, ContentKind::Blob] {
-        sum_bytes += farm
-            .content
-            .list(kind)
-            .try_fold(0, async |bytes, meta| Ok::<_, object_store::Error>(bytes + meta.size))
-            .await?;
-    }
-    Ok(sum_bytes)
-}
-
-async fn select_jobs(farm: &Farm, store_bytes: u64) -> Result<Vec<Removal>, DatabaseError> {
-    let kept_ms = farm.config.job_retention.map(|time| i64::try_from(time.as_millis()).unwrap_or(i64::MAX));
-    let mut going = Vec::new();
-    let mut numbers = Vec::new();
-    let mut left_bytes = store_bytes;
-    let mut outdated = farm.queue.expired_jobs(kept_ms, MAX_JOBS as u32).await?;
-    outdated.truncate(MAX_JOBS);
-    for job in outdated {
-        let freed_bytes = farm.queue.freed_bytes(&job, &numbers).await?;
-        left_bytes = left_bytes.saturating_sub(freed_bytes);
-        numbers.push(job.number);
-        going.push(Removal { job, reason: RemovalReason::Age, freed_bytes });
-    }
-    let Some(max_bytes) = farm.config.max_store_bytes else { return Ok(going) };
-    let mut after: Option<FinishedJob> = None;
-    while left_bytes > max_bytes && going.len() < MAX_JOBS {
-        let page = farm.queue.oldest_jobs(after.as_ref(), JOBS_PER_PAGE).await?;
-        let Some(last) = page.last() else { break };
-        after = Some(last.clone());
-        for job in page {
-            if left_bytes <= max_bytes || going.len() == MAX_JOBS {
+    /// Deletes all jobs past their retention, until `end`.
+    pub(crate) async fn collect_until_done(&self, end: &CancellationToken) -> Result<(), RetentionError> {
+        while !end.is_cancelled() {
+            // The store is listed only if its size matters.
+            let store_bytes = if self.limits.max_store_bytes.is_some() { self.store_bytes().await? } else { 0 };
+            if !self.remove(false, store_bytes).await?.more {
                 break;
             }
-            if numbers.contains(&job.number) {
-                continue;
-            }
-            let freed_bytes = farm.queue.freed_bytes(&job, &numbers).await?;
+        }
+        Ok(())
+    }
+
+    async fn store_bytes(&self) -> object_store::Result<u64> {
+        let mut sum_bytes = 0;
+        for kind in [ContentKind::Picture, ContentKind::Blob] {
+            sum_bytes += self
+                .content
+                .list(kind)
+                .try_fold(0, async |bytes, meta| Ok::<_, object_store::Error>(bytes + meta.size))
+                .await?;
+        }
+        Ok(sum_bytes)
+    }
+
+    async fn select_jobs(&self, store_bytes: u64) -> Result<Vec<Removal>, DatabaseError> {
+        let kept_ms = self.limits.job_retention.map(|time| i64::try_from(time.as_millis()).unwrap_or(i64::MAX));
+        let mut going = Vec::new();
+        let mut numbers = Vec::new();
+        let mut left_bytes = store_bytes;
+        let mut outdated = self.queue.expired_jobs(kept_ms, MAX_JOBS as u32).await?;
+        outdated.truncate(MAX_JOBS);
+        for job in outdated {
+            let freed_bytes = self.queue.freed_bytes(&job, &numbers).await?;
             left_bytes = left_bytes.saturating_sub(freed_bytes);
             numbers.push(job.number);
-            going.push(Removal { job, reason: RemovalReason::Size, freed_bytes });
+            going.push(Removal { job, reason: RemovalReason::Age, freed_bytes });
         }
+        let Some(max_bytes) = self.limits.max_store_bytes else { return Ok(going) };
+        let mut after: Option<FinishedJob> = None;
+        while left_bytes > max_bytes && going.len() < MAX_JOBS {
+            let page = self.queue.oldest_jobs(after.as_ref(), JOBS_PER_PAGE).await?;
+            let Some(last) = page.last() else { break };
+            after = Some(last.clone());
+            for job in page {
+                if left_bytes <= max_bytes || going.len() == MAX_JOBS {
+                    break;
+                }
+                if numbers.contains(&job.number) {
+                    continue;
+                }
+                let freed_bytes = self.queue.freed_bytes(&job, &numbers).await?;
+                left_bytes = left_bytes.saturating_sub(freed_bytes);
+                numbers.push(job.number);
+                going.push(Removal { job, reason: RemovalReason::Size, freed_bytes });
+            }
+        }
+        self.keep_shared_pictures(going, &numbers).await
     }
-    keep_shared_pictures(farm, going, &numbers).await
-}
 
-/// Of the jobs to delete for the store's size, spares those whose pictures other jobs use anyway.
-async fn keep_shared_pictures(
-    farm: &Farm,
-    going: Vec<Removal>,
-    numbers: &[i64],
-) -> Result<Vec<Removal>, DatabaseError> {
-    let mut spared = BTreeSet::new();
-    for one in going.iter().filter(|one| one.reason == RemovalReason::Size && one.freed_bytes == 0) {
-        if farm.queue.freed_bytes(&one.job, numbers).await? == 0 {
-            spared.insert(one.job.number);
+    /// Of the jobs to delete for the store's size, spares those whose pictures other jobs use anyway.
+    async fn keep_shared_pictures(&self, going: Vec<Removal>, numbers: &[i64]) -> Result<Vec<Removal>, DatabaseError> {
+        let mut spared = BTreeSet::new();
+        for one in going.iter().filter(|one| one.reason == RemovalReason::Size && one.freed_bytes == 0) {
+            if self.queue.freed_bytes(&one.job, numbers).await? == 0 {
+                spared.insert(one.job.number);
+            }
         }
+        Ok(going.into_iter().filter(|one| !spared.contains(&one.job.number)).collect())
     }
-    Ok(going.into_iter().filter(|one| !spared.contains(&one.job.number)).collect())
 }

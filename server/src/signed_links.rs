@@ -16,8 +16,8 @@ use proto::JobId;
 use proto::link::LinkContent;
 use sha2::Sha256;
 
-/// Name of the secret's file in the data folder.
-pub(crate) const FILE: &str = "links.secret";
+use crate::private_files::LINK_SECRET_FILE;
+
 /// Size of the secret, in bytes.
 const SECRET_BYTES: usize = 32;
 /// Prefix of the signed text, so that a signature is valid for nothing else.
@@ -50,14 +50,16 @@ impl fmt::Debug for LinkSigner {
 impl LinkSigner {
     /// Reads the secret of a data folder, or creates one.
     pub(crate) fn open(data: &Path) -> io::Result<Self> {
-        let path = data.join(FILE);
+        let path = data.join(LINK_SECRET_FILE);
         let mut secret = [0; SECRET_BYTES];
         match File::open(&path) {
             Ok(mut file) => {
                 let mut bytes = Vec::new();
                 Read::by_ref(&mut file).take(SECRET_BYTES as u64 + 1).read_to_end(&mut bytes)?;
                 secret = bytes.try_into().map_err(|_| {
-                    io::Error::other(format!("{FILE} is damaged: remove it, which invalidates all signed links"))
+                    io::Error::other(format!(
+                        "{LINK_SECRET_FILE} is damaged: remove it, which invalidates all signed links"
+                    ))
                 })?;
             }
             Err(error) if error.kind() == io::ErrorKind::NotFound => {
@@ -91,7 +93,7 @@ impl LinkSigner {
 
 /// Writes the secret atomically, readable by its owner only.
 fn write_secret(data: &Path, path: &Path, secret: &[u8]) -> io::Result<()> {
-    let half = data.join(format!("{FILE}.part"));
+    let half = data.join(format!("{LINK_SECRET_FILE}.part"));
     match std::fs::remove_file(&half) {
         Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error),
         Ok(()) | Err(_) => {}
@@ -117,7 +119,7 @@ mod tests {
         let signature = LinkSigner::open(folder.path()).expect("made").sign(&linked);
         let again = LinkSigner::open(folder.path()).expect("read");
         assert!(again.verify(&linked, &signature));
-        let mode = std::fs::metadata(folder.path().join(FILE)).expect("there").permissions().mode();
+        let mode = std::fs::metadata(folder.path().join(LINK_SECRET_FILE)).expect("there").permissions().mode();
         assert_eq!(mode & 0o777, 0o600);
         assert_eq!(format!("{again:?}"), "Links(secret)");
         let elsewhere = tempfile::tempdir().expect("a folder");
@@ -146,7 +148,7 @@ mod tests {
     #[test]
     fn a_damaged_secret_is_reported_with_its_fix() {
         let folder = tempfile::tempdir().expect("a folder");
-        std::fs::write(folder.path().join(FILE), b"short").expect("written");
+        std::fs::write(folder.path().join(LINK_SECRET_FILE), b"short").expect("written");
         let error = LinkSigner::open(folder.path()).expect_err("too short").to_string();
         assert!(error.contains("remove it"), "{error}");
     }

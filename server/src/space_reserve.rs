@@ -11,11 +11,10 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use rustix::fs::FallocateFlags;
 
-use crate::private_files;
-use crate::telemetry::host::disk;
+use crate::db::DatabaseError;
+use crate::host::disk;
+use crate::private_files::{self, RESERVE_FILE};
 
-/// Name of the file in the data folder.
-pub(crate) const FILE: &str = "reserve";
 /// Size of the file.
 const MAX_BYTES: u64 = 16 << 20;
 /// On a small disk the file takes at most this part of it.
@@ -31,7 +30,7 @@ pub(crate) struct SpaceReserve {
 impl SpaceReserve {
     /// Sets space aside, or releases what was set aside if the disk is full: then the server needs it to start.
     pub(crate) fn open(data: &Path) -> Self {
-        let reserve = Self { file: data.join(FILE), is_released: AtomicBool::new(true) };
+        let reserve = Self { file: data.join(RESERVE_FILE), is_released: AtomicBool::new(true) };
         let disk = disk(data);
         if reserve.file.exists() && disk.free_bytes >= size_bytes(disk.total_bytes) {
             reserve.is_released.store(false, Ordering::Relaxed);
@@ -60,6 +59,15 @@ impl SpaceReserve {
         if let Err(error) = fs::remove_file(&self.file) {
             tracing::error!(%error, "could not release the reserve");
         }
+    }
+
+    /// Whether an operation that makes room should run again: the disk was too full even for that, but the database's
+    /// WAL is shorter now, and the space is released.
+    pub(crate) fn has_made_room(&self, error: &DatabaseError) -> bool {
+        if error.is_full() {
+            self.release();
+        }
+        error.is_full()
     }
 
     /// Sets the space aside again if there is room for it and as much again. Returns whether it was and is no longer
@@ -107,7 +115,7 @@ mod tests {
     fn space_is_set_aside_and_released_once() {
         let folder = tempfile::tempdir().expect("a temporary folder");
         let reserve = SpaceReserve::open(folder.path());
-        let file = folder.path().join(FILE);
+        let file = folder.path().join(RESERVE_FILE);
         assert!(file.metadata().expect("set aside").len() > 0 && !reserve.is_released());
         for _ in 0..2 {
             reserve.release();

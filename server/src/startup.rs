@@ -1,34 +1,34 @@
 //! Startup: checks everything in the server's environment before it serves; each problem has an error with its
 //! fix.
+//!
+//! It opens everything that can fail; `services` connects it.
+
+mod services;
 
 use std::io;
 use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::sync::Arc;
 
-use tokio::sync::mpsc;
-use tokio_util::sync::CancellationToken;
-
-use crate::Server;
-use crate::admission::{Admission, Shares};
+use crate::api_keys::ApiKeys;
+use crate::audit_log::AuditLog;
 use crate::clock::Clock;
 use crate::config::Config;
 use crate::content_store::ContentStore;
 use crate::db::{Database, DatabaseError, OpenError};
-use crate::estimate;
-use crate::events::EventHub;
-use crate::farm::{Farm, ServerCounters};
-use crate::job_cache::JobCache;
-use crate::listen::Listeners;
+use crate::http::ApiState;
+use crate::listen::{ListenError, Listeners};
 use crate::lock::{FolderLock, LockError};
 use crate::pool::Pool;
 use crate::preview_helper::PreviewHelper;
 use crate::private_files::{self, ExposedFile};
 use crate::queue::{Queue, VerificationPolicy};
+use crate::shutdown::Shutdown;
 use crate::signed_links::LinkSigner;
 use crate::space_reserve::SpaceReserve;
-use crate::telemetry::Telemetry;
-use crate::webhooks::{AddressPolicy, SecretError, Signer, Webhooks, webhook_secret};
+use crate::webhooks::{AddressPolicy, SecretError, Signer, webhook_secret};
+pub(crate) use services::BackgroundTasks;
+use services::{Foundation, Opened};
 
 /// Error that prevents the start, with its fix.
 #[derive(Debug, thiserror::Error)]
@@ -89,13 +89,46 @@ pub enum StartError {
     },
 }
 
+impl From<ListenError> for StartError {
+    fn from(error: ListenError) -> Self {
+        match error {
+            ListenError::Tls(error) => Self::Tls(error.to_string()),
+            ListenError::Bind { address, source } => Self::Listen { address, source },
+        }
+    }
+}
+
 const RESTORE_FIX: &str = "restore it from a backup, or move it away to start with an empty farm";
 const MAKE_ROOM_FIX: &str = "free space on its disk";
 const MAKE_WRITABLE_FIX: &str = "make it and its folder writable, or pass another folder with --data";
 const UPGRADE_FIX: &str = "it may be from a newer release: run that one";
 
-/// See [`Server::start`].
-pub(crate) async fn start(config: Config, clock: Clock) -> Result<Server, StartError> {
+/// A server that has locked its data folder, opened its database and bound its address.
+#[derive(Debug)]
+pub(crate) struct Started {
+    /// Settings of the operator.
+    pub(crate) config: Arc<Config>,
+    /// Bound addresses.
+    pub(crate) listeners: Listeners,
+    /// State of the router.
+    pub(crate) state: ApiState,
+    /// Background tasks, not running yet.
+    pub(crate) tasks: BackgroundTasks,
+    /// Local workers, not running yet.
+    pub(crate) pool: Arc<Pool>,
+    /// The queue.
+    pub(crate) queue: Queue,
+    /// Stages of the shutdown.
+    pub(crate) shutdown: Shutdown,
+    /// The database.
+    pub(crate) database: Arc<Database>,
+    // Dropped last, so that the lock is held until everything is closed.
+    /// Lock of the data folder.
+    pub(crate) lock: FolderLock,
+}
+
+/// Starts everything but tasks and local workers: locks the data folder, opens the database, and binds the address.
+pub(crate) async fn start(config: Config, clock: Clock) -> Result<Started, StartError> {
     let folder = |source| StartError::DataFolder { folder: config.data.clone(), source };
     private_files::create_folder(&config.data).map_err(folder)?;
     // First of all, because everything that follows needs a little space.
@@ -105,63 +138,55 @@ pub(crate) async fn start(config: Config, clock: Clock) -> Result<Server, StartE
         LockError::Io(source) => folder(source),
     })?;
     private_files::restrict(&config.data)?;
-    let pictures = ContentStore::open(&config.data).map_err(folder)?;
+    let content = ContentStore::open(&config.data).map_err(folder)?;
     let links = LinkSigner::open(&config.data).map_err(folder)?;
-    let sketches = PreviewHelper::open(&config.data, &config.worker_program).map_err(folder)?;
-    let entrance = Listeners::open(&config).await?;
+    let preview_helper = PreviewHelper::open(&config.data, &config.worker_program).map_err(folder)?;
+    let listeners = Listeners::open(&config).await?;
     let file = Database::file(&config.data);
-    let store = Arc::new(Database::open(&config.data).await.map_err(|error| database_error(file.clone(), error))?);
-    let lease_ms = i64::try_from(config.lease.as_millis()).unwrap_or(i64::MAX / 4).max(1);
-    let shares = Shares::new(entrance.connections(), config.max_requests_per_caller as usize);
-    let admission = Admission::open(Arc::clone(&store), clock.clone(), shares)
+    let database = Arc::new(Database::open(&config.data).await.map_err(|error| database_error(file.clone(), error))?);
+    let api_keys = ApiKeys::open(Arc::clone(&database), clock.clone())
         .await
         .map_err(|error| explain_store(file.clone(), &error))?;
-    if !entrance.address().ip().is_loopback() && !config.insecure && admission.keys.live() == 0 {
-        store.close().await;
+    if !listeners.address().ip().is_loopback() && !config.insecure && api_keys.live() == 0 {
+        database.close().await;
         return Err(StartError::NoKeysBeyondLoopback(config.listen));
     }
-    let (queue, recovered) =
-        Queue::open(Arc::clone(&store), clock, lease_ms).await.map_err(|error| explain_store(file, &error))?;
-    let verification = VerificationPolicy {
-        share: config.verify_share,
-        new_worker_ms: i64::try_from(config.verify_new.as_millis()).unwrap_or(i64::MAX / 4),
+    let audit_log = AuditLog::new(Arc::clone(&database), clock.clone());
+    let queue = open_queue(&config, Arc::clone(&database), clock).await.map_err(|error| explain_store(file, &error))?;
+    let webhook_addresses = Arc::new(AddressPolicy::new(&config.allowed_webhook_ranges));
+    let signer = webhook_signer(&config)?;
+    let foundation = Foundation {
+        queue: queue.clone(),
+        content: Arc::new(content),
+        reserve: Arc::new(reserve),
+        preview_helper: Arc::new(preview_helper),
+        counters: Arc::default(),
+        config: Arc::new(config),
     };
-    let queue = queue.with_verification(verification);
+    Ok(foundation.connect(Opened { listeners, database, api_keys, audit_log, links, webhook_addresses, signer, lock }))
+}
+
+/// Opens the queue, and repairs the state that the last server left.
+async fn open_queue(config: &Config, database: Arc<Database>, clock: Clock) -> Result<Queue, DatabaseError> {
+    let lease_ms = i64::try_from(config.lease.as_millis()).unwrap_or(i64::MAX / 4).max(1);
+    let (queue, recovered) = Queue::open(database, clock, lease_ms).await?;
     tracing::info!(
         data = %config.data.display(), boot = recovered.generation, unfinished_jobs = recovered.jobs,
         handed_back = recovered.leases, "opened the data folder"
     );
-    let webhooks = webhooks(&config)?;
-    let (left, leftovers) = mpsc::unbounded_channel();
-    let farm = Arc::new(Farm {
-        events: EventHub::new(queue.clone()),
-        webhooks,
-        queue,
-        content: pictures,
-        reserve,
-        jobs: JobCache::new(),
-        admission,
-        pool: Pool::new(config.pool_workers()),
-        estimates: estimate::turns(),
-        preview_helper: sketches,
-        links,
-        totals: ServerCounters::default(),
-        telemetry: Telemetry::new(config.data.clone(), &store),
-        orphans: left,
-        is_shutting_down: CancellationToken::new(),
-        shutdown: CancellationToken::new(),
-        config,
-    });
-    Ok(Server { listeners: entrance, farm, store, orphans: leftovers, lock })
+    Ok(queue.with_verification(VerificationPolicy {
+        share: config.verify_share,
+        new_worker_ms: i64::try_from(config.verify_new.as_millis()).unwrap_or(i64::MAX / 4),
+    }))
 }
 
-/// Creates the sender of webhooks, with the operator's secret or the data folder's own.
-fn webhooks(config: &Config) -> Result<Webhooks, StartError> {
+/// Signs with the operator's secret or the data folder's own.
+fn webhook_signer(config: &Config) -> Result<Signer, StartError> {
     let secret = match &config.webhook_secret {
         Some(secret) => secret.clone(),
         None => webhook_secret(&config.data)?,
     };
-    Ok(Webhooks::new(AddressPolicy::new(&config.allowed_webhook_ranges), Signer::new(&secret)?))
+    Ok(Signer::new(&secret)?)
 }
 
 fn database_error(file: PathBuf, error: OpenError) -> StartError {

@@ -3,13 +3,12 @@
 //! It only reads and counts; nothing in the farm depends on it. Counting is limited to a fraction of the time:
 //! counts are cached for 1 s, or longer if counting took long.
 
-pub(crate) mod host;
 mod metrics;
 
 use std::collections::{HashMap, VecDeque};
 use std::path::PathBuf;
-use std::sync::Mutex;
 use std::sync::atomic::Ordering;
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use proto::worker_protocol::{DeviceMemory, MAX_TIMINGS, WorkerMetrics};
@@ -18,12 +17,12 @@ use tokio::time::Instant;
 
 use crate::admission::Shares;
 use crate::clock::monotonic_now;
+use crate::counters::ServerCounters;
 use crate::db::{Database, DatabaseError};
-use crate::farm::{Farm, ServerCounters};
-use crate::queue::QueueStats;
-use host::{Disk, Process};
+use crate::host::{self, Disk, Process};
+use crate::queue::{Queue, QueueStats};
+pub(crate) use metrics::Metrics;
 use metrics::{Labels, replace};
-pub(crate) use metrics::{Metrics, counts, seconds};
 
 /// Minimum time for which counts are cached.
 const COUNTS_TTL: Duration = Duration::from_secs(1);
@@ -43,6 +42,8 @@ const MAX_TOOK_MS: f64 = 1e9;
 pub(crate) struct Telemetry {
     /// Metrics counted as they happen.
     pub(crate) metrics: Metrics,
+    queue: Queue,
+    counters: Arc<ServerCounters>,
     started: Instant,
     data: PathBuf,
     counts: tokio::sync::Mutex<Option<Expiring<QueueStats>>>,
@@ -87,9 +88,11 @@ struct DeviceStatus {
 
 impl Telemetry {
     /// Metrics of a server that starts now.
-    pub(crate) fn new(data: PathBuf, store: &Database) -> Self {
+    pub(crate) fn new(data: PathBuf, database: &Database, queue: Queue, counters: Arc<ServerCounters>) -> Self {
         Self {
-            metrics: Metrics::new(store.commits()),
+            metrics: Metrics::new(database.commits()),
+            queue,
+            counters,
             started: monotonic_now(),
             data,
             counts: tokio::sync::Mutex::default(),
@@ -121,14 +124,14 @@ impl Telemetry {
     }
 
     /// Trace of a job; those of the newest jobs are cached.
-    pub(crate) async fn trace_of(&self, farm: &Farm, job: JobId) -> Result<Option<String>, DatabaseError> {
+    pub(crate) async fn trace_of(&self, job: JobId) -> Result<Option<String>, DatabaseError> {
         let known = |traces: &VecDeque<(JobId, Option<String>)>| {
             traces.iter().find(|(id, _)| *id == job).map(|(_, trace)| trace.clone())
         };
         if let Some(trace) = known(&self.traces.lock().expect("no holder panics")) {
             return Ok(trace);
         }
-        let trace = farm.queue.trace_of(job).await?;
+        let trace = self.queue.trace_of(job).await?;
         let mut traces = self.traces.lock().expect("no holder panics");
         traces.push_front((job, trace.clone()));
         traces.truncate(MAX_CACHED_TRACES);
@@ -141,13 +144,13 @@ impl Telemetry {
     }
 
     /// Current counts, cached for at least 1 s.
-    pub(crate) async fn counts(&self, farm: &Farm) -> Result<QueueStats, DatabaseError> {
+    pub(crate) async fn counts(&self) -> Result<QueueStats, DatabaseError> {
         let mut kept = self.counts.lock().await;
         if let Some(counts) = Expiring::get(kept.as_ref()) {
             return Ok(counts);
         }
         let begun = monotonic_now();
-        let counts = farm.queue.counts().await?;
+        let counts = self.queue.counts().await?;
         *kept = Some(Expiring::new(counts.clone(), begun, COUNTS_TTL));
         Ok(counts)
     }
@@ -169,13 +172,13 @@ impl Telemetry {
         sizes
     }
 
-    /// Every metric, in the `OpenMetrics` format.
-    pub(crate) async fn text(&self, farm: &Farm) -> Result<String, DatabaseError> {
-        let counts = self.counts(farm).await?;
+    /// Every metric, in the `OpenMetrics` format; `pool_workers` is the target number of local workers.
+    pub(crate) async fn text(&self, pool_workers: u32, shares: &Shares) -> Result<String, DatabaseError> {
+        let counts = self.counts().await?;
         let sizes = self.sizes().await;
-        self.set_queue(&counts, farm.pool.target_size());
-        self.set_totals(&farm.totals);
-        self.set_shares(&farm.admission.shares);
+        self.set_queue(&counts, pool_workers);
+        self.set_totals(&self.counters);
+        self.set_shares(shares);
         self.set_machine(sizes, host::process());
         self.set_devices();
         Ok(self.metrics.text())

@@ -17,13 +17,13 @@ use serde_json::{Value, json};
 use tokio::task::JoinSet;
 use tokio_util::sync::CancellationToken;
 
+use crate::counters::ServerCounters;
 use crate::db::DatabaseError;
-use crate::farm::Farm;
-use crate::queue::{Attempt, BusyReceivers, Delivery, jitter};
+use crate::queue::{Attempt, BusyReceivers, Delivery, Queue, jitter};
 
 pub(crate) use guard::AddressPolicy;
 pub use guard::AddressRange;
-pub(crate) use sign::{FILE as SECRET_FILE, Signer};
+pub(crate) use sign::Signer;
 pub use sign::{SecretError, webhook_secret};
 
 /// Event types of webhooks.
@@ -53,15 +53,109 @@ const ERROR_CHARACTERS: usize = 300;
 /// Sender of webhooks.
 #[derive(Debug)]
 pub(crate) struct Webhooks {
-    /// Permitted addresses.
-    pub(crate) guard: AddressPolicy,
+    queue: Queue,
+    guard: Arc<AddressPolicy>,
     signer: Signer,
+    counters: Arc<ServerCounters>,
 }
 
 impl Webhooks {
     /// Creates a sender that signs messages and connects only to addresses that the guard permits.
-    pub(crate) fn new(guard: AddressPolicy, signer: Signer) -> Self {
-        Self { guard, signer }
+    pub(crate) fn new(queue: Queue, guard: Arc<AddressPolicy>, signer: Signer, counters: Arc<ServerCounters>) -> Self {
+        Self { queue, guard, signer, counters }
+    }
+
+    /// Sends due deliveries until the farm is closed.
+    pub(crate) async fn run(self: Arc<Self>, end: CancellationToken) {
+        let mut commits = self.queue.commits();
+        let mut clients = ClientPair::default();
+        let mut under_way = UnderWay::default();
+        let mut attempts: JoinSet<(i64, Result<(), DatabaseError>)> = JoinSet::new();
+        loop {
+            tokio::select! {
+                () = end.cancelled() => return,
+                Some(done) = attempts.join_next(), if !attempts.is_empty() => match done {
+                    Ok((number, written)) => {
+                        under_way.end(number);
+                        if let Err(error) = written {
+                            tracing::error!(%error, "could not record a webhook attempt; the message will be sent again");
+                        }
+                    }
+                    Err(error) => tracing::error!(%error, "a webhook attempt panicked"),
+                },
+                changed = tokio::time::timeout(POLL_INTERVAL, commits.changed()) => if matches!(changed, Ok(Err(_))) { return },
+            }
+            for delivery in self.start_due(&mut under_way).await {
+                let is_http = delivery.url.starts_with("http:");
+                let client = clients.get(&self, is_http);
+                let webhooks = Arc::clone(&self);
+                attempts.spawn(async move {
+                    let attempt = webhooks.attempt(client, &delivery).await;
+                    (delivery.number, webhooks.queue.record_attempt(delivery.number, attempt).await)
+                });
+            }
+            tokio::time::sleep(MIN_POLL_INTERVAL).await;
+        }
+    }
+
+    /// Due deliveries whose attempts may start now; marks them as under way.
+    async fn start_due(&self, under_way: &mut UnderWay) -> Vec<Delivery> {
+        let mut starting = Vec::new();
+        loop {
+            let due = match self.queue.due_deliveries(&under_way.busy(), under_way.free()).await {
+                Ok(due) => due,
+                Err(error) => {
+                    tracing::error!(%error, "could not read due deliveries");
+                    return starting;
+                }
+            };
+            let before = starting.len();
+            starting.extend(due.into_iter().filter(|delivery| under_way.start(delivery)));
+            // Those that were read and may not start hide others, until they are known to be busy.
+            if starting.len() == before || under_way.free() == 0 {
+                return starting;
+            }
+        }
+    }
+
+    async fn attempt(&self, client: Result<Client, String>, delivery: &Delivery) -> Attempt {
+        let sent = match client {
+            Ok(client) => self.send(&client, delivery).await,
+            Err(error) => Err(error),
+        };
+        let (status, error) = match sent {
+            Ok(status) if (200..300).contains(&status) => return Attempt::Delivered { status },
+            Ok(status) => (Some(status), format!("the response was {status}")),
+            Err(error) => (None, error.chars().take(ERROR_CHARACTERS).collect()),
+        };
+        // 410 Gone means that the receiver wants no further attempts.
+        let again_in = if status == Some(410) { None } else { wait(delivery.attempts, jitter()) };
+        self.counters.webhook_failures.fetch_add(1, std::sync::atomic::Ordering::Relaxed);
+        tracing::warn!(
+            message = %delivery.id, job = %delivery.job, attempts = delivery.attempts + 1, %error,
+            gives_up = again_in.is_none(), "webhook not delivered"
+        );
+        Attempt::Failed { status, error, retry_in: again_in }
+    }
+
+    /// Sends a delivery, and returns the status of the response.
+    async fn send(&self, client: &Client, delivery: &Delivery) -> Result<u16, String> {
+        // An address that was permitted at submission may not be permitted any more.
+        let url: Url = self.guard.check(&delivery.url).map_err(|error| error.to_string())?;
+        let body = message(delivery);
+        let timestamp_seconds = self.queue.wall_seconds();
+        let signature = self.signer.signature(&delivery.id, timestamp_seconds, &body);
+        let response = client
+            .post(url)
+            .header(CONTENT_TYPE, "application/json")
+            .header("webhook-id", &delivery.id)
+            .header("webhook-timestamp", timestamp_seconds.to_string())
+            .header("webhook-signature", signature)
+            .body(body)
+            .send()
+            .await
+            .map_err(|error| chain(&error.without_url()))?;
+        Ok(response.status().as_u16())
     }
 
     fn client(&self, is_http: bool) -> reqwest::Result<Client> {
@@ -93,59 +187,6 @@ impl ClientPair {
         }
         let made = webhooks.client(is_http).map_err(|error| chain(&error))?;
         Ok(client.insert(made).clone())
-    }
-}
-
-/// Sends due deliveries until the farm is closed.
-pub(crate) async fn run(farm: Arc<Farm>, end: CancellationToken) {
-    let mut commits = farm.queue.commits();
-    let mut clients = ClientPair::default();
-    let mut under_way = UnderWay::default();
-    let mut attempts: JoinSet<(i64, Result<(), DatabaseError>)> = JoinSet::new();
-    loop {
-        tokio::select! {
-            () = end.cancelled() => return,
-            Some(done) = attempts.join_next(), if !attempts.is_empty() => match done {
-                Ok((number, written)) => {
-                    under_way.end(number);
-                    if let Err(error) = written {
-                        tracing::error!(%error, "could not record a webhook attempt; the message will be sent again");
-                    }
-                }
-                Err(error) => tracing::error!(%error, "a webhook attempt panicked"),
-            },
-            changed = tokio::time::timeout(POLL_INTERVAL, commits.changed()) => if matches!(changed, Ok(Err(_))) { return },
-        }
-        for delivery in start_due(&farm, &mut under_way).await {
-            let is_http = delivery.url.starts_with("http:");
-            let client = clients.get(&farm.webhooks, is_http);
-            let farm = Arc::clone(&farm);
-            attempts.spawn(async move {
-                let attempt = attempt(&farm, client, &delivery).await;
-                (delivery.number, farm.queue.record_attempt(delivery.number, attempt).await)
-            });
-        }
-        tokio::time::sleep(MIN_POLL_INTERVAL).await;
-    }
-}
-
-/// Due deliveries whose attempts may start now; marks them as under way.
-async fn start_due(farm: &Farm, under_way: &mut UnderWay) -> Vec<Delivery> {
-    let mut starting = Vec::new();
-    loop {
-        let due = match farm.queue.due_deliveries(&under_way.busy(), under_way.free()).await {
-            Ok(due) => due,
-            Err(error) => {
-                tracing::error!(%error, "could not read due deliveries");
-                return starting;
-            }
-        };
-        let before = starting.len();
-        starting.extend(due.into_iter().filter(|delivery| under_way.start(delivery)));
-        // Those that were read and may not start hide others, until they are known to be busy.
-        if starting.len() == before || under_way.free() == 0 {
-            return starting;
-        }
     }
 }
 
@@ -205,46 +246,6 @@ impl UnderWay {
     fn end(&mut self, number: i64) {
         self.0.remove(&number);
     }
-}
-
-async fn attempt(farm: &Farm, client: Result<Client, String>, delivery: &Delivery) -> Attempt {
-    let sent = match client {
-        Ok(client) => send(farm, &client, delivery).await,
-        Err(error) => Err(error),
-    };
-    let (status, error) = match sent {
-        Ok(status) if (200..300).contains(&status) => return Attempt::Delivered { status },
-        Ok(status) => (Some(status), format!("the response was {status}")),
-        Err(error) => (None, error.chars().take(ERROR_CHARACTERS).collect()),
-    };
-    // 410 Gone means that the receiver wants no further attempts.
-    let again_in = if status == Some(410) { None } else { wait(delivery.attempts, jitter()) };
-    farm.totals.webhook_failures.fetch_add(1, std::sync::atomic::Ordering::Relaxed);
-    tracing::warn!(
-        message = %delivery.id, job = %delivery.job, attempts = delivery.attempts + 1, %error,
-        gives_up = again_in.is_none(), "webhook not delivered"
-    );
-    Attempt::Failed { status, error, retry_in: again_in }
-}
-
-/// Sends a delivery, and returns the status of the response.
-async fn send(farm: &Farm, client: &Client, delivery: &Delivery) -> Result<u16, String> {
-    // An address that was permitted at submission may not be permitted any more.
-    let url: Url = farm.webhooks.guard.check(&delivery.url).map_err(|error| error.to_string())?;
-    let body = message(delivery);
-    let timestamp_seconds = farm.queue.wall_seconds();
-    let signature = farm.webhooks.signer.signature(&delivery.id, timestamp_seconds, &body);
-    let response = client
-        .post(url)
-        .header(CONTENT_TYPE, "application/json")
-        .header("webhook-id", &delivery.id)
-        .header("webhook-timestamp", timestamp_seconds.to_string())
-        .header("webhook-signature", signature)
-        .body(body)
-        .send()
-        .await
-        .map_err(|error| chain(&error.without_url()))?;
-    Ok(response.status().as_u16())
 }
 
 /// Body of the message: the same bytes in every attempt.

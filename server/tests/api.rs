@@ -23,6 +23,7 @@ mod api {
     mod links;
     mod load;
     mod metrics;
+    mod module_circles;
     mod nodes;
     mod permissions;
     mod pool;

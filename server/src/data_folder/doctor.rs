@@ -11,11 +11,10 @@ use db::Connection;
 use super::store_check::{self, StoreComparison};
 use super::{DataFolderError, database};
 use crate::clock::Clock;
-use crate::db;
-use crate::db::{Database, Durability};
+use crate::db::{self, Database, Durability};
+use crate::host;
 use crate::lock::{FolderLock, LockError};
 use crate::queue::{Reopened, absurd_shares, forget_pictures, reset_shares};
-use crate::telemetry::host;
 
 /// Free disk space below which there is a warning.
 const MIN_DISK_BYTES: u64 = 5 << 30;

@@ -6,7 +6,7 @@
 use std::path::{Path, PathBuf};
 
 use super::{Connection, query};
-use crate::telemetry::host::disk;
+use crate::host::disk;
 
 /// A WAL of this size is checkpointed between two commits, and restarted.
 pub(super) const LIMIT_BYTES: u64 = 64 << 20;

@@ -19,7 +19,7 @@ use tokio::time::Instant;
 use super::wal::Wal;
 use super::{Connection, DatabaseError, query};
 use crate::clock::monotonic_now;
-use crate::telemetry::{counts, seconds};
+use crate::histograms::{counts, seconds};
 
 /// Maximum number of operations committed together.
 const MAX_GROUP: usize = 256;

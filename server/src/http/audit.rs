@@ -1,6 +1,6 @@
 //! Records every change in the audit log, counts rejections there, and serves its pages to administrators.
 //!
-//! Of workers, only registrations and rejections are recorded.
+//! The table of routes says what is recorded. Of workers, only registrations and rejections are.
 
 use std::sync::Arc;
 
@@ -14,12 +14,13 @@ use proto::audit::AuditPage;
 use proto::{JobId, Problem};
 use serde::Deserialize;
 
-use super::auth::{Caller, Peer};
+use super::auth::Caller;
 use super::body;
 use super::error::ApiError;
 use super::request_id::RequestId;
-use crate::audit_log::{AuditRecord, EntryKind};
-use crate::farm::Farm;
+use super::routes::{self, Audit};
+use crate::audit_log::{AuditLog, AuditRecord};
+use crate::listen::Peer;
 
 /// Default number of entries on a page.
 const DEFAULT_PAGE_SIZE: u32 = 100;
@@ -32,15 +33,14 @@ const NO_ROUTE: &str = "-";
 ///
 /// A change is recorded with the write that makes it, also if its client has left.
 pub(super) async fn record_request(
-    State(farm): State<Arc<Farm>>,
+    State(audit): State<Arc<AuditLog>>,
     parameters: Result<RawPathParams, RawPathParamsRejection>,
     request: Request,
     next: Next,
 ) -> Response {
-    let audit = &farm.admission.audit;
-    let expected = expected_record(&request, parameters.ok().as_ref());
-    let route = expected.route.clone();
-    if !may_change(request.method(), &route) {
+    let recorded = routes::policy_of(&request).audit;
+    let expected = expected_record(&request, recorded, parameters.ok().as_ref());
+    if recorded == Audit::Nothing {
         let response = next.run(request).await;
         if is_rejection(response.status()) {
             audit.reject(None, outcome(expected, &response)).await;
@@ -49,7 +49,7 @@ pub(super) async fn record_request(
     }
     let (response, entry) = audit.handle(expected.clone(), next.run(request)).await;
     let outcome = outcome(expected, &response);
-    match effect_of(response.status(), entry.is_written(), &route) {
+    match effect_of(response.status(), entry.is_written(), recorded) {
         Effect::Change => audit.finish(entry, outcome).await,
         Effect::Refusal => audit.reject(Some(entry), outcome).await,
         Effect::None => {}
@@ -69,15 +69,14 @@ enum Effect {
 }
 
 /// Effect of a request that was allowed to change something; `is_written` is true if it wrote to the database.
-fn effect_of(status: StatusCode, is_written: bool, route: &str) -> Effect {
-    let is_submission = route == "/v1/jobs" || route.ends_with("/resubmit");
+fn effect_of(status: StatusCode, is_written: bool, recorded: Audit) -> Effect {
     // If the key was revoked while its request was handled, a written change stays.
     let is_kept = is_written && (!status.is_client_error() || status == StatusCode::UNAUTHORIZED);
     if is_kept {
         Effect::Change
     } else if status.is_client_error() || status.is_server_error() {
         Effect::Refusal
-    } else if is_submission {
+    } else if recorded == Audit::NewJob {
         // A dry run.
         Effect::None
     } else {
@@ -87,15 +86,13 @@ fn effect_of(status: StatusCode, is_written: bool, route: &str) -> Effect {
 }
 
 /// Record of a request that will succeed.
-fn expected_record(request: &Request, parameters: Option<&RawPathParams>) -> AuditRecord {
+fn expected_record(request: &Request, recorded: Audit, parameters: Option<&RawPathParams>) -> AuditRecord {
     let extensions = request.extensions();
     let route = extensions.get::<MatchedPath>().map_or(NO_ROUTE, MatchedPath::as_str);
-    let creates = *request.method() == Method::POST
-        && (route == "/v1/jobs" || route == "/v1/keys" || route.ends_with("/resubmit"));
-    let status = if creates { StatusCode::CREATED } else { StatusCode::OK };
+    let status = if recorded.creates() { StatusCode::CREATED } else { StatusCode::OK };
     let id = parameters.and_then(|parameters| parameters.iter().find(|(name, _)| *name == "id"));
     AuditRecord {
-        kind: if is_about_work(route) { EntryKind::Work } else { EntryKind::Admin },
+        kind: recorded.entry_kind(),
         actor: Caller::Anonymous.name().to_owned(),
         key: None,
         address: extensions.get::<Peer>().map_or_else(|| "-".to_owned(), |peer| peer.0.to_string()),
@@ -139,18 +136,6 @@ fn standard_method(method: &Method) -> &str {
     if standard.contains(method) { method.as_str() } else { "other" }
 }
 
-/// Whether a request may change something that is recorded; a request without a route changes nothing.
-fn may_change(method: &Method, route: &str) -> bool {
-    ![Method::GET, Method::HEAD, Method::OPTIONS].contains(method)
-        && route != NO_ROUTE
-        && (!route.starts_with("/v1/worker/") || route == proto::worker_protocol::REGISTER_PATH)
-}
-
-/// Whether changes by this route are to jobs or workers, and not to the farm.
-fn is_about_work(route: &str) -> bool {
-    route.starts_with("/v1/jobs") || route.starts_with("/v1/worker/")
-}
-
 fn is_rejection(status: StatusCode) -> bool {
     [StatusCode::UNAUTHORIZED, StatusCode::FORBIDDEN, StatusCode::TOO_MANY_REQUESTS].contains(&status)
 }
@@ -182,11 +167,11 @@ struct PageQuery {
         (status = 422, description = "Invalid query parameters", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
     )
 )]
-pub(super) async fn list(State(farm): State<Arc<Farm>>, uri: Uri) -> Result<Json<AuditPage>, ApiError> {
+pub(super) async fn list(State(audit): State<Arc<AuditLog>>, uri: Uri) -> Result<Json<AuditPage>, ApiError> {
     let query: PageQuery = body::read_query(&uri)?;
     let limit = query.limit.unwrap_or(DEFAULT_PAGE_SIZE);
     if !(1..=MAX_PAGE).contains(&limit) {
         return Err(ApiError::WrongQuery(format!("limit is {limit}, but must be from 1 to {MAX_PAGE}")));
     }
-    Ok(Json(farm.admission.audit.page(query.cursor, limit).await?))
+    Ok(Json(audit.page(query.cursor, limit).await?))
 }

@@ -1,14 +1,14 @@
 //! Authentication and authorization: each request must have the permission that its route requires.
 //!
-//! `permissions` has the permission of each route; `audit` records the outcome in the audit log.
+//! The table of routes has the permission of each; `audit` records the outcome in the audit log.
 
 use std::net::IpAddr;
 use std::sync::Arc;
 use std::time::Duration;
 
 use axum::body::{Body, HttpBody};
-use axum::extract::{FromRequestParts, MatchedPath, RawPathParams, Request, State};
-use axum::http::{HeaderMap, HeaderValue, Method, header};
+use axum::extract::{FromRequestParts, RawPathParams, Request, State};
+use axum::http::{HeaderMap, HeaderValue, header};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 use futures_util::StreamExt;
@@ -16,22 +16,20 @@ use proto::JobId;
 use proto::api_key::Scope;
 
 use super::error::ApiError;
-use super::permissions::{Permission, required_permission};
-use crate::admission::{CallerClass, Holder, RateLimitStatus, RateLimited, ResponseShares, UNCOUNTED_BYTES};
-use crate::api_keys::{ApiKey, KeyLookup, constant_time_eq};
+use super::routes::{self, Audit, Permission, Policy};
+use super::state::handle_group;
+use crate::admission::{
+    CallerClass, Holder, RateLimitStatus, RateLimited, RateLimits, ResponseShares, Shares, UNCOUNTED_BYTES,
+};
+use crate::api_keys::{ApiKey, ApiKeys, KeyLookup, constant_time_eq};
 use crate::audit_log;
 use crate::budget::Share;
-use crate::farm::Farm;
-
-/// Time limit for the start of a response, unless its route waits or receives a large body.
-const RESPONSE_TIMEOUT: Duration = Duration::from_mins(1);
+use crate::listen::Peer;
+use crate::pool::Pool;
+use crate::queue::Queue;
 
 /// Submitter of all jobs on a farm without keys.
 pub(super) const KEYLESS_SUBMITTER: &str = "local";
-
-/// Address of the client.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Peer(pub(crate) IpAddr);
 
 /// Caller of a request; an extension of every request and response.
 #[derive(Clone, Debug)]
@@ -76,22 +74,38 @@ impl Caller {
     }
 }
 
+handle_group! {
+    /// Handles of authentication and authorization.
+    Gate {
+        /// Has the keys.
+        api_keys: Arc<ApiKeys>,
+        /// Has the rates of callers.
+        rate_limits: Arc<RateLimits>,
+        /// Has what callers have in progress.
+        shares: Arc<Shares>,
+        /// Has the token of local workers.
+        pool: Arc<Pool>,
+        /// Has the submitters of jobs.
+        queue: Queue,
+    }
+}
+
 /// Authenticates and authorizes a request; if the caller's key is revoked, an open request ends.
 pub(super) async fn authenticate_and_authorize(
-    State(farm): State<Arc<Farm>>,
+    State(gate): State<Gate>,
     parameters: Result<RawPathParams, axum::extract::rejection::RawPathParamsRejection>,
     mut request: Request,
     next: Next,
 ) -> Response {
-    let route = request.extensions().get::<MatchedPath>().map_or("", MatchedPath::as_str);
-    let need = required_permission(request.method(), route);
+    let policy = routes::policy_of(&request);
+    let need = policy.permission;
     let peer = request.extensions().get::<Peer>().map(|peer| peer.0);
-    let caller = match caller(&farm, need, peer, request.headers()) {
+    let caller = match gate.caller(need, peer, request.headers()) {
         Ok(caller) => caller,
-        Err(error) => return reject(&farm, peer, Caller::Anonymous, error),
+        Err(error) => return gate.reject(peer, Caller::Anonymous, error),
     };
-    let holder = holder(&caller, need, route, request.method(), peer);
-    let place = match farm.admission.shares.request(&holder) {
+    let holder = holder(&caller, policy, peer);
+    let place = match gate.shares.request(&holder) {
         Ok(place) => place,
         Err(exhausted) => {
             let error = ApiError::exhausted(&holder, "requests in progress, with unread responses", exhausted);
@@ -101,10 +115,10 @@ pub(super) async fn authenticate_and_authorize(
     let job = parameters.ok().and_then(|parameters| {
         parameters.iter().find(|(name, _)| *name == "id").and_then(|(_, id)| id.parse::<JobId>().ok())
     });
-    if let Err(error) = authorize(&farm, need, &caller, job).await {
-        return reject(&farm, peer, caller, error);
+    if let Err(error) = gate.authorize(need, &caller, job).await {
+        return gate.reject(peer, caller, error);
     }
-    let pace = match farm.admission.admit(caller.key().map(|key| &**key), peer, matches!(caller, Caller::Keyless)) {
+    let pace = match gate.rate_limits.admit(caller.key().map(|key| &**key), peer, matches!(caller, Caller::Keyless)) {
         Ok(pace) => pace,
         Err(refusal) => return with_caller(ApiError::from(refusal).into_response(), caller),
     };
@@ -114,8 +128,7 @@ pub(super) async fn authenticate_and_authorize(
         record.key = caller.key().map(|key| key.id().to_owned());
     });
     request.extensions_mut().insert(holder.clone());
-    let route = request.extensions().get::<MatchedPath>().map_or("", MatchedPath::as_str);
-    let limit = response_timeout(route, &request);
+    let limit = time_limit(policy, request.headers());
     let answer = with_timeout(next.run(request), limit);
     let response = match caller.key() {
         None => answer.await,
@@ -127,18 +140,79 @@ pub(super) async fn authenticate_and_authorize(
             keep_private(end_with_key(with_rate_limit_headers(response, pace), key))
         }
     };
-    with_caller(hold_shares(&farm, &holder, place, response), caller)
+    with_caller(hold_shares(&gate.shares, &holder, place, response), caller)
+}
+
+impl Gate {
+    /// Rejects the request. After 20 rejections a second from one address, the response is 429 instead of the reason.
+    fn reject(&self, peer: Option<IpAddr>, caller: Caller, error: ApiError) -> Response {
+        let error = match self.rate_limits.count_rejection(peer) {
+            Ok(()) => error,
+            Err(refusal) => refusal.into(),
+        };
+        with_caller(error.into_response(), caller)
+    }
+
+    /// Caller of this request.
+    fn caller(&self, need: Permission, peer: Option<IpAddr>, headers: &HeaderMap) -> Result<Caller, ApiError> {
+        let keys = &self.api_keys;
+        let bearer = headers.get(header::AUTHORIZATION).map(|value| {
+            let text = value.to_str().unwrap_or_default();
+            text.split_once(' ')
+                .filter(|(scheme, _)| scheme.eq_ignore_ascii_case("bearer"))
+                .map_or("", |(_, key)| key.trim())
+        });
+        let is_workers = need == Permission::Scope(Scope::Worker);
+        if is_workers && bearer.is_some_and(|token| constant_time_eq(token, self.pool.token())) {
+            return Ok(Caller::Pool);
+        }
+        if !keys.are_required() {
+            // Without keys the server listens on loopback only, or was started with `--insecure`.
+            return if is_workers && bearer.is_some() { Err(ApiError::WrongToken) } else { Ok(Caller::Keyless) };
+        }
+        if need == Permission::Public {
+            return Ok(Caller::Anonymous);
+        }
+        match bearer {
+            None => Err(ApiError::MissingKey),
+            Some(secret) => match keys.find(secret) {
+                KeyLookup::Live(key) => Ok(Caller::Key(key)),
+                KeyLookup::Expired => Err(ApiError::ExpiredKey),
+                KeyLookup::Revoked => Err(ApiError::RevokedKey),
+                KeyLookup::Unknown => {
+                    tracing::debug!(?peer, "request with an unknown key");
+                    Err(ApiError::UnknownKey)
+                }
+            },
+        }
+    }
+
+    /// Whether the caller has the permission.
+    async fn authorize(&self, need: Permission, caller: &Caller, job: Option<JobId>) -> Result<(), ApiError> {
+        let Caller::Key(key) = caller else { return Ok(()) };
+        let scope = match need {
+            Permission::Public => return Ok(()),
+            Permission::Scope(scope) | Permission::OwnJob(scope) => scope,
+        };
+        if key.scopes().is_allowed(scope) {
+            return Ok(());
+        }
+        if matches!(need, Permission::OwnJob(_)) && key.scopes().is_allowed(Scope::Submit) {
+            let Some(job) = job else { return Ok(()) };
+            // For a job that does not exist, the handler sends the response.
+            if self.queue.submitter(job).await?.is_none_or(|submitter| submitter == key.name()) {
+                return Ok(());
+            }
+        }
+        Err(ApiError::MissingScope { scope, name: key.name().to_owned() })
+    }
 }
 
 /// Keeps the request's place, and room for a large response in memory, until the response is sent.
-fn hold_shares(farm: &Farm, holder: &Holder, place: Share, response: Response) -> Response {
+fn hold_shares(shares: &Shares, holder: &Holder, place: Share, response: Response) -> Response {
     // A stream has no exact size: only a chunk of it is in memory.
     let size_bytes = response.body().size_hint().exact().unwrap_or(0) as usize;
-    let room = if size_bytes > UNCOUNTED_BYTES {
-        farm.admission.shares.response(holder, size_bytes).map(Some)
-    } else {
-        Ok(None)
-    };
+    let room = if size_bytes > UNCOUNTED_BYTES { shares.response(holder, size_bytes).map(Some) } else { Ok(None) };
     let (mut response, room) = match room {
         Ok(room) => (response, room),
         Err(exhausted) => (
@@ -151,12 +225,11 @@ fn hold_shares(farm: &Farm, holder: &Holder, place: Share, response: Response) -
 }
 
 /// Caller of a request to a route, as far as limits are concerned.
-fn holder(caller: &Caller, need: Permission, route: &str, method: &Method, peer: Option<IpAddr>) -> Holder {
+fn holder(caller: &Caller, policy: Policy, peer: Option<IpAddr>) -> Holder {
     let is_admin = caller.key().is_some_and(|key| key.scopes().is_allowed(Scope::Admin));
-    let submits = *method == Method::POST && (route == "/v1/jobs" || route == "/v1/jobs/{id}/resubmit");
-    let class = if need == Permission::Scope(Scope::Worker) {
+    let class = if policy.permission == Permission::Scope(Scope::Worker) {
         CallerClass::Worker
-    } else if is_health(route) || (is_admin && !submits) {
+    } else if policy.is_polled || (is_admin && policy.audit != Audit::NewJob) {
         CallerClass::Reserved
     } else {
         CallerClass::User
@@ -168,15 +241,9 @@ fn holder(caller: &Caller, need: Permission, route: &str, method: &Method, peer:
     }
 }
 
-fn is_health(route: &str) -> bool {
-    matches!(route, "/livez" | "/readyz" | "/metrics")
-}
-
-/// Time limit for the start of the response; request bodies have a minimum rate instead.
-fn response_timeout(route: &str, request: &Request) -> Option<Duration> {
-    let takes_in = route.starts_with("/v1/worker/") || (route == "/v1/jobs" && request.method() == Method::POST);
-    let waits = route.ends_with("/events") || request.headers().contains_key("prefer");
-    (!takes_in && !waits).then_some(RESPONSE_TIMEOUT)
+/// Time limit for the start of the response; none if the client prefers to wait.
+fn time_limit(policy: Policy, headers: &HeaderMap) -> Option<Duration> {
+    policy.time_limit.filter(|_| !headers.contains_key("prefer"))
 }
 
 async fn with_timeout(answer: impl Future<Output = Response>, limit: Option<Duration>) -> Response {
@@ -190,69 +257,6 @@ async fn with_timeout(answer: impl Future<Output = Response>, limit: Option<Dura
 fn with_caller(mut response: Response, caller: Caller) -> Response {
     response.extensions_mut().insert(caller);
     response
-}
-
-/// Rejects the request. After 20 rejections a second from one address, the response is 429 instead of the reason.
-fn reject(farm: &Farm, peer: Option<IpAddr>, caller: Caller, error: ApiError) -> Response {
-    let error = match farm.admission.count_rejection(peer) {
-        Ok(()) => error,
-        Err(refusal) => refusal.into(),
-    };
-    with_caller(error.into_response(), caller)
-}
-
-/// Caller of this request.
-fn caller(farm: &Farm, need: Permission, peer: Option<IpAddr>, headers: &HeaderMap) -> Result<Caller, ApiError> {
-    let keys = &farm.admission.keys;
-    let bearer = headers.get(header::AUTHORIZATION).map(|value| {
-        let text = value.to_str().unwrap_or_default();
-        text.split_once(' ')
-            .filter(|(scheme, _)| scheme.eq_ignore_ascii_case("bearer"))
-            .map_or("", |(_, key)| key.trim())
-    });
-    let is_workers = need == Permission::Scope(Scope::Worker);
-    if is_workers && bearer.is_some_and(|token| constant_time_eq(token, farm.pool.token())) {
-        return Ok(Caller::Pool);
-    }
-    if !keys.are_required() {
-        // Without keys the server listens on loopback only, or was started with `--insecure`.
-        return if is_workers && bearer.is_some() { Err(ApiError::WrongToken) } else { Ok(Caller::Keyless) };
-    }
-    if need == Permission::Public {
-        return Ok(Caller::Anonymous);
-    }
-    match bearer {
-        None => Err(ApiError::MissingKey),
-        Some(secret) => match keys.find(secret) {
-            KeyLookup::Live(key) => Ok(Caller::Key(key)),
-            KeyLookup::Expired => Err(ApiError::ExpiredKey),
-            KeyLookup::Revoked => Err(ApiError::RevokedKey),
-            KeyLookup::Unknown => {
-                tracing::debug!(?peer, "request with an unknown key");
-                Err(ApiError::UnknownKey)
-            }
-        },
-    }
-}
-
-/// Whether the caller has the permission.
-async fn authorize(farm: &Farm, need: Permission, caller: &Caller, job: Option<JobId>) -> Result<(), ApiError> {
-    let Caller::Key(key) = caller else { return Ok(()) };
-    let scope = match need {
-        Permission::Public => return Ok(()),
-        Permission::Scope(scope) | Permission::OwnJob(scope) => scope,
-    };
-    if key.scopes().is_allowed(scope) {
-        return Ok(());
-    }
-    if matches!(need, Permission::OwnJob(_)) && key.scopes().is_allowed(Scope::Submit) {
-        let Some(job) = job else { return Ok(()) };
-        // For a job that does not exist, the handler sends the response.
-        if farm.queue.submitter(job).await?.is_none_or(|submitter| submitter == key.name()) {
-            return Ok(());
-        }
-    }
-    Err(ApiError::MissingScope { scope, name: key.name().to_owned() })
 }
 
 /// Adds headers with the caller's remaining requests.
@@ -304,23 +308,16 @@ impl From<RateLimited> for ApiError {
 mod tests {
     use super::*;
 
-    fn limited(method: Method, route: &str, header: Option<&str>) -> bool {
-        let mut request = Request::builder().method(method).uri("/");
-        if let Some(name) = header {
-            request = request.header(name, "wait=5");
-        }
-        response_timeout(route, &request.body(Body::empty()).expect("a request")) == Some(RESPONSE_TIMEOUT)
-    }
-
     #[test]
-    fn only_waiting_and_uploading_routes_have_no_response_limit() {
-        assert!(limited(Method::GET, "/v1/jobs", None));
-        assert!(limited(Method::POST, "/v1/jobs/{id}/cancel", None));
-        assert!(limited(Method::PATCH, "/v1/jobs/{id}", Some("accept")));
-        assert!(!limited(Method::POST, "/v1/jobs", None));
-        assert!(!limited(Method::GET, "/v1/jobs/{id}", Some("prefer")));
-        assert!(!limited(Method::GET, "/v1/jobs/{id}/events", None));
-        assert!(!limited(Method::PUT, "/v1/worker/blobs/{hash}", None));
+    fn a_client_that_prefers_to_wait_has_no_time_limit() {
+        let policy =
+            |time_limit| Policy { permission: Permission::Public, time_limit, audit: Audit::Nothing, is_polled: false };
+        let mut headers = HeaderMap::new();
+        headers.insert(header::ACCEPT, HeaderValue::from_static("*/*"));
+        assert_eq!(time_limit(policy(routes::limit::MINUTE), &headers), routes::limit::MINUTE);
+        assert_eq!(time_limit(policy(routes::limit::NONE), &headers), None);
+        headers.insert("prefer", HeaderValue::from_static("wait=5"));
+        assert_eq!(time_limit(policy(routes::limit::MINUTE), &headers), None);
     }
 
     #[tokio::test]
@@ -328,7 +325,7 @@ mod tests {
         let answer = with_timeout(std::future::pending(), Some(Duration::from_millis(1))).await;
         assert_eq!(answer.status(), ApiError::ResponseTimeout { limit_seconds: 0 }.into_response().status());
         assert!(answer.status().is_server_error());
-        for limit in [None, Some(RESPONSE_TIMEOUT)] {
+        for limit in [routes::limit::NONE, routes::limit::MINUTE] {
             assert!(with_timeout(std::future::ready(Response::default()), limit).await.status().is_success());
         }
     }

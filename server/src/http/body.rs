@@ -5,7 +5,7 @@ use std::ops::Deref;
 use std::sync::Arc;
 
 use axum::body::{Body, BodyDataStream};
-use axum::extract::{FromRequest, Query, Request};
+use axum::extract::{FromRef, FromRequest, Query, Request};
 use axum::http::{HeaderMap, Uri, header};
 use bytes::{Bytes, BytesMut};
 use futures_util::StreamExt;
@@ -16,8 +16,7 @@ use super::content_encoding::ContentEncoding;
 use super::error::ApiError;
 use crate::admission::{CallerClass, Holder, Shares, UNCOUNTED_BYTES};
 use crate::budget::Share;
-use crate::farm::Farm;
-use crate::job_cache::Reader;
+use crate::job_cache::{JobCache, Reader};
 
 /// Of a body that is too large, this many bytes are read and discarded, so that the client reads the response.
 const MAX_DISCARDED_BYTES: usize = 64 << 20;
@@ -36,7 +35,8 @@ pub(super) fn expect_json(headers: &HeaderMap) -> Result<(), ApiError> {
 #[derive(Debug)]
 pub(super) struct RequestBody {
     body: Body,
-    farm: Arc<Farm>,
+    shares: Arc<Shares>,
+    jobs: Arc<JobCache>,
     holder: Holder,
     share: Share,
 }
@@ -110,17 +110,22 @@ impl Deref for BodyBytes {
     }
 }
 
-impl FromRequest<Arc<Farm>> for RequestBody {
+impl<S: Sync> FromRequest<S> for RequestBody
+where
+    Arc<Shares>: FromRef<S>,
+    Arc<JobCache>: FromRef<S>,
+{
     type Rejection = Infallible;
 
-    async fn from_request(request: Request, farm: &Arc<Farm>) -> Result<Self, Infallible> {
+    async fn from_request(request: Request, state: &S) -> Result<Self, Infallible> {
         let holder = request
             .extensions()
             .get::<Holder>()
             .cloned()
             .unwrap_or_else(|| Holder::of_address(CallerClass::User, None));
-        let share = farm.admission.shares.body(&holder);
-        Ok(Self { body: request.into_body(), farm: Arc::clone(farm), holder, share })
+        let (shares, jobs) = (Arc::<Shares>::from_ref(state), Arc::from_ref(state));
+        let share = shares.body(&holder);
+        Ok(Self { body: request.into_body(), shares, jobs, holder, share })
     }
 }
 
@@ -165,11 +170,12 @@ pub(super) async fn read_encoded(
     encoding: Option<ContentEncoding>,
     limit_bytes: usize,
 ) -> Result<BodyBytes, ApiError> {
-    let (farm, holder) = (Arc::clone(&request.farm), request.holder.clone());
+    let (shares, jobs) = (Arc::clone(&request.shares), Arc::clone(&request.jobs));
+    let holder = request.holder.clone();
     let packed = read(request, limit_bytes).await?;
     let Some(encoding) = encoding else { return Ok(packed) };
-    let (name, room) = (holder.name.clone(), Room::new(holder, &farm.admission.shares));
-    farm.jobs.run(Reader::Submitter(&name), move || unpack(encoding, &packed, limit_bytes, room)).await?
+    let (name, room) = (holder.name.clone(), Room::new(holder, &shares));
+    jobs.run(Reader::Submitter(&name), move || unpack(encoding, &packed, limit_bytes, room)).await?
 }
 
 /// Unpacks a body into a room of its own.

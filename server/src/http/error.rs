@@ -13,11 +13,11 @@ use crate::api_keys::ApiKeyError;
 use crate::budget::Exhausted;
 use crate::content_store::ContentError;
 use crate::db::DatabaseError;
-use crate::farm::SyncError;
 use crate::job_cache::JobLoadError;
 use crate::listen::SlowBody;
 use crate::preview_helper::HelperError;
 use crate::retention::RetentionError;
+use crate::worker_sync::SyncError;
 
 /// Reason for an error response, with its fix.
 #[derive(Debug, thiserror::Error)]
@@ -446,7 +446,7 @@ impl From<SyncError> for ApiError {
     fn from(error: SyncError) -> Self {
         match error {
             SyncError::Store(error) => error.into(),
-            SyncError::Pictures(error) => error.into(),
+            SyncError::Content(error) => error.into(),
         }
     }
 }

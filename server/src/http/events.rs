@@ -12,8 +12,8 @@ use serde::Deserialize;
 use super::body;
 use super::error::ApiError;
 use super::jobs::job_id;
-use crate::events::{EventSubscriber, SubscribeOutcome};
-use crate::farm::Farm;
+use crate::events::{EventHub, EventSubscriber, SubscribeOutcome};
+use crate::shutdown::Shutdown;
 
 /// Header that browsers send when they reconnect.
 const LAST_EVENT_ID: &str = "last-event-id";
@@ -44,7 +44,8 @@ struct EventsQuery {
     )
 )]
 pub(super) async fn follow(
-    State(farm): State<Arc<Farm>>,
+    State(events): State<Arc<EventHub>>,
+    State(shutdown): State<Shutdown>,
     Path(id): Path<String>,
     uri: Uri,
     headers: HeaderMap,
@@ -54,7 +55,7 @@ pub(super) async fn follow(
     let header = headers.get(LAST_EVENT_ID).map(|value| value.to_str().unwrap_or("?").to_owned());
     let after =
         header.or(query.last_event_id).filter(|text| !text.is_empty()).map(|text| event_id(&text)).transpose()?;
-    match EventSubscriber::start(&farm.events, job, after, farm.shutdown.clone()).await? {
+    match EventSubscriber::start(&events, job, after, shutdown.closing().clone()).await? {
         SubscribeOutcome::Subscribed(follower) => Ok(streamed(*follower)),
         SubscribeOutcome::Ended => Ok(StatusCode::NO_CONTENT.into_response()),
         SubscribeOutcome::UnknownJob => Err(ApiError::UnknownJob(id)),

@@ -1,7 +1,5 @@
 //! Job files: returned as they were submitted, and submitted again, with or without changes.
 
-use std::sync::Arc;
-
 use axum::extract::{Path, State};
 use axum::http::{HeaderMap, Uri, header};
 use axum::response::{IntoResponse, Response};
@@ -11,10 +9,11 @@ use super::auth::Caller;
 use super::body::RequestBody;
 use super::content_encoding::ContentEncoding;
 use super::error::ApiError;
-use super::jobs::{Submission, job_id};
+use super::jobs::job_id;
+use super::submission::{Intake, Submission};
 use super::{body, merge_patch};
-use crate::farm::Farm;
 use crate::job_cache::Reader;
+use crate::queue::Queue;
 
 /// Maximum size of changes; a larger change should be a new job file.
 const MAX_CHANGES_BYTES: usize = 1 << 20;
@@ -30,8 +29,8 @@ const MAX_CHANGES_BYTES: usize = 1 << 20;
         (status = 404, description = "No such job", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
     )
 )]
-pub(super) async fn file(State(farm): State<Arc<Farm>>, Path(id): Path<String>) -> Result<Response, ApiError> {
-    let text = text_of(&farm, job_id(&id)?).await?;
+pub(super) async fn file(State(queue): State<Queue>, Path(id): Path<String>) -> Result<Response, ApiError> {
+    let text = text_of(&queue, job_id(&id)?).await?;
     Ok(([(header::CONTENT_TYPE, "application/json")], text).into_response())
 }
 
@@ -69,32 +68,32 @@ pub(super) async fn file(State(farm): State<Arc<Farm>>, Path(id): Path<String>) 
     )
 )]
 pub(super) async fn resubmit(
-    State(farm): State<Arc<Farm>>,
+    State(intake): State<Intake>,
     caller: Caller,
     Path(id): Path<String>,
     uri: Uri,
     headers: HeaderMap,
     request: RequestBody,
 ) -> Result<Response, ApiError> {
-    let text = text_of(&farm, job_id(&id)?).await?;
+    let text = text_of(&intake.gate.queue, job_id(&id)?).await?;
     body::expect_json(&headers)?;
     let encoding = ContentEncoding::of(&headers)?;
     let holder = request.holder().clone();
-    let submission = Submission::begin(&farm, caller, uri, headers, &holder).await?;
+    let submission = Submission::begin(&intake.gate, caller, uri, headers, &holder).await?;
     let (changes, mut room) = body::read_encoded(request, encoding, MAX_CHANGES_BYTES).await?.into_parts();
     room.grow(text.len())?;
     let text = if changes.trim_ascii().is_empty() {
         text
     } else {
         let reader = Reader::Submitter(&holder.name);
-        farm.jobs.run(reader, move || merge_patch::apply(&scene::plain_json(&text), &changes)).await??
+        intake.jobs.run(reader, move || merge_patch::apply(&scene::plain_json(&text), &changes)).await??
     };
     if text.len() > scene::limits::MAX_BODY_BYTES {
         return Err(ApiError::TooLarge { limit_bytes: scene::limits::MAX_BODY_BYTES as u64 });
     }
-    submission.finish(&farm, text.into(), room).await
+    submission.finish(&intake, text.into(), room).await
 }
 
-async fn text_of(farm: &Farm, job: JobId) -> Result<String, ApiError> {
-    farm.queue.file(job).await?.ok_or_else(|| ApiError::UnknownJob(job.to_string()))
+async fn text_of(queue: &Queue, job: JobId) -> Result<String, ApiError> {
+    queue.file(job).await?.ok_or_else(|| ApiError::UnknownJob(job.to_string()))
 }

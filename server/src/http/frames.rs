@@ -15,9 +15,12 @@ use serde::Deserialize;
 use super::body;
 use super::error::ApiError;
 use super::jobs::job_id;
-use crate::admission::Holder;
+use super::state::handle_group;
+use crate::admission::{Holder, Shares};
 use crate::archive::Archive;
-use crate::farm::Farm;
+use crate::content_store::ContentStore;
+use crate::pictures::Pictures;
+use crate::queue::Queue;
 
 /// Default number of frames on a page.
 const DEFAULT_PAGE_SIZE: u32 = 100;
@@ -25,6 +28,20 @@ const DEFAULT_PAGE_SIZE: u32 = 100;
 const DIRECTORY_ENTRY_BYTES: u64 = 256;
 /// Maximum number of frames on a page.
 const MAX_PAGE: u32 = 1000;
+
+handle_group! {
+    /// Handles of an archive.
+    ArchiveHandles {
+        /// Has the frames.
+        queue: Queue,
+        /// Has the pictures.
+        content: Arc<ContentStore>,
+        /// Checks them.
+        pictures: Arc<Pictures>,
+        /// Has room for the archive's directory.
+        shares: Arc<Shares>,
+    }
+}
 
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -55,7 +72,7 @@ struct ArchiveQuery {
     )
 )]
 pub(super) async fn list(
-    State(farm): State<Arc<Farm>>,
+    State(queue): State<Queue>,
     Path(id): Path<String>,
     uri: Uri,
 ) -> Result<Json<FramePage>, ApiError> {
@@ -71,8 +88,8 @@ pub(super) async fn list(
             ApiError::WrongQuery(format!("{cursor:?} is not a cursor: pass the next_cursor of the page before"))
         })?,
     };
-    let found = farm.queue.frames(job).await?.ok_or(ApiError::UnknownJob(id))?;
-    let frames = farm.queue.frame_page(job, &found, from, limit).await?;
+    let found = queue.frames(job).await?.ok_or(ApiError::UnknownJob(id))?;
+    let frames = queue.frame_page(job, &found, from, limit).await?;
     let next = frames.last().map(|frame| frame.number + 1).filter(|next| *next < found.total);
     Ok(Json(FramePage { frames, next_cursor: next.map(|next| next.to_string()) }))
 }
@@ -95,23 +112,24 @@ pub(super) async fn list(
     )
 )]
 pub(super) async fn archive(
-    State(farm): State<Arc<Farm>>,
+    State(archives): State<ArchiveHandles>,
     Extension(holder): Extension<Holder>,
     Path(id): Path<String>,
     uri: Uri,
 ) -> Result<Response, ApiError> {
     let job = job_id(&id)?;
     let query: ArchiveQuery = body::read_query(&uri)?;
-    let frames = farm.queue.frames(job).await?.ok_or(ApiError::UnknownJob(id))?;
+    let ArchiveHandles { queue, content, pictures, shares } = archives;
+    let frames = queue.frames(job).await?.ok_or(ApiError::UnknownJob(id))?;
     if frames.stored < frames.total && !query.partial {
         return Err(ApiError::FramesMissing { job, stored: frames.stored, total: frames.total });
     }
     let disposition = format!("attachment; filename=\"{}.zip\"", frames.file_stem());
     let directory_bytes = u64::from(frames.stored).saturating_mul(DIRECTORY_ENTRY_BYTES) as usize;
-    let room = farm.admission.shares.response(&holder, directory_bytes);
+    let room = shares.response(&holder, directory_bytes);
     let room = room
         .map_err(|exhausted| ApiError::exhausted(&holder, "bytes of responses that are not received yet", exhausted))?;
-    let pieces = stream::unfold(Some((Archive::new(farm, frames), room)), async |archive| {
+    let pieces = stream::unfold(Some((Archive::new(queue, content, pictures, frames), room)), async |archive| {
         let (mut archive, room) = archive?;
         match archive.next().await {
             Ok(Some(piece)) => Some((Ok(piece), Some((archive, room)))),

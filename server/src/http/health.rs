@@ -9,7 +9,11 @@ use axum::response::{IntoResponse, Response};
 use serde_json::{Value, json};
 
 use super::error::ApiError;
-use crate::farm::Farm;
+use crate::admission::Shares;
+use crate::content_store::ContentStore;
+use crate::pool::Pool;
+use crate::queue::Queue;
+use crate::telemetry::Telemetry;
 
 /// Content type of `/metrics`.
 const OPENMETRICS_TYPE: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
@@ -32,10 +36,13 @@ pub(super) async fn livez() -> &'static str {
         (status = 507, description = "The disk is full", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
     )
 )]
-pub(super) async fn readyz(State(farm): State<Arc<Farm>>) -> Result<Json<Value>, ApiError> {
-    farm.queue.check().await?;
-    farm.content.check_writable().await?;
-    let workers = farm.queue.workers().await?.workers;
+pub(super) async fn readyz(
+    State(queue): State<Queue>,
+    State(content): State<Arc<ContentStore>>,
+) -> Result<Json<Value>, ApiError> {
+    queue.check().await?;
+    content.check_writable().await?;
+    let workers = queue.workers().await?.workers;
     let status = if workers.is_empty() { "degraded" } else { "ready" };
     let names: Vec<String> = workers.into_iter().map(|worker| worker.name).collect();
     Ok(Json(json!({ "status": status, "database": "ok", "store": "ok", "workers": names })))
@@ -49,6 +56,11 @@ pub(super) async fn readyz(State(farm): State<Arc<Farm>>) -> Result<Json<Value>,
         (status = 503, description = "The database is damaged", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
     )
 )]
-pub(super) async fn metrics(State(farm): State<Arc<Farm>>) -> Result<Response, ApiError> {
-    Ok(([(header::CONTENT_TYPE, OPENMETRICS_TYPE)], farm.telemetry.text(&farm).await?).into_response())
+pub(super) async fn metrics(
+    State(telemetry): State<Arc<Telemetry>>,
+    State(pool): State<Arc<Pool>>,
+    State(shares): State<Arc<Shares>>,
+) -> Result<Response, ApiError> {
+    let text = telemetry.text(pool.target_size(), &shares).await?;
+    Ok(([(header::CONTENT_TYPE, OPENMETRICS_TYPE)], text).into_response())
 }

@@ -12,12 +12,12 @@ use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 
 use super::error::ApiError;
-use crate::farm::Farm;
+use crate::config::Config;
 
 /// Rejects requests whose `Host` is not this server (DNS rebinding), and changes requested by pages of other
 /// sites.
-pub(super) async fn host_and_origin(State(farm): State<Arc<Farm>>, request: Request, next: Next) -> Response {
-    match check_host_and_origin(&farm.config.allowed_hosts, &request) {
+pub(super) async fn host_and_origin(State(config): State<Arc<Config>>, request: Request, next: Next) -> Response {
+    match check_host_and_origin(&config.allowed_hosts, &request) {
         Ok(()) => next.run(request).await,
         Err(error) => error.into_response(),
     }

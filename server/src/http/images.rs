@@ -13,12 +13,25 @@ use proto::frame::ForgottenPicture;
 use super::error::ApiError;
 use super::jobs::job_id;
 use super::range::{self, ByteRange};
-use crate::content_store::{ContentHash, ContentKind};
-use crate::farm::{Farm, PictureState};
-use crate::queue::StoredImage;
+use super::state::handle_group;
+use crate::content_store::{ContentHash, ContentKind, ContentStore};
+use crate::pictures::{PictureError, PictureState, Pictures};
+use crate::queue::{Queue, StoredImage};
 
 /// Cache lifetime: a frame's picture never changes.
 pub(super) const IMMUTABLE: &str = "public, max-age=31536000, immutable";
+
+handle_group! {
+    /// Handles of the pictures of frames.
+    StoredPictures {
+        /// Has the frames.
+        queue: Queue,
+        /// Has the pictures.
+        content: Arc<ContentStore>,
+        /// Checks them.
+        pictures: Arc<Pictures>,
+    }
+}
 
 /// Get the picture of a job's first frame.
 #[utoipa::path(
@@ -33,11 +46,11 @@ pub(super) const IMMUTABLE: &str = "public, max-age=31536000, immutable";
     )
 )]
 pub(super) async fn first_frame(
-    State(farm): State<Arc<Farm>>,
+    State(stored): State<StoredPictures>,
     Path(id): Path<String>,
     headers: HeaderMap,
 ) -> Result<Response, ApiError> {
-    answer(&farm, job_id(&id)?, 0, &headers).await
+    stored.answer(job_id(&id)?, 0, &headers).await
 }
 
 /// Get the picture of one of a job's frames.
@@ -56,20 +69,20 @@ pub(super) async fn first_frame(
     )
 )]
 pub(super) async fn frame(
-    State(farm): State<Arc<Farm>>,
+    State(stored): State<StoredPictures>,
     Path((id, frame)): Path<(String, String)>,
     headers: HeaderMap,
 ) -> Result<Response, ApiError> {
-    let (job, frame) = frame_of(&farm, &id, &frame).await?;
-    answer(&farm, job, frame, &headers).await
+    let (job, frame) = frame_of(&stored.queue, &id, &frame).await?;
+    stored.answer(job, frame, &headers).await
 }
 
 /// Parses a job id and a frame number from a path.
-pub(super) async fn frame_of(farm: &Farm, id: &str, frame: &str) -> Result<(JobId, u32), ApiError> {
+pub(super) async fn frame_of(queue: &Queue, id: &str, frame: &str) -> Result<(JobId, u32), ApiError> {
     let job = job_id(id)?;
     match frame.parse() {
         Ok(number) => Ok((job, number)),
-        Err(_) => match farm.queue.job(job).await? {
+        Err(_) => match queue.job(job).await? {
             Some(view) => {
                 Err(ApiError::UnknownFrame { job, frame: frame.to_owned(), frames: view.frames.total as u32 })
             }
@@ -78,48 +91,52 @@ pub(super) async fn frame_of(farm: &Farm, id: &str, frame: &str) -> Result<(JobI
     }
 }
 
-/// Response with a frame's stored picture.
-pub(super) async fn answer(farm: &Farm, job: JobId, frame: u32, headers: &HeaderMap) -> Result<Response, ApiError> {
-    let (hash, size_bytes, media_type) = match farm.queue.image(job, frame).await? {
-        StoredImage::Stored { hash, size_bytes, media_type } => (hash, size_bytes, media_type),
-        StoredImage::NotYet(state) => return Err(ApiError::NotStored { job, frame, state }),
-        StoredImage::NoFrame(frames) => return Err(ApiError::UnknownFrame { job, frame: frame.to_string(), frames }),
-        StoredImage::NoJob => return Err(ApiError::UnknownJob(job.to_string())),
-    };
-    let tag = format!("\"{hash}\"");
-    if headers
-        .get(header::IF_NONE_MATCH)
-        .and_then(|value| value.to_str().ok())
-        .is_some_and(|named| range::matches_etag(named, &tag))
-    {
-        return Ok(set_cache_headers(StatusCode::NOT_MODIFIED.into_response(), &tag));
-    }
-    let asked = match headers.get(header::IF_RANGE) {
-        Some(condition) if condition.as_bytes() != tag.as_bytes() => ByteRange::Full,
-        Some(_) | None => {
-            range::parse_range(headers.get(header::RANGE).and_then(|value| value.to_str().ok()), size_bytes)
+impl StoredPictures {
+    /// Response with a frame's stored picture.
+    pub(super) async fn answer(&self, job: JobId, frame: u32, headers: &HeaderMap) -> Result<Response, ApiError> {
+        let (hash, size_bytes, media_type) = match self.queue.image(job, frame).await? {
+            StoredImage::Stored { hash, size_bytes, media_type } => (hash, size_bytes, media_type),
+            StoredImage::NotYet(state) => return Err(ApiError::NotStored { job, frame, state }),
+            StoredImage::NoFrame(frames) => {
+                return Err(ApiError::UnknownFrame { job, frame: frame.to_string(), frames });
+            }
+            StoredImage::NoJob => return Err(ApiError::UnknownJob(job.to_string())),
+        };
+        let tag = format!("\"{hash}\"");
+        if headers
+            .get(header::IF_NONE_MATCH)
+            .and_then(|value| value.to_str().ok())
+            .is_some_and(|named| range::matches_etag(named, &tag))
+        {
+            return Ok(set_cache_headers(StatusCode::NOT_MODIFIED.into_response(), &tag));
         }
-    };
-    let (status, part) = match asked {
-        ByteRange::Full => (StatusCode::OK, None),
-        ByteRange::Part(part) => (StatusCode::PARTIAL_CONTENT, Some(part)),
-        ByteRange::Unsatisfiable => return Err(ApiError::WrongRange { size_bytes }),
-    };
-    let name = intact(farm, &hash, size_bytes).await?;
-    let found = farm.content.get(ContentKind::Picture, &name, part.clone()).await?;
-    let Some((length_bytes, bytes)) = found else { return Err(ApiError::LostPicture) };
-    let mut response = set_cache_headers((status, Body::from_stream(bytes)).into_response(), &tag);
-    set(&mut response, header::CONTENT_TYPE, &media_type);
-    set(&mut response, header::CONTENT_LENGTH, &length_bytes.to_string());
-    if let Some(part) = part {
-        set(&mut response, header::CONTENT_RANGE, &format!("bytes {}-{}/{size_bytes}", part.start, part.end - 1));
+        let asked = match headers.get(header::IF_RANGE) {
+            Some(condition) if condition.as_bytes() != tag.as_bytes() => ByteRange::Full,
+            Some(_) | None => {
+                range::parse_range(headers.get(header::RANGE).and_then(|value| value.to_str().ok()), size_bytes)
+            }
+        };
+        let (status, part) = match asked {
+            ByteRange::Full => (StatusCode::OK, None),
+            ByteRange::Part(part) => (StatusCode::PARTIAL_CONTENT, Some(part)),
+            ByteRange::Unsatisfiable => return Err(ApiError::WrongRange { size_bytes }),
+        };
+        let name = intact(&self.pictures, &hash, size_bytes).await?;
+        let found = self.content.get(ContentKind::Picture, &name, part.clone()).await?;
+        let Some((length_bytes, bytes)) = found else { return Err(ApiError::LostPicture) };
+        let mut response = set_cache_headers((status, Body::from_stream(bytes)).into_response(), &tag);
+        set(&mut response, header::CONTENT_TYPE, &media_type);
+        set(&mut response, header::CONTENT_LENGTH, &length_bytes.to_string());
+        if let Some(part) = part {
+            set(&mut response, header::CONTENT_RANGE, &format!("bytes {}-{}/{size_bytes}", part.start, part.end - 1));
+        }
+        Ok(response)
     }
-    Ok(response)
 }
 
 /// Name of a picture whose file is intact; otherwise its frames are rendered again.
-pub(super) async fn intact(farm: &Farm, hash: &str, size_bytes: u64) -> Result<ContentHash, ApiError> {
-    match farm.check_picture(hash, size_bytes).await? {
+pub(super) async fn intact(pictures: &Pictures, hash: &str, size_bytes: u64) -> Result<ContentHash, ApiError> {
+    match pictures.check(hash, size_bytes).await? {
         PictureState::Intact(name) => Ok(name),
         PictureState::Missing => Err(ApiError::LostPicture),
         PictureState::Damaged => Err(ApiError::DamagedPicture),
@@ -140,11 +157,11 @@ pub(super) async fn intact(farm: &Farm, hash: &str, size_bytes: u64) -> Result<C
     )
 )]
 pub(super) async fn forget(
-    State(farm): State<Arc<Farm>>,
+    State(pictures): State<Arc<Pictures>>,
     Path(hash): Path<String>,
 ) -> Result<Json<ForgottenPicture>, ApiError> {
     let name = ContentHash::parse(&hash).ok_or_else(|| ApiError::WrongHash(hash.clone()))?;
-    farm.forget_picture(&name).await?.map(Json).ok_or(ApiError::UnknownPicture(hash))
+    pictures.forget(&name).await?.map(Json).ok_or(ApiError::UnknownPicture(hash))
 }
 
 fn set_cache_headers(mut response: Response, tag: &str) -> Response {
@@ -157,5 +174,14 @@ fn set_cache_headers(mut response: Response, tag: &str) -> Response {
 pub(super) fn set(response: &mut Response, name: HeaderName, value: &str) {
     if let Ok(value) = HeaderValue::from_str(value) {
         response.headers_mut().insert(name, value);
+    }
+}
+
+impl From<PictureError> for ApiError {
+    fn from(error: PictureError) -> Self {
+        match error {
+            PictureError::Store(error) => error.into(),
+            PictureError::Content(error) => error.into(),
+        }
     }
 }

@@ -15,8 +15,10 @@ use super::body::RequestBody;
 use super::error::ApiError;
 use super::jobs::{job_id, view};
 use super::{body, quota};
-use crate::farm::Farm;
-use crate::queue::{ChangeOutcome, DeleteOutcome, RetryOutcome};
+use crate::config::Config;
+use crate::orphans::Orphans;
+use crate::queue::{ChangeOutcome, DeleteOutcome, Queue, RetryOutcome};
+use crate::space_reserve::SpaceReserve;
 
 /// Maximum size of a request body; valid ones are smaller.
 const MAX_BYTES: usize = 4096;
@@ -42,13 +44,14 @@ struct DeleteQuery {
     )
 )]
 pub(super) async fn retry(
-    State(farm): State<Arc<Farm>>,
+    State(queue): State<Queue>,
+    State(config): State<Arc<Config>>,
     caller: Caller,
     Path(id): Path<String>,
 ) -> Result<Json<JobView>, ApiError> {
     let job = job_id(&id)?;
-    match farm.queue.retry(job, quota::limits(&farm, &caller)).await? {
-        RetryOutcome::Changed(ChangeOutcome::Done) => view(&farm, job).await,
+    match queue.retry(job, quota::limits(&config, &caller)).await? {
+        RetryOutcome::Changed(ChangeOutcome::Done) => view(&queue, job).await,
         RetryOutcome::Changed(ChangeOutcome::WrongState(state)) => Err(ApiError::NoDeadTiles { job, state }),
         RetryOutcome::Changed(ChangeOutcome::Unknown) => Err(ApiError::UnknownJob(id)),
         RetryOutcome::Rejected(limit) => Err(quota::exceeded(&caller, limit)),
@@ -71,7 +74,7 @@ pub(super) async fn retry(
     )
 )]
 pub(super) async fn patch(
-    State(farm): State<Arc<Farm>>,
+    State(queue): State<Queue>,
     caller: Caller,
     Path(id): Path<String>,
     headers: HeaderMap,
@@ -90,8 +93,8 @@ pub(super) async fn patch(
     if let Some(priority) = patch.priority {
         quota::check_priority(&caller, priority)?;
     }
-    match farm.queue.patch(job, patch).await? {
-        ChangeOutcome::Done => view(&farm, job).await,
+    match queue.patch(job, patch).await? {
+        ChangeOutcome::Done => view(&queue, job).await,
         ChangeOutcome::WrongState(state) => Err(ApiError::Finished { job, state }),
         ChangeOutcome::Unknown => Err(ApiError::UnknownJob(id)),
     }
@@ -113,26 +116,28 @@ pub(super) async fn patch(
     )
 )]
 pub(super) async fn delete(
-    State(farm): State<Arc<Farm>>,
+    State(queue): State<Queue>,
+    State(reserve): State<Arc<SpaceReserve>>,
+    State(orphans): State<Orphans>,
     Path(id): Path<String>,
     uri: Uri,
 ) -> Result<Response, ApiError> {
     let job = job_id(&id)?;
     let query: DeleteQuery = body::read_query(&uri)?;
     if query.dry_run {
-        return match farm.queue.delete_preview(job).await? {
+        return match queue.delete_preview(job).await? {
             Some((JobState::Running, _)) => Err(ApiError::Running(job)),
             Some((_, preview)) => Ok(Json(preview).into_response()),
             None => Err(ApiError::UnknownJob(id)),
         };
     }
-    let deleted = match farm.queue.delete(job).await {
-        Err(error) if farm.has_made_room(&error) => farm.queue.delete(job).await,
+    let deleted = match queue.delete(job).await {
+        Err(error) if reserve.has_made_room(&error) => queue.delete(job).await,
         done => done,
     };
     match deleted? {
         DeleteOutcome::Done(removed) => {
-            farm.sweep_removed(removed);
+            orphans.sweep_removed(removed);
             Ok(StatusCode::NO_CONTENT.into_response())
         }
         DeleteOutcome::Running => Err(ApiError::Running(job)),

@@ -10,7 +10,7 @@ use proto::api_key::{ApiKeyList, NewApiKey};
 
 use super::body::{self, RequestBody};
 use super::error::ApiError;
-use crate::farm::Farm;
+use crate::api_keys::ApiKeys;
 
 /// Maximum size of a request body; valid ones are smaller.
 const MAX_BYTES: usize = 16 << 10;
@@ -20,8 +20,8 @@ const MAX_BYTES: usize = 16 << 10;
     get, path = "/v1/keys", tag = "keys", operation_id = "list_keys",
     responses((status = 200, description = "Every key, newest first, without secrets", body = ref("#/components/schemas/ApiKeyList")))
 )]
-pub(super) async fn list(State(farm): State<Arc<Farm>>) -> Json<ApiKeyList> {
-    Json(ApiKeyList { keys: farm.admission.keys.list() })
+pub(super) async fn list(State(keys): State<Arc<ApiKeys>>) -> Json<ApiKeyList> {
+    Json(ApiKeyList { keys: keys.list() })
 }
 
 /// Create a key.
@@ -42,12 +42,12 @@ pub(super) async fn list(State(farm): State<Arc<Farm>>) -> Json<ApiKeyList> {
     )
 )]
 pub(super) async fn make(
-    State(farm): State<Arc<Farm>>,
+    State(keys): State<Arc<ApiKeys>>,
     headers: HeaderMap,
     request: RequestBody,
 ) -> Result<Response, ApiError> {
     let new: NewApiKey = body::read_json(&headers, request, MAX_BYTES).await?;
-    let issued = farm.admission.keys.create(new).await?;
+    let issued = keys.create(new).await?;
     let mut response = (StatusCode::CREATED, Json(issued)).into_response();
     response.headers_mut().insert(header::CACHE_CONTROL, HeaderValue::from_static("no-store"));
     Ok(response)
@@ -65,8 +65,8 @@ pub(super) async fn make(
     )
 )]
 pub(super) async fn revoke(
-    State(farm): State<Arc<Farm>>,
+    State(keys): State<Arc<ApiKeys>>,
     Path(id): Path<String>,
 ) -> Result<Json<ApiKeyList>, ApiError> {
-    Ok(Json(ApiKeyList { keys: farm.admission.keys.revoke(&id).await? }))
+    Ok(Json(ApiKeyList { keys: keys.revoke(&id).await? }))
 }

@@ -11,12 +11,13 @@ use serde::Deserialize;
 
 use super::body::RequestBody;
 use super::error::ApiError;
+use super::images::StoredPictures;
 use super::jobs::job_id;
-use super::{body, images, previews};
+use super::previews::{Previews, Reader};
+use super::{body, images};
 use crate::clock::rfc3339;
-use crate::farm::Farm;
-use crate::queue::StoredImage;
-use crate::signed_links::LinkClaims;
+use crate::queue::{Queue, StoredImage};
+use crate::signed_links::{LinkClaims, LinkSigner};
 
 /// Under this name, which no key has, previews of links wait for a helper.
 const LINK_READER: &str = " links";
@@ -51,20 +52,21 @@ struct LinkQuery {
     )
 )]
 pub(super) async fn sign(
-    State(farm): State<Arc<Farm>>,
+    State(links): State<Arc<LinkSigner>>,
+    State(queue): State<Queue>,
     Path((id, frame)): Path<(String, String)>,
     headers: HeaderMap,
     request: RequestBody,
 ) -> Result<Json<LinkView>, ApiError> {
     let wish: LinkRequest = body::read_json(&headers, request, MAX_BYTES).await?;
-    let (job, frame) = images::frame_of(&farm, &id, &frame).await?;
-    match farm.queue.image(job, frame).await? {
+    let (job, frame) = images::frame_of(&queue, &id, &frame).await?;
+    match queue.image(job, frame).await? {
         StoredImage::Stored { .. } | StoredImage::NotYet(_) => {}
         StoredImage::NoFrame(frames) => return Err(ApiError::UnknownFrame { job, frame: frame.to_string(), frames }),
         StoredImage::NoJob => return Err(ApiError::UnknownJob(id)),
     }
-    let expires_seconds = farm.queue.wall_seconds() + i64::from(wish.expires_in_seconds);
-    let signature = farm.links.sign(&LinkClaims { job, frame, content: wish.shows, expires_seconds });
+    let expires_seconds = queue.wall_seconds() + i64::from(wish.expires_in_seconds);
+    let signature = links.sign(&LinkClaims { job, frame, content: wish.shows, expires_seconds });
     Ok(Json(LinkView {
         url: format!(
             "/v1/pictures/{job}/{frame}/{}?expires={expires_seconds}&signature={signature}",
@@ -100,7 +102,9 @@ pub(super) async fn sign(
     )
 )]
 pub(super) async fn follow(
-    State(farm): State<Arc<Farm>>,
+    State(links): State<Arc<LinkSigner>>,
+    State(stored): State<StoredPictures>,
+    State(previews): State<Previews>,
     Path((id, frame, content)): Path<(String, String, String)>,
     uri: Uri,
     headers: HeaderMap,
@@ -111,17 +115,17 @@ pub(super) async fn follow(
         return Err(ApiError::WrongSignature);
     };
     let linked = LinkClaims { job, frame, content, expires_seconds: signed.expires };
-    if !farm.links.verify(&linked, &signed.signature) {
+    if !links.verify(&linked, &signed.signature) {
         return Err(ApiError::WrongSignature);
     }
-    if farm.queue.wall_seconds() >= signed.expires {
+    if stored.queue.wall_seconds() >= signed.expires {
         return Err(ApiError::LinkExpired(rfc3339(signed.expires.saturating_mul(1000))));
     }
     let mut response = match content {
-        LinkContent::Image => images::answer(&farm, job, frame, &headers).await?,
+        LinkContent::Image => stored.answer(job, frame, &headers).await?,
         LinkContent::Preview => {
-            let reader = previews::Reader { name: LINK_READER, headers: &headers };
-            previews::answer(&farm, reader, job, frame, None).await?
+            let reader = Reader { name: LINK_READER, headers: &headers };
+            previews.answer(reader, job, frame, None).await?
         }
     };
     // A cached copy must be revalidated, or it would outlive the link.

@@ -3,10 +3,9 @@
 mod portable;
 mod security;
 
-use std::sync::Arc;
+use std::sync::LazyLock;
 
 use axum::Json;
-use axum::extract::State;
 use axum::http::header;
 use axum::response::{IntoResponse, Response};
 use proto::Problem;
@@ -23,38 +22,31 @@ use proto::webhook::DeliveryList;
 use schemars::generate::SchemaSettings;
 use serde_json::{Map, Value};
 
+use super::routes;
+
 /// Location of the definitions in the `OpenAPI` document.
 const COMPONENTS: &str = "#/components/schemas/";
 /// Location of the definitions in a JSON Schema.
 const DEFINITIONS: &str = "#/$defs/";
 
 /// `OpenAPI` document, as it is served.
-#[derive(Clone, Debug)]
-pub(super) struct Document(Arc<Value>);
+static DOCUMENT: LazyLock<Value> = LazyLock::new(|| document(&routes::router().1));
 
-impl Document {
-    /// Adds the schemas that the routes refer to.
-    pub(super) fn new(routes: &utoipa::openapi::OpenApi) -> Self {
-        let mut document = serde_json::to_value(routes).expect("an OpenAPI document is plain JSON");
-        document["info"] = serde_json::json!({
-            "title": "sdfarm",
-            "version": env!("CARGO_PKG_VERSION"),
-            "description": "A render farm for scenes made of signed distance functions.",
-            "license": { "name": "MIT OR Apache-2.0" },
-        });
-        let mut schemas = views();
-        schemas.extend(job_file());
-        document["components"]["schemas"] = Value::Object(schemas);
-        portable::rewrite(&mut document);
-        security::describe(&mut document);
-        Self(Arc::new(document))
-    }
-
-    /// `OpenAPI` document as JSON.
-    #[cfg(test)]
-    pub(super) fn value(&self) -> &Value {
-        &self.0
-    }
+/// Adds the schemas that the routes refer to.
+fn document(routes: &utoipa::openapi::OpenApi) -> Value {
+    let mut document = serde_json::to_value(routes).expect("an OpenAPI document is plain JSON");
+    document["info"] = serde_json::json!({
+        "title": "sdfarm",
+        "version": env!("CARGO_PKG_VERSION"),
+        "description": "A render farm for scenes made of signed distance functions.",
+        "license": { "name": "MIT OR Apache-2.0" },
+    });
+    let mut schemas = views();
+    schemas.extend(job_file());
+    document["components"]["schemas"] = Value::Object(schemas);
+    portable::rewrite(&mut document);
+    security::describe(&mut document);
+    document
 }
 
 /// Schemas of the responses, and of request bodies other than jobs.
@@ -138,8 +130,8 @@ fn rewrite_refs(value: &mut Value) {
 }
 
 /// Get the `OpenAPI` document.
-pub(super) async fn openapi(State(document): State<Document>) -> Json<Value> {
-    Json(Value::clone(&document.0))
+pub(super) async fn openapi() -> Json<&'static Value> {
+    Json(&DOCUMENT)
 }
 
 /// Get the JSON Schema of a job file.
@@ -165,9 +157,9 @@ mod tests {
 
     #[test]
     fn the_document_describes_jobs_by_their_schema() {
-        let (document, mut schema) = (super::super::document(), scene::schema());
+        let mut schema = scene::schema();
         rewrite_refs(&mut schema);
-        let served = &document.value()["components"]["schemas"];
+        let served = &DOCUMENT["components"]["schemas"];
         for (name, definition) in schema["$defs"].as_object().expect("definitions") {
             assert_eq!(served[name], *definition, "{name}");
         }
@@ -176,9 +168,8 @@ mod tests {
 
     #[test]
     fn every_reference_has_a_schema() {
-        let document = super::super::document();
-        let text = document.value().to_string();
-        let schemas = document.value()["components"]["schemas"].as_object().expect("schemas");
+        let text = DOCUMENT.to_string();
+        let schemas = DOCUMENT["components"]["schemas"].as_object().expect("schemas");
         let mut count = 0;
         for rest in text.split("\"$ref\":\"").skip(1) {
             let target = rest.split('"').next().expect("a reference has a closing quote");

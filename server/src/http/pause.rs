@@ -11,8 +11,8 @@ use super::auth::Caller;
 use super::error::ApiError;
 use super::jobs::{job_id, view};
 use super::quota;
-use crate::farm::Farm;
-use crate::queue::PauseOutcome;
+use crate::config::Config;
+use crate::queue::{PauseOutcome, Queue};
 
 /// Pause a job: no new tiles are leased; leased tiles finish and count.
 #[utoipa::path(
@@ -26,11 +26,12 @@ use crate::queue::PauseOutcome;
     )
 )]
 pub(super) async fn pause_job(
-    farm: State<Arc<Farm>>,
+    State(queue): State<Queue>,
+    State(config): State<Arc<Config>>,
     caller: Caller,
     id: Path<String>,
 ) -> Result<Json<JobView>, ApiError> {
-    set_job(&farm, &caller, &id, true).await
+    set_job(&queue, &config, &caller, &id, true).await
 }
 
 /// Resume a paused job.
@@ -44,17 +45,24 @@ pub(super) async fn pause_job(
     )
 )]
 pub(super) async fn resume_job(
-    farm: State<Arc<Farm>>,
+    State(queue): State<Queue>,
+    State(config): State<Arc<Config>>,
     caller: Caller,
     id: Path<String>,
 ) -> Result<Json<JobView>, ApiError> {
-    set_job(&farm, &caller, &id, false).await
+    set_job(&queue, &config, &caller, &id, false).await
 }
 
-async fn set_job(farm: &Farm, caller: &Caller, id: &str, paused: bool) -> Result<Json<JobView>, ApiError> {
+async fn set_job(
+    queue: &Queue,
+    config: &Config,
+    caller: &Caller,
+    id: &str,
+    paused: bool,
+) -> Result<Json<JobView>, ApiError> {
     let job = job_id(id)?;
-    match farm.queue.pause(job, paused, quota::max_paused(farm, caller)).await? {
-        PauseOutcome::Done => view(farm, job).await,
+    match queue.pause(job, paused, quota::max_paused(config, caller)).await? {
+        PauseOutcome::Done => view(queue, job).await,
         PauseOutcome::AlreadyFinished(state) => Err(ApiError::Finished { job, state }),
         PauseOutcome::TooMany(limit) => Err(quota::too_many_paused(caller, limit)),
         PauseOutcome::Unknown => Err(ApiError::UnknownJob(id.to_owned())),
@@ -66,8 +74,8 @@ async fn set_job(farm: &Farm, caller: &Caller, id: &str, paused: bool) -> Result
     get, path = "/v1/farm", tag = "farm", operation_id = "get_farm",
     responses((status = 200, description = "The farm", body = ref("#/components/schemas/FarmView")))
 )]
-pub(super) async fn get(State(farm): State<Arc<Farm>>) -> Result<Json<FarmView>, ApiError> {
-    Ok(Json(FarmView { paused: farm.queue.is_paused().await? }))
+pub(super) async fn get(State(queue): State<Queue>) -> Result<Json<FarmView>, ApiError> {
+    Ok(Json(FarmView { paused: queue.is_paused().await? }))
 }
 
 /// Pause the farm: no new tiles are leased; leased tiles finish and count.
@@ -75,9 +83,9 @@ pub(super) async fn get(State(farm): State<Arc<Farm>>) -> Result<Json<FarmView>,
     post, path = "/v1/farm/pause", tag = "farm", operation_id = "pause_farm",
     responses((status = 200, description = "The farm is paused", body = ref("#/components/schemas/FarmView")))
 )]
-pub(super) async fn pause(farm: State<Arc<Farm>>) -> Result<Json<FarmView>, ApiError> {
-    farm.queue.pause_all(true).await?;
-    get(farm).await
+pub(super) async fn pause(queue: State<Queue>) -> Result<Json<FarmView>, ApiError> {
+    queue.pause_all(true).await?;
+    get(queue).await
 }
 
 /// Resume a paused farm.
@@ -85,7 +93,7 @@ pub(super) async fn pause(farm: State<Arc<Farm>>) -> Result<Json<FarmView>, ApiE
     post, path = "/v1/farm/resume", tag = "farm", operation_id = "resume_farm",
     responses((status = 200, description = "The farm is resumed", body = ref("#/components/schemas/FarmView")))
 )]
-pub(super) async fn resume(farm: State<Arc<Farm>>) -> Result<Json<FarmView>, ApiError> {
-    farm.queue.pause_all(false).await?;
-    get(farm).await
+pub(super) async fn resume(queue: State<Queue>) -> Result<Json<FarmView>, ApiError> {
+    queue.pause_all(false).await?;
+    get(queue).await
 }

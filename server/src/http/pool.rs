@@ -9,7 +9,8 @@ use proto::pool::{PoolSize, PoolView, WorkerList};
 
 use super::body::{self, RequestBody};
 use super::error::ApiError;
-use crate::farm::Farm;
+use crate::pool::Pool;
+use crate::queue::Queue;
 
 /// Maximum size of a request body; valid ones are smaller.
 const MAX_BYTES: usize = 4096;
@@ -19,8 +20,8 @@ const MAX_BYTES: usize = 4096;
     get, path = "/v1/workers", tag = "workers", operation_id = "list_workers",
     responses((status = 200, description = "Every worker that is not gone", body = ref("#/components/schemas/WorkerList")))
 )]
-pub(super) async fn workers(State(farm): State<Arc<Farm>>) -> Result<Json<WorkerList>, ApiError> {
-    Ok(Json(farm.queue.workers().await?))
+pub(super) async fn workers(State(queue): State<Queue>) -> Result<Json<WorkerList>, ApiError> {
+    Ok(Json(queue.workers().await?))
 }
 
 /// Get the local pool.
@@ -28,9 +29,9 @@ pub(super) async fn workers(State(farm): State<Arc<Farm>>) -> Result<Json<Worker
     get, path = "/v1/pool", tag = "workers", operation_id = "get_pool",
     responses((status = 200, description = "The pool", body = ref("#/components/schemas/PoolView")))
 )]
-pub(super) async fn get(State(farm): State<Arc<Farm>>) -> Result<Json<PoolView>, ApiError> {
-    let ready = farm.queue.pool_ready().await?;
-    Ok(Json(PoolView { workers: farm.pool.target_size(), ready }))
+pub(super) async fn get(State(queue): State<Queue>, State(pool): State<Arc<Pool>>) -> Result<Json<PoolView>, ApiError> {
+    let ready = queue.pool_ready().await?;
+    Ok(Json(PoolView { workers: pool.target_size(), ready }))
 }
 
 /// Change the number of local workers.
@@ -45,11 +46,12 @@ pub(super) async fn get(State(farm): State<Arc<Farm>>) -> Result<Json<PoolView>,
     )
 )]
 pub(super) async fn put(
-    state: State<Arc<Farm>>,
+    queue: State<Queue>,
+    pool: State<Arc<Pool>>,
     headers: HeaderMap,
     request: RequestBody,
 ) -> Result<Json<PoolView>, ApiError> {
     let size: PoolSize = body::read_json(&headers, request, MAX_BYTES).await?;
-    state.0.pool.resize(size.workers);
-    get(state).await
+    pool.resize(size.workers);
+    get(queue, pool).await
 }

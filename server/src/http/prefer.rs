@@ -1,5 +1,6 @@
 //! `Prefer: wait=N` (RFC 7240): the response is sent when the job has finished, or after N seconds.
 
+use std::sync::Arc;
 use std::time::Duration;
 
 use axum::Json;
@@ -9,48 +10,65 @@ use proto::JobId;
 use proto::job::JobView;
 
 use super::error::ApiError;
+use super::state::handle_group;
 use crate::clock::monotonic_now;
-use crate::farm::Farm;
+use crate::events::EventHub;
+use crate::queue::Queue;
+use crate::shutdown::Shutdown;
 
 /// Maximum wait; a client that wants to wait longer repeats the request.
 const MAX_WAIT: Duration = Duration::from_mins(1);
 const PREFER: &str = "prefer";
 const APPLIED: HeaderName = HeaderName::from_static("preference-applied");
 
-/// Responds with a job when it has finished or the wait has expired.
-pub(super) async fn answer(
-    farm: &Farm,
-    id: JobId,
-    headers: &HeaderMap,
-    status: StatusCode,
-) -> Result<Response, ApiError> {
-    let wait = wait(headers);
-    if let Some(wait) = wait {
-        wait_until_finished(farm, id, wait).await?;
+handle_group! {
+    /// Handles of a response that may wait for a job.
+    JobWaiter {
+        /// Has the job.
+        queue: Queue,
+        /// Signals its changes.
+        events: Arc<EventHub>,
+        /// Ends the wait.
+        shutdown: Shutdown,
     }
-    let view: JobView = farm.queue.job(id).await?.ok_or_else(|| ApiError::UnknownJob(id.to_string()))?;
-    let mut response = (status, Json(view)).into_response();
-    if let Some(wait) = wait
-        && let Ok(value) = HeaderValue::from_str(&format!("wait={}", wait.as_secs()))
-    {
-        response.headers_mut().insert(APPLIED, value);
-    }
-    Ok(response)
 }
 
-async fn wait_until_finished(farm: &Farm, id: JobId, wait: Duration) -> Result<(), ApiError> {
-    let deadline = monotonic_now() + wait;
-    let Some(followed) = farm.queue.event_position(id).await? else { return Ok(()) };
-    let topic = farm.events.topic(followed.job).await?;
-    let mut bell = topic.changes();
-    while farm.queue.has_ended(followed.job).await? == Some(false) {
-        tokio::select! {
-            rung = bell.changed() => if rung.is_err() { break },
-            () = tokio::time::sleep_until(deadline) => break,
-            () = farm.is_shutting_down.cancelled() => break,
+impl JobWaiter {
+    /// Responds with a job when it has finished or the wait has expired.
+    pub(super) async fn answer(
+        &self,
+        id: JobId,
+        headers: &HeaderMap,
+        status: StatusCode,
+    ) -> Result<Response, ApiError> {
+        let wait = wait(headers);
+        if let Some(wait) = wait {
+            self.wait_until_finished(id, wait).await?;
         }
+        let view: JobView = self.queue.job(id).await?.ok_or_else(|| ApiError::UnknownJob(id.to_string()))?;
+        let mut response = (status, Json(view)).into_response();
+        if let Some(wait) = wait
+            && let Ok(value) = HeaderValue::from_str(&format!("wait={}", wait.as_secs()))
+        {
+            response.headers_mut().insert(APPLIED, value);
+        }
+        Ok(response)
     }
-    Ok(())
+
+    async fn wait_until_finished(&self, id: JobId, wait: Duration) -> Result<(), ApiError> {
+        let deadline = monotonic_now() + wait;
+        let Some(followed) = self.queue.event_position(id).await? else { return Ok(()) };
+        let topic = self.events.topic(followed.job).await?;
+        let mut bell = topic.changes();
+        while self.queue.has_ended(followed.job).await? == Some(false) {
+            tokio::select! {
+                rung = bell.changed() => if rung.is_err() { break },
+                () = tokio::time::sleep_until(deadline) => break,
+                () = self.shutdown.begun().cancelled() => break,
+            }
+        }
+        Ok(())
+    }
 }
 
 /// Requested wait; an unreadable header is ignored, as RFC 7240 requires.

@@ -13,10 +13,13 @@ use serde::Deserialize;
 
 use super::auth::Caller;
 use super::error::ApiError;
+use super::state::handle_group;
 use super::{body, images, range};
+use crate::config::Config;
 use crate::content_store::ContentKind;
-use crate::farm::Farm;
-use crate::queue::FrameContents;
+use crate::pictures::Pictures;
+use crate::preview_helper::PreviewHelper;
+use crate::queue::{FrameContents, Queue};
 
 /// Default width of a preview.
 const PREVIEW_PX: u32 = 960;
@@ -26,6 +29,20 @@ const THUMBNAIL_PX: u32 = 256;
 const MAX_WIDTH_PX: u32 = 2048;
 /// Maximum time for the coarse pass under a preview, in milliseconds.
 const COARSE_MS: u64 = 250;
+
+handle_group! {
+    /// Handles of previews.
+    Previews {
+        /// Has the frames.
+        queue: Queue,
+        /// Checks stored pictures.
+        pictures: Arc<Pictures>,
+        /// Draws.
+        preview_helper: Arc<PreviewHelper>,
+        /// Has the data folder, whose files the helper reads.
+        config: Arc<Config>,
+    }
+}
 
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -66,15 +83,15 @@ impl WidthQuery {
     )
 )]
 pub(super) async fn preview(
-    State(farm): State<Arc<Farm>>,
+    State(previews): State<Previews>,
     caller: Caller,
     Path((id, frame)): Path<(String, String)>,
     uri: Uri,
     headers: HeaderMap,
 ) -> Result<Response, ApiError> {
     let width = WidthQuery::read(&uri)?;
-    let (job, frame) = images::frame_of(&farm, &id, &frame).await?;
-    answer(&farm, Reader { name: caller.name(), headers: &headers }, job, frame, width).await
+    let (job, frame) = images::frame_of(&previews.queue, &id, &frame).await?;
+    previews.answer(Reader { name: caller.name(), headers: &headers }, job, frame, width).await
 }
 
 /// Get a stored picture as a small PNG.
@@ -95,18 +112,18 @@ pub(super) async fn preview(
     )
 )]
 pub(super) async fn thumbnail(
-    State(farm): State<Arc<Farm>>,
+    State(previews): State<Previews>,
     caller: Caller,
     Path((id, frame)): Path<(String, String)>,
     uri: Uri,
     headers: HeaderMap,
 ) -> Result<Response, ApiError> {
     let width_px = WidthQuery::read(&uri)?.unwrap_or(THUMBNAIL_PX);
-    let (job, frame) = images::frame_of(&farm, &id, &frame).await?;
+    let (job, frame) = images::frame_of(&previews.queue, &id, &frame).await?;
     let reader = Reader { name: caller.name(), headers: &headers };
-    match farm.queue.frame_contents(job, frame).await? {
+    match previews.queue.frame_contents(job, frame).await? {
         FrameContents::Stored { hash, size_bytes } => {
-            scaled(&farm, reader, &hash, size_bytes, width_px, images::IMMUTABLE).await
+            previews.scaled(reader, &hash, size_bytes, width_px, images::IMMUTABLE).await
         }
         FrameContents::Unfinished { state, .. } => Err(ApiError::NotStored { job, frame, state }),
         FrameContents::NoFrame(frames) => Err(ApiError::UnknownFrame { job, frame: frame.to_string(), frames }),
@@ -123,70 +140,72 @@ pub(super) struct Reader<'a> {
     pub(super) headers: &'a HeaderMap,
 }
 
-/// Draws a preview of a frame.
-pub(super) async fn answer(
-    farm: &Farm,
-    reader: Reader<'_>,
-    job: JobId,
-    frame: u32,
-    width_px: Option<u32>,
-) -> Result<Response, ApiError> {
-    let width_px = width_px.unwrap_or(PREVIEW_PX);
-    match farm.queue.frame_contents(job, frame).await? {
-        FrameContents::Stored { hash, size_bytes } => {
-            scaled(farm, reader, &hash, size_bytes, width_px, "no-cache").await
+impl Previews {
+    /// Draws a preview of a frame.
+    pub(super) async fn answer(
+        &self,
+        reader: Reader<'_>,
+        job: JobId,
+        frame: u32,
+        width_px: Option<u32>,
+    ) -> Result<Response, ApiError> {
+        let width_px = width_px.unwrap_or(PREVIEW_PX);
+        match self.queue.frame_contents(job, frame).await? {
+            FrameContents::Stored { hash, size_bytes } => {
+                self.scaled(reader, &hash, size_bytes, width_px, "no-cache").await
+            }
+            FrameContents::Unfinished { state, blobs } => {
+                self.unfinished(reader, job, frame, width_px, state, blobs).await
+            }
+            FrameContents::NoFrame(frames) => Err(ApiError::UnknownFrame { job, frame: frame.to_string(), frames }),
+            FrameContents::NoJob => Err(ApiError::UnknownJob(job.to_string())),
         }
-        FrameContents::Unfinished { state, blobs } => {
-            unfinished(farm, reader, job, frame, width_px, state, blobs).await
+    }
+
+    async fn scaled(
+        &self,
+        reader: Reader<'_>,
+        hash: &str,
+        size_bytes: u64,
+        width_px: u32,
+        cache: &'static str,
+    ) -> Result<Response, ApiError> {
+        let tag = format!("\"{hash}-{width_px}\"");
+        if is_known(reader.headers, &tag) {
+            return Ok(describe(StatusCode::NOT_MODIFIED.into_response(), &tag, cache));
         }
-        FrameContents::NoFrame(frames) => Err(ApiError::UnknownFrame { job, frame: frame.to_string(), frames }),
-        FrameContents::NoJob => Err(ApiError::UnknownJob(job.to_string())),
+        images::intact(&self.pictures, hash, size_bytes).await?;
+        let sketch = HelperRequest::Thumbnail { file: ContentKind::Picture.file(&self.config.data, hash), width_px };
+        let picture = self.preview_helper.picture(reader.name, &tag, &sketch).await?;
+        Ok(png(picture, &tag, cache))
     }
-}
 
-async fn scaled(
-    farm: &Farm,
-    reader: Reader<'_>,
-    hash: &str,
-    size_bytes: u64,
-    width_px: u32,
-    cache: &'static str,
-) -> Result<Response, ApiError> {
-    let tag = format!("\"{hash}-{width_px}\"");
-    if is_known(reader.headers, &tag) {
-        return Ok(describe(StatusCode::NOT_MODIFIED.into_response(), &tag, cache));
+    async fn unfinished(
+        &self,
+        reader: Reader<'_>,
+        job: JobId,
+        frame: u32,
+        width_px: u32,
+        state: JobState,
+        blobs: Vec<String>,
+    ) -> Result<Response, ApiError> {
+        let shown = format!("{job} {frame} {width_px} {} {}", state.name(), blobs.join(" "));
+        let tag = format!("\"{}\"", blake3::hash(shown.as_bytes()).to_hex());
+        if is_known(reader.headers, &tag) {
+            return Ok(describe(StatusCode::NOT_MODIFIED.into_response(), &tag, "no-cache"));
+        }
+        let text = self.queue.file(job).await?.ok_or_else(|| ApiError::UnknownJob(job.to_string()))?;
+        let sketch = HelperRequest::Preview {
+            job: text,
+            frame,
+            width_px,
+            tiles: blobs.iter().map(|hash| ContentKind::Blob.file(&self.config.data, hash)).collect(),
+            coarse: self.preview_helper.coarse(job, frame),
+            coarse_ms: COARSE_MS,
+        };
+        let picture = self.preview_helper.picture(reader.name, &tag, &sketch).await?;
+        Ok(png(picture, &tag, "no-cache"))
     }
-    images::intact(farm, hash, size_bytes).await?;
-    let sketch = HelperRequest::Thumbnail { file: ContentKind::Picture.file(&farm.config.data, hash), width_px };
-    let picture = farm.preview_helper.picture(reader.name, &tag, &sketch).await?;
-    Ok(png(picture, &tag, cache))
-}
-
-async fn unfinished(
-    farm: &Farm,
-    reader: Reader<'_>,
-    job: JobId,
-    frame: u32,
-    width_px: u32,
-    state: JobState,
-    blobs: Vec<String>,
-) -> Result<Response, ApiError> {
-    let shown = format!("{job} {frame} {width_px} {} {}", state.name(), blobs.join(" "));
-    let tag = format!("\"{}\"", blake3::hash(shown.as_bytes()).to_hex());
-    if is_known(reader.headers, &tag) {
-        return Ok(describe(StatusCode::NOT_MODIFIED.into_response(), &tag, "no-cache"));
-    }
-    let text = farm.queue.file(job).await?.ok_or_else(|| ApiError::UnknownJob(job.to_string()))?;
-    let sketch = HelperRequest::Preview {
-        job: text,
-        frame,
-        width_px,
-        tiles: blobs.iter().map(|hash| ContentKind::Blob.file(&farm.config.data, hash)).collect(),
-        coarse: farm.preview_helper.coarse(job, frame),
-        coarse_ms: COARSE_MS,
-    };
-    let picture = farm.preview_helper.picture(reader.name, &tag, &sketch).await?;
-    Ok(png(picture, &tag, "no-cache"))
 }
 
 fn is_known(headers: &HeaderMap, tag: &str) -> bool {

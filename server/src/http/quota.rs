@@ -7,34 +7,34 @@ use proto::api_key::Scope;
 
 use super::auth::Caller;
 use super::error::ApiError;
-use crate::farm::Farm;
-use crate::queue::{BacklogLimits, ExceededLimit};
+use crate::config::Config;
+use crate::queue::{BacklogLimits, ExceededLimit, Queue};
 
 /// Limits of the unfinished work of this caller and of the farm.
-pub(super) fn limits(farm: &Farm, caller: &Caller) -> BacklogLimits {
-    let farm_jobs = Some(farm.config.max_queued_jobs.into());
+pub(super) fn limits(config: &Config, caller: &Caller) -> BacklogLimits {
+    let farm_jobs = Some(config.max_queued_jobs.into());
     // A farm without keys has one submitter.
     let Some(key) = caller.key() else { return BacklogLimits { farm_jobs, ..BacklogLimits::default() } };
     BacklogLimits {
         farm_jobs,
-        jobs: Some(key.max_jobs().unwrap_or(farm.config.max_jobs_per_name.into())),
-        rays: Some(key.max_rays().unwrap_or(i64::try_from(farm.config.max_rays_per_name).unwrap_or(i64::MAX))),
+        jobs: Some(key.max_jobs().unwrap_or(config.max_jobs_per_name.into())),
+        rays: Some(key.max_rays().unwrap_or(i64::try_from(config.max_rays_per_name).unwrap_or(i64::MAX))),
         leaves_half: key.max_jobs().is_none(),
     }
 }
 
 /// Rejects another job of this caller if no job, however small, is within the limits now.
-pub(super) async fn check_jobs(farm: &Farm, caller: &Caller) -> Result<(), ApiError> {
-    match farm.queue.exceeded_limit(limits(farm, caller), caller.name(), 0).await? {
+pub(super) async fn check_jobs(queue: &Queue, config: &Config, caller: &Caller) -> Result<(), ApiError> {
+    match queue.exceeded_limit(limits(config, caller), caller.name(), 0).await? {
         None => Ok(()),
         Some(limit) => Err(exceeded(caller, limit)),
     }
 }
 
 /// Maximum number of paused jobs of a job's submitter, if this caller pauses it; administrators may pause any number.
-pub(super) fn max_paused(farm: &Farm, caller: &Caller) -> Option<u32> {
+pub(super) fn max_paused(config: &Config, caller: &Caller) -> Option<u32> {
     let key = caller.key().filter(|key| !key.scopes().is_allowed(Scope::Admin));
-    key.map(|_| farm.config.max_paused_per_name)
+    key.map(|_| config.max_paused_per_name)
 }
 
 /// Error for a job that this caller cannot pause.

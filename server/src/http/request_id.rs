@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use axum::body::Body;
-use axum::extract::{MatchedPath, Request, State};
+use axum::extract::{Request, State};
 use axum::http::{HeaderName, HeaderValue, header};
 use axum::middleware::Next;
 use axum::response::Response;
@@ -12,9 +12,9 @@ use proto::{JobId, Problem};
 use tracing::field::Empty;
 use tracing::{Instrument, Span};
 
-use super::trace_context;
+use super::{routes, trace_context};
 use crate::clock::monotonic_now;
-use crate::farm::Farm;
+use crate::telemetry::Telemetry;
 
 const REQUEST_ID: HeaderName = HeaderName::from_static("x-request-id");
 /// Maximum length of request ids sent by clients.
@@ -25,18 +25,18 @@ const MAX_ID_CHARACTERS: usize = 64;
 pub(super) struct RequestId(pub(super) String);
 
 /// Assigns a request its id, logs it, and writes the body of a problem.
-pub(super) async fn trace(State(farm): State<Arc<Farm>>, mut request: Request, next: Next) -> Response {
+pub(super) async fn trace(State(telemetry): State<Arc<Telemetry>>, mut request: Request, next: Next) -> Response {
     let id = client_request_id(&request).unwrap_or_else(|| uuid::Uuid::now_v7().to_string());
     request.extensions_mut().insert(RequestId(id.clone()));
     let method = request.method().clone();
-    let route = request.extensions().get::<MatchedPath>().map_or("", MatchedPath::as_str).to_owned();
-    let span = span_of(&request, &id, &route);
+    let route = routes::path_of(&request).to_owned();
+    let span = span_of(&request, &id);
     trace_context::set_parent(&span, request.headers());
     let start = monotonic_now();
     async move {
         let mut response = next.run(request).await;
         let elapsed_ms = start.elapsed().as_secs_f64() * 1e3;
-        farm.telemetry.metrics.record_response(&route, method.as_str(), response.status().as_u16(), start.elapsed());
+        telemetry.metrics.record_response(&route, method.as_str(), response.status().as_u16(), start.elapsed());
         if response.status().is_server_error() {
             tracing::warn!(status = response.status().as_u16(), elapsed_ms, %route, "answered");
         } else {
@@ -55,10 +55,9 @@ pub(super) async fn trace(State(farm): State<Arc<Farm>>, mut request: Request, n
 }
 
 /// Polling routes have a span with another name, which is not exported.
-fn span_of(request: &Request, id: &str, route: &str) -> Span {
+fn span_of(request: &Request, id: &str) -> Span {
     let (method, path) = (request.method(), request.uri().path());
-    let asks_again = [proto::worker_protocol::SYNC_PATH, "/livez", "/readyz", "/metrics"].contains(&route);
-    let span = if asks_again {
+    let span = if routes::policy_of(request).is_polled {
         tracing::info_span!("poll", request_id = %id, %method, %path, job = Empty)
     } else {
         tracing::info_span!("request", request_id = %id, %method, %path, job = Empty)

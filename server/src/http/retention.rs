@@ -10,8 +10,7 @@ use serde::Deserialize;
 
 use super::body;
 use super::error::ApiError;
-use crate::farm::Farm;
-use crate::retention;
+use crate::retention::Retention;
 
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -32,7 +31,7 @@ struct CollectQuery {
         (status = 422, description = "Invalid query parameters", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
     )
 )]
-pub(super) async fn collect(State(farm): State<Arc<Farm>>, uri: Uri) -> Result<Json<GcReport>, ApiError> {
+pub(super) async fn collect(State(retention): State<Arc<Retention>>, uri: Uri) -> Result<Json<GcReport>, ApiError> {
     let query: CollectQuery = body::read_query(&uri)?;
-    Ok(Json(retention::collect(&farm, query.dry_run).await?))
+    Ok(Json(retention.collect(query.dry_run).await?))
 }

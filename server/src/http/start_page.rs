@@ -14,7 +14,11 @@ use proto::farm::{FarmCounts, StartView};
 use proto::job::{JobState, JobView};
 
 use super::error::ApiError;
-use crate::farm::Farm;
+use super::state::handle_group;
+use crate::api_keys::ApiKeys;
+use crate::config::Config;
+use crate::queue::Queue;
+use crate::telemetry::Telemetry;
 
 /// Number of newest jobs on the page.
 const JOBS: u32 = 8;
@@ -22,6 +26,20 @@ const START_PAGE_HTML: &str = include_str!("start_page.html");
 /// Content security policy: inline styles only, and nothing from other addresses.
 const POLICY: &str = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; base-uri 'none'; \
                       form-action 'none'; frame-ancestors 'none'";
+
+handle_group! {
+    /// Handles of the page.
+    StartPageHandles {
+        /// Say whether the farm has keys.
+        api_keys: Arc<ApiKeys>,
+        /// Has the server's address.
+        config: Arc<Config>,
+        /// Has the newest jobs.
+        queue: Queue,
+        /// Has the counts.
+        telemetry: Arc<Telemetry>,
+    }
+}
 
 /// Get a summary of the farm.
 ///
@@ -31,9 +49,9 @@ const POLICY: &str = "default-src 'none'; style-src 'unsafe-inline'; img-src dat
     get, path = "/", tag = "farm", operation_id = "get_start_page",
     responses((status = 200, description = "Summary of the farm", body = ref("#/components/schemas/StartView")))
 )]
-pub(super) async fn get(State(farm): State<Arc<Farm>>, request: Request) -> Result<Response, ApiError> {
+pub(super) async fn get(State(handles): State<StartPageHandles>, request: Request) -> Result<Response, ApiError> {
     let wants_page = wants_html(request.headers());
-    let needs_key = farm.admission.keys.are_required();
+    let needs_key = handles.api_keys.are_required();
     let mut view = StartView {
         name: "sdfarm".to_owned(),
         version: env!("CARGO_PKG_VERSION").to_owned(),
@@ -45,13 +63,13 @@ pub(super) async fn get(State(farm): State<Arc<Farm>>, request: Request) -> Resu
     };
     let mut jobs = Vec::new();
     if !needs_key {
-        view.farm = Some(counts(&farm).await?);
+        view.farm = Some(counts(&handles.queue, &handles.telemetry).await?);
         if wants_page {
-            jobs = farm.queue.jobs(None, None, JOBS, None).await?.jobs;
+            jobs = handles.queue.jobs(None, None, JOBS, None).await?.jobs;
         }
     }
     let mut response = if wants_page {
-        Html(page(&view, &jobs, &address(&farm, &request))).into_response()
+        Html(page(&view, &jobs, &address(&handles.config, &request))).into_response()
     } else {
         Json(view).into_response()
     };
@@ -68,12 +86,12 @@ pub(super) async fn get(State(farm): State<Arc<Farm>>, request: Request) -> Resu
 }
 
 /// Numbers of the farm, at most 1 s old.
-async fn counts(farm: &Farm) -> Result<FarmCounts, ApiError> {
-    let counts = farm.telemetry.counts(farm).await?;
+async fn counts(queue: &Queue, telemetry: &Telemetry) -> Result<FarmCounts, ApiError> {
+    let counts = telemetry.counts().await?;
     let jobs = |state: JobState| counts.jobs_in(state.name()).unsigned_abs();
     let ready = counts.workers.iter().filter(|group| group.state == "ready").map(|group| group.number).sum::<i64>();
     Ok(FarmCounts {
-        paused: farm.queue.is_paused().await?,
+        paused: queue.is_paused().await?,
         queued: jobs(JobState::Queued),
         running: jobs(JobState::Running),
         succeeded: jobs(JobState::Succeeded),
@@ -103,12 +121,12 @@ fn wants_html(headers: &HeaderMap) -> bool {
 }
 
 /// Address that the client used, for the examples; the host has been checked already.
-fn address(farm: &Farm, request: &Request) -> String {
-    let scheme = if farm.config.tls.is_some() { "https" } else { "http" };
+fn address(config: &Config, request: &Request) -> String {
+    let scheme = if config.tls.is_some() { "https" } else { "http" };
     let named = request.uri().authority().map(|authority| authority.as_str().to_owned());
     let host =
         named.or_else(|| request.headers().get(header::HOST).and_then(|value| value.to_str().ok()).map(str::to_owned));
-    format!("{scheme}://{}", host.unwrap_or_else(|| farm.config.listen.to_string()))
+    format!("{scheme}://{}", host.unwrap_or_else(|| config.listen.to_string()))
 }
 
 fn page(view: &StartView, jobs: &[JobView], address: &str) -> String {

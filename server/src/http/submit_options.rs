@@ -1,13 +1,12 @@
 //! Options of a submission, read from headers and query: `Idempotency-Key`, webhooks.
 
-use axum::http::{HeaderMap, Uri};
+use axum::http::{HeaderMap, Uri, header};
 use bytes::Bytes;
 use reqwest::Url;
 
 use super::auth::Caller;
 use super::error::ApiError;
-use crate::farm::Farm;
-use crate::queue::{BacklogLimits, IdempotencyKey, NewWebhook, SubmitOptions};
+use crate::queue::{BacklogLimits, IdempotencyKey, NewWebhook, Queue, SubmitOptions};
 use crate::webhooks::{AddressPolicy, EVENTS, FINAL_EVENTS};
 
 /// Header with the idempotency key.
@@ -22,6 +21,15 @@ const MAX_VALUES: usize = 32;
 const MAX_WEBHOOKS: usize = 4;
 /// Maximum length of a webhook's address.
 const MAX_URL_BYTES: usize = 2048;
+
+/// Whether the request bypasses the picture cache.
+pub(super) fn has_no_cache(headers: &HeaderMap) -> bool {
+    headers
+        .get_all(header::CACHE_CONTROL)
+        .iter()
+        .filter_map(|value| value.to_str().ok())
+        .any(|value| value.split(',').any(|directive| directive.trim().eq_ignore_ascii_case("no-cache")))
+}
 
 /// Parses the options of a job with this text.
 pub(super) fn read(
@@ -101,9 +109,9 @@ pub(super) fn with_values(values: &[(String, String)], text: Bytes) -> Result<By
 }
 
 /// Whether the request is a replay, which adds no job to the queue.
-pub(super) async fn is_replay(farm: &Farm, caller: &Caller, headers: &HeaderMap) -> Result<bool, ApiError> {
+pub(super) async fn is_replay(queue: &Queue, caller: &Caller, headers: &HeaderMap) -> Result<bool, ApiError> {
     match key(headers)? {
-        Some(key) => Ok(farm.queue.has_idempotency_key(caller.name(), &key).await?),
+        Some(key) => Ok(queue.has_idempotency_key(caller.name(), &key).await?),
         None => Ok(false),
     }
 }
@@ -140,7 +148,7 @@ fn key(headers: &HeaderMap) -> Result<Option<String>, ApiError> {
 /// Hash of the request: the job's text and every option that changes the outcome.
 fn fingerprint(uri: &Uri, headers: &HeaderMap, text: &[u8]) -> String {
     let mut hasher = blake3::Hasher::new();
-    for part in [uri.query().unwrap_or_default().as_bytes(), &[u8::from(super::jobs::has_no_cache(headers))], text] {
+    for part in [uri.query().unwrap_or_default().as_bytes(), &[u8::from(has_no_cache(headers))], text] {
         hasher.update(&(part.len() as u64).to_le_bytes());
         hasher.update(part);
     }

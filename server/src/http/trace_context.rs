@@ -8,7 +8,8 @@ use proto::{JobId, WorkerId, trace_context};
 use tracing::Span;
 
 use crate::db::DatabaseError;
-use crate::farm::Farm;
+use crate::queue::Queue;
+use crate::telemetry::Telemetry;
 
 /// Makes a request's span a child of the trace in the request's header, if there is one.
 pub(super) fn set_parent(span: &Span, headers: &HeaderMap) {
@@ -19,19 +20,19 @@ pub(super) fn set_parent(span: &Span, headers: &HeaderMap) {
 
 /// Stores the current trace context with a job about to be accepted; or the context of its request, for
 /// workers that export traces if this server does not.
-pub(super) async fn store_trace(farm: &Farm, job: JobId, headers: &HeaderMap) -> Result<(), DatabaseError> {
+pub(super) async fn store_trace(queue: &Queue, job: JobId, headers: &HeaderMap) -> Result<(), DatabaseError> {
     let named = || {
         client_traceparent(headers).filter(|traceparent| trace_context::is_valid(traceparent)).map(ToOwned::to_owned)
     };
     match trace_context::current_traceparent().or_else(named) {
-        Some(traceparent) => farm.queue.keep_trace(job, traceparent).await,
+        Some(traceparent) => queue.keep_trace(job, traceparent).await,
         None => Ok(()),
     }
 }
 
 /// Trace context of a worker's batch: its own span, a child of the submission's.
-pub(super) async fn batch_traceparent(farm: &Farm, worker: WorkerId, run: &Batch) -> Option<String> {
-    let kept = match farm.telemetry.trace_of(farm, run.job).await {
+pub(super) async fn batch_traceparent(telemetry: &Telemetry, worker: WorkerId, run: &Batch) -> Option<String> {
+    let kept = match telemetry.trace_of(run.job).await {
         Ok(kept) => kept?,
         Err(error) => {
             tracing::warn!(%error, job = %run.job, "could not read a job's trace context");

@@ -1,14 +1,12 @@
 //! Lists the deliveries of a job's webhooks.
 
-use std::sync::Arc;
-
 use axum::Json;
 use axum::extract::{Path, State};
 use proto::webhook::DeliveryList;
 
 use super::error::ApiError;
 use super::jobs::job_id;
-use crate::farm::Farm;
+use crate::queue::Queue;
 
 /// List the deliveries of a job's webhooks, with their states.
 #[utoipa::path(
@@ -19,11 +17,8 @@ use crate::farm::Farm;
         (status = 404, description = "No such job", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
     )
 )]
-pub(super) async fn list(
-    State(farm): State<Arc<Farm>>,
-    Path(id): Path<String>,
-) -> Result<Json<DeliveryList>, ApiError> {
+pub(super) async fn list(State(queue): State<Queue>, Path(id): Path<String>) -> Result<Json<DeliveryList>, ApiError> {
     let job = job_id(&id)?;
-    farm.queue.event_position(job).await?.ok_or(ApiError::UnknownJob(id))?;
-    Ok(Json(DeliveryList { deliveries: farm.queue.deliveries(job).await? }))
+    queue.event_position(job).await?.ok_or(ApiError::UnknownJob(id))?;
+    Ok(Json(DeliveryList { deliveries: queue.deliveries(job).await? }))
 }

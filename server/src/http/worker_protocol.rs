@@ -19,11 +19,17 @@ use super::auth::{Caller, KEYLESS_SUBMITTER};
 use super::body::{self, RequestBody};
 use super::error::ApiError;
 use super::jobs::job_id;
+use super::state::handle_group;
 use super::trace_context;
 use crate::clock::monotonic_now;
-use crate::content_store::{ContentHash, ContentKind, WRITE_CHUNK_BYTES};
-use crate::farm::Farm;
-use crate::queue::{LeaseNeed, NewWorker, NextWork, SyncInput, SyncOutcome};
+use crate::config::Config;
+use crate::content_store::{ContentHash, ContentKind, ContentStore, WRITE_CHUNK_BYTES};
+use crate::pool::Pool;
+use crate::queue::{LeaseNeed, NewWorker, NextWork, Queue, SyncInput, SyncOutcome};
+use crate::shutdown::Shutdown;
+use crate::space_reserve::SpaceReserve;
+use crate::telemetry::Telemetry;
+use crate::worker_sync::WorkerSync;
 
 /// Maximum size of a registration; valid ones are smaller.
 const MAX_REGISTER_BYTES: usize = 16 << 10;
@@ -34,9 +40,49 @@ const MAX_WAIT: Duration = Duration::from_secs(30);
 /// Maximum wait of a draining worker that still has leases.
 const MAX_DRAINING_WAIT: Duration = Duration::from_millis(250);
 
+handle_group! {
+    /// Handles of registrations.
+    Registrar {
+        /// Has the workers.
+        queue: Queue,
+        /// Knows the local workers.
+        pool: Arc<Pool>,
+        /// Shows their devices.
+        telemetry: Arc<Telemetry>,
+        /// Has the data folder.
+        config: Arc<Config>,
+    }
+}
+
+handle_group! {
+    /// Handles of syncs.
+    SyncHandles {
+        /// Runs them.
+        worker_sync: Arc<WorkerSync>,
+        /// Wakes those that wait.
+        queue: Queue,
+        /// Records measurements.
+        telemetry: Arc<Telemetry>,
+        /// Ends waits.
+        shutdown: Shutdown,
+    }
+}
+
+handle_group! {
+    /// Handles of uploads.
+    Uploads {
+        /// Has the leases.
+        queue: Queue,
+        /// Takes the bytes.
+        content: Arc<ContentStore>,
+        /// Says whether there is room.
+        reserve: Arc<SpaceReserve>,
+    }
+}
+
 /// Registers a worker.
 pub(super) async fn register(
-    State(farm): State<Arc<Farm>>,
+    State(registrar): State<Registrar>,
     caller: Caller,
     headers: HeaderMap,
     request: RequestBody,
@@ -45,20 +91,20 @@ pub(super) async fn register(
     if hello.picture_version != scene::PICTURE_VERSION {
         return Err(ApiError::WrongPictureVersion { found: hello.picture_version, wanted: scene::PICTURE_VERSION });
     }
-    let label = matches!(caller, Caller::Pool).then(|| farm.pool.label(hello.process)).flatten();
+    let label = matches!(caller, Caller::Pool).then(|| registrar.pool.label(hello.process)).flatten();
     let (pool, device, owner) = (label.is_some(), hello.device.clone(), caller.owner().to_owned());
     let name = label.unwrap_or_else(|| hello.name.clone());
-    let worker = farm.queue.register(NewWorker { request: hello, pool, name: name.clone(), owner }).await?.worker;
-    farm.telemetry.record_worker(worker, &name, &device);
+    let worker = registrar.queue.register(NewWorker { request: hello, pool, name: name.clone(), owner }).await?.worker;
+    registrar.telemetry.record_worker(worker, &name, &device);
     tracing::info!(%worker, %name, pool, "worker registered");
-    let folders = if pool { folders(&farm) } else { None };
-    Ok(Json(RegisterResponse { worker, lease_ms: farm.queue.lease_ms().unsigned_abs(), folders }))
+    let folders = if pool { folders(&registrar.config) } else { None };
+    Ok(Json(RegisterResponse { worker, lease_ms: registrar.queue.lease_ms().unsigned_abs(), folders }))
 }
 
 /// Folders that a pool worker writes to directly; `None` if a folder's name is not UTF-8.
-fn folders(farm: &Farm) -> Option<ContentFolders> {
+fn folders(config: &Config) -> Option<ContentFolders> {
     let folder = |kind: ContentKind| {
-        let folder = std::path::absolute(kind.path(&farm.config.data)).ok()?;
+        let folder = std::path::absolute(kind.path(&config.data)).ok()?;
         folder.into_os_string().into_string().ok()
     };
     Some(ContentFolders { blobs: folder(ContentKind::Blob)?, pictures: folder(ContentKind::Picture)? })
@@ -68,13 +114,13 @@ fn folders(farm: &Farm) -> Option<ContentFolders> {
 ///
 /// Results are confirmed at once. If the client disconnects, the wait ends with its connection.
 pub(super) async fn sync(
-    State(farm): State<Arc<Farm>>,
+    State(syncs): State<SyncHandles>,
     caller: Caller,
     headers: HeaderMap,
     request: RequestBody,
 ) -> Result<Json<SyncResponse>, ApiError> {
     let request: SyncRequest = body::read_json(&headers, request, MAX_SYNC_BYTES).await?;
-    let mut deadline = monotonic_now() + max_wait(&farm, &request);
+    let mut deadline = monotonic_now() + max_wait(&syncs.queue, &request);
     let mut turn = SyncInput {
         worker: request.worker,
         owner: caller.owner().to_owned(),
@@ -88,7 +134,7 @@ pub(super) async fn sync(
     };
     let mut metrics = Some(request.metrics);
     loop {
-        let bell = farm.queue.wake_signals();
+        let bell = syncs.queue.wake_signals();
         let (mut work, mut news) = (pin!(bell.work.notified()), pin!(bell.updates.notified()));
         // Subscribes before the first attempt, so that no wake signal is missed.
         work.as_mut().enable();
@@ -96,28 +142,30 @@ pub(super) async fn sync(
         let prompt = turn.has_reports();
         let again = turn.without_reports();
         let begun = monotonic_now();
-        let Some(turned) = farm.sync(turn).await? else { return Err(unknown_worker(&farm, again.worker).await?) };
+        let Some(turned) = syncs.worker_sync.sync(turn).await? else {
+            return Err(unknown_worker(&syncs.queue, again.worker).await?);
+        };
         if let Some(metrics) = metrics.take() {
-            farm.telemetry.record_metrics(again.worker, &metrics);
+            syncs.telemetry.record_metrics(again.worker, &metrics);
         }
         let now = monotonic_now();
         if again.wants_work {
-            farm.telemetry.metrics.record_claim(now - begun);
+            syncs.telemetry.metrics.record_claim(now - begun);
         }
         if turned.drain && !again.held_leases.is_empty() {
             // The worker may already know that it must drain; it must not poll continuously while it finishes.
             deadline = deadline.min(now + MAX_DRAINING_WAIT);
         }
         let drains = turned.drain && again.held_leases.is_empty();
-        if prompt || drains || turned.needs_response() || now >= deadline || farm.shutdown.is_cancelled() {
-            return Ok(Json(reply(&farm, again.worker, turned).await));
+        if prompt || drains || turned.needs_response() || now >= deadline || syncs.shutdown.closing().is_cancelled() {
+            return Ok(Json(reply(&syncs.telemetry, again.worker, turned).await));
         }
         let wake = turned.retry_in().map_or(deadline, |wait| deadline.min(now + wait));
         tokio::select! {
             () = &mut work, if again.wants_work => {}
             () = &mut news => {}
             () = tokio::time::sleep_until(wake) => {}
-            () = farm.shutdown.cancelled() => {}
+            () = syncs.shutdown.closing().cancelled() => {}
         }
         turn = again;
     }
@@ -125,8 +173,8 @@ pub(super) async fn sync(
 
 /// Error of a sync for a worker that the caller may not speak for. A worker that registered before the farm had keys
 /// registers again.
-async fn unknown_worker(farm: &Farm, worker: WorkerId) -> Result<ApiError, ApiError> {
-    let owner = farm.queue.worker_owner(worker).await?;
+async fn unknown_worker(queue: &Queue, worker: WorkerId) -> Result<ApiError, ApiError> {
+    let owner = queue.worker_owner(worker).await?;
     Ok(match owner.filter(|owner| owner != KEYLESS_SUBMITTER) {
         Some(_) => ApiError::ForeignWorker(worker.to_string()),
         None => ApiError::UnknownWorker(worker.to_string()),
@@ -135,21 +183,21 @@ async fn unknown_worker(farm: &Farm, worker: WorkerId) -> Result<ApiError, ApiEr
 
 /// Rejects a transfer by a key whose workers hold no lease that needs it. The pool's own workers, and clients of a farm
 /// without keys, may transfer everything.
-async fn check_lease(farm: &Farm, caller: &Caller, needs: LeaseNeed<'_>) -> Result<(), ApiError> {
+async fn check_lease(queue: &Queue, caller: &Caller, needs: LeaseNeed<'_>) -> Result<(), ApiError> {
     match caller.key() {
-        Some(key) if !farm.queue.has_lease(key.id(), needs).await? => Err(ApiError::NoLease),
+        Some(key) if !queue.has_lease(key.id(), needs).await? => Err(ApiError::NoLease),
         Some(_) | None => Ok(()),
     }
 }
 
 /// Wait of a worker with leases: it needs the response in time to renew them.
-fn max_wait(farm: &Farm, request: &SyncRequest) -> Duration {
+fn max_wait(queue: &Queue, request: &SyncRequest) -> Duration {
     let asked = Duration::from_millis(request.wait_ms).min(MAX_WAIT);
-    let third = Duration::from_millis(farm.queue.lease_ms().unsigned_abs() / 3);
+    let third = Duration::from_millis(queue.lease_ms().unsigned_abs() / 3);
     asked.min(third)
 }
 
-async fn reply(farm: &Farm, worker: WorkerId, turned: SyncOutcome) -> SyncResponse {
+async fn reply(telemetry: &Telemetry, worker: WorkerId, turned: SyncOutcome) -> SyncResponse {
     let run = match turned.next {
         NextWork::Run(run) => {
             fail_point::trigger_infallible(FailPoint::Claimed);
@@ -158,7 +206,7 @@ async fn reply(farm: &Farm, worker: WorkerId, turned: SyncOutcome) -> SyncRespon
         NextWork::OpenFrame { .. } | NextWork::Nothing(_) => None,
     };
     let trace = match &run {
-        Some(run) => trace_context::batch_traceparent(farm, worker, run).await,
+        Some(run) => trace_context::batch_traceparent(telemetry, worker, run).await,
         None => None,
     };
     SyncResponse { batch: run, revoked_leases: turned.revoked_leases, drain: turned.drain, trace }
@@ -166,68 +214,71 @@ async fn reply(farm: &Farm, worker: WorkerId, turned: SyncOutcome) -> SyncRespon
 
 /// Returns the JSON of a job, as it was submitted.
 pub(super) async fn job(
-    State(farm): State<Arc<Farm>>,
+    State(queue): State<Queue>,
     caller: Caller,
     Path(id): Path<String>,
 ) -> Result<Response, ApiError> {
     let job = job_id(&id)?;
-    check_lease(&farm, &caller, LeaseNeed::JobFile(job)).await?;
-    let text = farm.queue.file(job).await?.ok_or(ApiError::UnknownJob(id))?;
+    check_lease(&queue, &caller, LeaseNeed::JobFile(job)).await?;
+    let text = queue.file(job).await?.ok_or(ApiError::UnknownJob(id))?;
     Ok(([(header::CONTENT_TYPE, "application/json")], text).into_response())
+}
+
+impl Uploads {
+    async fn put(
+        &self,
+        caller: &Caller,
+        kind: ContentKind,
+        hash: String,
+        request: RequestBody,
+    ) -> Result<StatusCode, ApiError> {
+        let name = ContentHash::parse(&hash).ok_or_else(|| ApiError::WrongHash(hash.clone()))?;
+        check_lease(&self.queue, caller, LeaseNeed::Upload).await?;
+        if self.reserve.is_released() {
+            return Err(ApiError::DiskFull);
+        }
+        let (bytes, _room) = request.into_stream(WRITE_CHUNK_BYTES)?;
+        let bytes = bytes.map_err(std::io::Error::other);
+        let span = tracing::info_span!("store", ?kind, %hash);
+        self.content.put(kind, &name, bytes).instrument(span).await?;
+        fail_point::trigger_infallible(match kind {
+            ContentKind::Blob => FailPoint::BlobStored,
+            ContentKind::Picture => FailPoint::PictureStored,
+        });
+        Ok(StatusCode::NO_CONTENT)
+    }
 }
 
 /// Stores a tile's blob.
 pub(super) async fn put_blob(
-    State(farm): State<Arc<Farm>>,
+    State(uploads): State<Uploads>,
     caller: Caller,
     Path(hash): Path<String>,
     request: RequestBody,
 ) -> Result<StatusCode, ApiError> {
-    put(&farm, &caller, ContentKind::Blob, hash, request).await
+    uploads.put(&caller, ContentKind::Blob, hash, request).await
 }
 
 /// Stores a frame's picture; it is durable when the response is sent.
 pub(super) async fn put_picture(
-    State(farm): State<Arc<Farm>>,
+    State(uploads): State<Uploads>,
     caller: Caller,
     Path(hash): Path<String>,
     request: RequestBody,
 ) -> Result<StatusCode, ApiError> {
-    put(&farm, &caller, ContentKind::Picture, hash, request).await
-}
-
-async fn put(
-    farm: &Farm,
-    caller: &Caller,
-    kind: ContentKind,
-    hash: String,
-    request: RequestBody,
-) -> Result<StatusCode, ApiError> {
-    let name = ContentHash::parse(&hash).ok_or_else(|| ApiError::WrongHash(hash.clone()))?;
-    check_lease(farm, caller, LeaseNeed::Upload).await?;
-    if farm.reserve.is_released() {
-        return Err(ApiError::DiskFull);
-    }
-    let (bytes, _room) = request.into_stream(WRITE_CHUNK_BYTES)?;
-    let bytes = bytes.map_err(std::io::Error::other);
-    let span = tracing::info_span!("store", ?kind, %hash);
-    farm.content.put(kind, &name, bytes).instrument(span).await?;
-    fail_point::trigger_infallible(match kind {
-        ContentKind::Blob => FailPoint::BlobStored,
-        ContentKind::Picture => FailPoint::PictureStored,
-    });
-    Ok(StatusCode::NO_CONTENT)
+    uploads.put(&caller, ContentKind::Picture, hash, request).await
 }
 
 /// Returns a tile's blob.
 pub(super) async fn get_blob(
-    State(farm): State<Arc<Farm>>,
+    State(queue): State<Queue>,
+    State(content): State<Arc<ContentStore>>,
     caller: Caller,
     Path(hash): Path<String>,
 ) -> Result<Response, ApiError> {
     let Some(name) = ContentHash::parse(&hash) else { return Err(ApiError::WrongHash(hash)) };
-    check_lease(&farm, &caller, LeaseNeed::Blob(&hash)).await?;
-    match farm.content.get(ContentKind::Blob, &name, None).await? {
+    check_lease(&queue, &caller, LeaseNeed::Blob(&hash)).await?;
+    match content.get(ContentKind::Blob, &name, None).await? {
         Some((length_bytes, bytes)) => {
             Ok(([(header::CONTENT_LENGTH, length_bytes)], Body::from_stream(bytes)).into_response())
         }

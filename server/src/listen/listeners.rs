@@ -8,12 +8,29 @@ use std::sync::Arc;
 use tokio::net::TcpListener;
 use tokio_util::sync::CancellationToken;
 
+use super::tls::TlsError;
 use super::{ConnectionLimit, Tls, connection_limit, serve};
 use crate::config::Config;
-use crate::startup::StartError;
 
 /// Maximum number of connections of the server's own workers.
 const POOL_CONNECTIONS: usize = 4096;
+
+/// Error when the listeners are opened.
+#[derive(Debug, thiserror::Error)]
+pub(crate) enum ListenError {
+    /// The certificate cannot be used.
+    #[error(transparent)]
+    Tls(#[from] TlsError),
+    /// The address cannot be bound.
+    #[error("cannot listen on {address}")]
+    Bind {
+        /// The address.
+        address: SocketAddr,
+        /// Error of the system.
+        #[source]
+        source: io::Error,
+    },
+}
 
 /// Listeners of a server.
 #[derive(Debug)]
@@ -28,12 +45,9 @@ pub(crate) struct Listeners {
 
 impl Listeners {
     /// Binds the addresses, and reads the certificate.
-    pub(crate) async fn open(config: &Config) -> Result<Self, StartError> {
+    pub(crate) async fn open(config: &Config) -> Result<Self, ListenError> {
         let tls = match &config.tls {
-            Some(files) => {
-                let tls = Tls::open(&files.certificate, &files.key);
-                Some(Arc::new(tls.map_err(|error| StartError::Tls(error.to_string()))?))
-            }
+            Some(files) => Some(Arc::new(Tls::open(&files.certificate, &files.key)?)),
             None => None,
         };
         let (public, address) = bind(config.listen).await?;
@@ -90,8 +104,8 @@ impl Listeners {
     }
 }
 
-async fn bind(address: SocketAddr) -> Result<(TcpListener, SocketAddr), StartError> {
-    let wrong = |source| StartError::Listen { address, source };
+async fn bind(address: SocketAddr) -> Result<(TcpListener, SocketAddr), ListenError> {
+    let wrong = |source| ListenError::Bind { address, source };
     let listener = TcpListener::bind(address).await.map_err(wrong)?;
     let bound = listener.local_addr().map_err(wrong)?;
     Ok((listener, bound))

@@ -10,12 +10,13 @@ use prometheus_client::encoding::text::encode;
 use prometheus_client::metrics::counter::Counter;
 use prometheus_client::metrics::family::Family;
 use prometheus_client::metrics::gauge::Gauge;
-use prometheus_client::metrics::histogram::{Histogram, exponential_buckets};
+use prometheus_client::metrics::histogram::Histogram;
 use prometheus_client::metrics::info::Info;
 use prometheus_client::registry::{Metric, Registry};
 use proto::worker_protocol::{Phase, Timing};
 
 use crate::db::CommitTimes;
+use crate::histograms::seconds;
 
 /// Labels of a sample.
 pub(super) type Labels = Vec<(&'static str, String)>;
@@ -28,16 +29,6 @@ type HistogramFamily = Family<Labels, Histogram>;
 
 /// HTTP methods with a label value of their own; all others share one.
 const METHODS: [&str; 7] = ["GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS"];
-
-/// Buckets from 0.1 ms to 100 s.
-pub(crate) fn seconds() -> Histogram {
-    Histogram::new(exponential_buckets(1e-4, 10f64.sqrt(), 13))
-}
-
-/// Buckets of counts up to 512.
-pub(crate) fn counts() -> Histogram {
-    Histogram::new(exponential_buckets(1.0, 2.0, 10))
-}
 
 /// Every metric.
 #[derive(Debug)]

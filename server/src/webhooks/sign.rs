@@ -14,14 +14,14 @@ use hmac::{Hmac, KeyInit, Mac};
 use proto::Secret;
 use sha2::Sha256;
 
+use crate::private_files::WEBHOOK_SECRET_FILE;
+
 /// Prefix of a secret.
 const PREFIX: &str = "whsec_";
 /// Size of a new secret, in bytes.
 const SECRET_BYTES: usize = 32;
 /// Sizes of secrets that the specification permits, in bytes.
 const ALLOWED_BYTES: std::ops::RangeInclusive<usize> = 24..=64;
-/// Name of the secret's file in the data folder.
-pub(crate) const FILE: &str = "webhook-secret";
 /// File mode: only the owner can read it.
 const MODE: u32 = 0o600;
 
@@ -71,7 +71,7 @@ impl Signer {
 
 /// Secret that signs a data folder's webhooks; created if missing.
 pub fn webhook_secret(data: &Path) -> Result<Secret, SecretError> {
-    let file = data.join(FILE);
+    let file = data.join(WEBHOOK_SECRET_FILE);
     let failed = |source| SecretError::File { file: file.clone(), source };
     match fs::read_to_string(&file) {
         Ok(text) if !text.trim().is_empty() => return Ok(text.trim().to_owned().into()),
@@ -108,7 +108,7 @@ mod tests {
         let first = webhook_secret(folder.path()).expect("made");
         assert!(Signer::new(&first).is_ok());
         assert_eq!(webhook_secret(folder.path()).expect("read"), first);
-        let mode = fs::metadata(folder.path().join(FILE)).expect("there").permissions().mode();
+        let mode = fs::metadata(folder.path().join(WEBHOOK_SECRET_FILE)).expect("there").permissions().mode();
         assert_eq!(mode & 0o777, MODE);
         for wrong in ["", "whsec_", "whsec_c2hvcnQ=", "MfKQ9r8GKYqrTwjUPD8ILPZIo2LaLaSw", "whsec_?"] {
             assert!(Signer::new(&wrong.to_owned().into()).is_err(), "{wrong}");

@@ -1,6 +1,6 @@
 //! Every route with every kind of key: which callers are authorized.
 //!
-//! The routes are those of the served document and the workers'; a route without a row here fails the test.
+//! The routes are those of the server's table; a route without a row here fails the test.
 
 use std::collections::BTreeSet;
 use std::time::Duration;
@@ -40,7 +40,9 @@ const ROWS: &[(&str, Row)] = &[
     ("GET /", Open),
     ("GET /livez", Open),
     ("GET /readyz", Open),
+    ("GET /docs", Open),
     ("GET /docs/", Open),
+    ("GET /docs/{*rest}", Open),
     ("GET /openapi.json", Open),
     ("GET /v1/schema/job", Open),
     ("GET /metrics", Read),
@@ -91,9 +93,12 @@ const KEY_PROBLEMS: [&str; 5] = ["missing_key", "unknown_key", "expired_key", "r
 /// Interval before a route is requested again.
 const POLL_INTERVAL: Duration = Duration::from_millis(5);
 
-/// Rows whose routes are not in the document.
+/// The server's table of routes.
+const TABLE: &str = include_str!("../../src/http.rs");
+
+/// Whether a route is not in the document.
 fn is_undocumented(route: &str) -> bool {
-    route.contains("/v1/worker/") || ["GET /docs/", "GET /openapi.json"].contains(&route)
+    route.contains("/v1/worker/") || route.contains("/docs") || route == "GET /openapi.json"
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -134,7 +139,8 @@ async fn walk(farm: &Farm, bearer: Bearer, key: Option<&str>, job: &str) -> Vec<
             .replace("{id}", job)
             .replace("{frame}", "0")
             .replace("{content}", "image")
-            .replace("{hash}", &"0".repeat(64));
+            .replace("{hash}", &"0".repeat(64))
+            .replace("{*rest}", "index.css");
         let method: Method = method.parse().expect("a method");
         // Rejections are limited per second; above the limit the response is 429, and the request is repeated.
         let answer = loop {
@@ -191,8 +197,25 @@ async fn each_route_authorizes_exactly_the_callers_of_the_table() {
     farm.stop().await;
 }
 
+#[test]
+fn every_route_has_a_row_and_every_row_a_route() {
+    let routes: BTreeSet<String> = TABLE.lines().filter_map(route_of_line).collect();
+    let rows: BTreeSet<String> = ROWS.iter().map(|(route, _)| (*route).to_owned()).collect();
+    let missing: Vec<_> = routes.difference(&rows).collect();
+    assert!(missing.is_empty(), "these routes have no row in the table of permissions: {missing:?}");
+    let stale: Vec<_> = rows.difference(&routes).collect();
+    assert!(stale.is_empty(), "these rows have no route: {stale:?}");
+}
+
+/// Method and path of a row of the server's table: `GET "/livez" ...;`.
+fn route_of_line(line: &str) -> Option<String> {
+    let (method, rest) = line.trim().split_once(' ')?;
+    let path = rest.trim().strip_prefix('"')?.split('"').next()?;
+    line.ends_with(';').then(|| format!("{method} {path}"))
+}
+
 #[tokio::test]
-async fn every_route_has_a_row_and_every_row_a_route() {
+async fn the_document_has_the_routes_of_users() {
     let farm = Farm::start().await;
     let document: Value = read(farm.get("/openapi.json").await, StatusCode::OK).await;
     let mut routes = BTreeSet::new();
@@ -203,9 +226,6 @@ async fn every_route_has_a_row_and_every_row_a_route() {
     }
     let rows: BTreeSet<String> =
         ROWS.iter().map(|(route, _)| (*route).to_owned()).filter(|route| !is_undocumented(route)).collect();
-    let missing: Vec<_> = routes.difference(&rows).collect();
-    assert!(missing.is_empty(), "these routes have no row in the table of permissions: {missing:?}");
-    let stale: Vec<_> = rows.difference(&routes).collect();
-    assert!(stale.is_empty(), "these rows have no route: {stale:?}");
+    assert_eq!(routes, rows);
     farm.stop().await;
 }

@@ -4,7 +4,7 @@
 use axum::http::Method;
 use serde_json::{Value, json};
 
-use crate::http::permissions::{Permission, required_permission};
+use crate::http::routes::{self, Permission};
 
 /// Name of the security scheme in the document.
 const SCHEME: &str = "key";
@@ -23,7 +23,7 @@ pub(super) fn describe(document: &mut Value) {
         let Some(operations) = operations.as_object_mut() else { continue };
         for (method, operation) in operations {
             let (Ok(method), true) = (method.to_uppercase().parse::<Method>(), operation.is_object()) else { continue };
-            let what = match required_permission(&method, path) {
+            let what = match routes::policy(&method, path).permission {
                 Permission::Public => {
                     add(operation, "429", "Too many requests, or too many in progress: see Retry-After");
                     add(

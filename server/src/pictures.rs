@@ -1,9 +1,14 @@
 //! Stored pictures: checked before they are served, and forgotten if they are damaged or an administrator says so.
 
+use std::sync::Arc;
+
 use proto::frame::ForgottenPicture;
 
-use super::{Farm, SyncError};
-use crate::content_store::{ContentHash, ContentKind, FileState};
+use crate::content_store::{ContentError, ContentHash, ContentKind, ContentStore, FileState};
+use crate::db::DatabaseError;
+use crate::preview_helper::PreviewHelper;
+use crate::queue::Queue;
+use crate::space_reserve::SpaceReserve;
 
 /// Whether a stored picture may be served.
 #[derive(Clone, Debug)]
@@ -16,9 +21,39 @@ pub(crate) enum PictureState {
     Damaged,
 }
 
-impl Farm {
+/// Error when a picture is checked or forgotten.
+#[derive(Debug, thiserror::Error)]
+pub(crate) enum PictureError {
+    /// The database failed.
+    #[error(transparent)]
+    Store(#[from] DatabaseError),
+    /// The content store failed.
+    #[error(transparent)]
+    Content(#[from] ContentError),
+}
+
+/// Service for stored pictures.
+#[derive(Debug)]
+pub(crate) struct Pictures {
+    queue: Queue,
+    content: Arc<ContentStore>,
+    reserve: Arc<SpaceReserve>,
+    preview_helper: Arc<PreviewHelper>,
+}
+
+impl Pictures {
+    /// Serves the pictures of this store, which the queue's frames show.
+    pub(crate) fn new(
+        queue: Queue,
+        content: Arc<ContentStore>,
+        reserve: Arc<SpaceReserve>,
+        preview_helper: Arc<PreviewHelper>,
+    ) -> Self {
+        Self { queue, content, reserve, preview_helper }
+    }
+
     /// Checks the file of a picture with this recorded size. If it is missing or damaged, the picture is forgotten.
-    pub(crate) async fn check_picture(&self, hash: &str, size_bytes: u64) -> Result<PictureState, SyncError> {
+    pub(crate) async fn check(&self, hash: &str, size_bytes: u64) -> Result<PictureState, PictureError> {
         let Some(name) = ContentHash::parse(hash) else { return Ok(PictureState::Missing) };
         let (state, code) = match self.content.file_state(ContentKind::Picture, &name, size_bytes).await? {
             FileState::Intact => return Ok(PictureState::Intact(name)),
@@ -26,20 +61,20 @@ impl Farm {
             FileState::Damaged => (PictureState::Damaged, "damaged_picture"),
         };
         tracing::error!(code, hash, "a stored picture is missing or damaged; its frames are rendered again");
-        self.forget_picture(&name).await?;
+        self.forget(&name).await?;
         Ok(state)
     }
 
     /// Forgets a picture: its rows, its file, and what was drawn from it. The frames that show it are rendered again,
     /// unless their job has failed or was cancelled.
-    pub(crate) async fn forget_picture(&self, name: &ContentHash) -> Result<Option<ForgottenPicture>, SyncError> {
+    pub(crate) async fn forget(&self, name: &ContentHash) -> Result<Option<ForgottenPicture>, PictureError> {
         let forgotten = match self.queue.forget_picture(name.as_str()).await {
-            Err(error) if self.has_made_room(&error) => self.queue.forget_picture(name.as_str()).await,
+            Err(error) if self.reserve.has_made_room(&error) => self.queue.forget_picture(name.as_str()).await,
             done => done,
         }?;
         self.preview_helper.forget(name.as_str());
         let queue = &self.queue;
-        let is_unused = async |name: String| Ok::<_, SyncError>(!queue.orphan_pictures(&[name]).await?.is_empty());
+        let is_unused = async |name: String| Ok::<_, PictureError>(!queue.orphan_pictures(&[name]).await?.is_empty());
         let is_deleted = self.content.delete_if(ContentKind::Picture, name, is_unused).await?;
         if !forgotten.is_known && !is_deleted {
             return Ok(None);

@@ -1,15 +1,16 @@
 //! Checks the results of a sync against the store and their jobs, before they reach the queue.
 
 use std::collections::HashMap;
+use std::sync::Arc;
 
 use proto::LeaseId;
 use proto::worker_protocol::LeaseOutcome;
 
-use super::{Farm, SyncError};
-use crate::content_store::{ContentHash, ContentKind};
+use super::SyncError;
+use crate::content_store::{ContentHash, ContentKind, ContentStore};
 use crate::delivery_check::check_blob;
-use crate::job_cache::{JobLoadError, Reader};
-use crate::queue::{RejectedResult, ReportedTile, SyncInput};
+use crate::job_cache::{JobCache, JobLoadError, Reader};
+use crate::queue::{Queue, RejectedResult, ReportedTile, SyncInput};
 
 /// Number of characters that are kept of the name of a rejected result.
 const MAX_LOGGED_CHARACTERS: usize = 80;
@@ -35,9 +36,27 @@ struct Delivered {
     tile: Option<ReportedTile>,
 }
 
-impl Farm {
+/// Check of results.
+#[derive(Debug)]
+pub(crate) struct ResultCheck {
+    queue: Queue,
+    content: Arc<ContentStore>,
+    jobs: Arc<JobCache>,
+}
+
+impl ResultCheck {
+    /// Checks the results that these stores have, against the jobs of the queue.
+    pub(crate) fn new(queue: Queue, content: Arc<ContentStore>, jobs: Arc<JobCache>) -> Self {
+        Self { queue, content, jobs }
+    }
+
+    /// See [`ContentStore::block_sweep`]: what was checked is still there when it is counted.
+    pub(super) async fn block_sweep(&self) -> impl Drop + '_ {
+        self.content.block_sweep().await
+    }
+
     /// Takes out the results whose bytes are wrong or missing; their tiles are requeued.
-    pub(super) async fn check_reports(&self, turn: &mut SyncInput) -> Result<(), SyncError> {
+    pub(super) async fn check(&self, turn: &mut SyncInput) -> Result<(), SyncError> {
         let delivers =
             |outcome: &LeaseOutcome| matches!(outcome, LeaseOutcome::Blob { .. } | LeaseOutcome::Picture { .. });
         let leases: Vec<LeaseId> =

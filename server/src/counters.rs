@@ -1,0 +1,24 @@
+//! Counters since the start, for `/metrics`: services add to them, the telemetry reads them.
+
+use std::sync::atomic::AtomicU64;
+
+/// Counters since the start.
+#[derive(Debug, Default)]
+pub(crate) struct ServerCounters {
+    /// Expired leases.
+    pub(crate) expired: AtomicU64,
+    /// Fenced results.
+    pub(crate) fenced: AtomicU64,
+    /// Tiles that two workers rendered differently.
+    pub(crate) nondeterministic: AtomicU64,
+    /// Results that are not what was asked for.
+    pub(crate) rejected: AtomicU64,
+    /// Results that another worker confirmed.
+    pub(crate) verified: AtomicU64,
+    /// Second renderings that differ from the first.
+    pub(crate) refuted: AtomicU64,
+    /// Results that should have been verified, but could not be.
+    pub(crate) unverified: AtomicU64,
+    /// Failed attempts to deliver a webhook.
+    pub(crate) webhook_failures: AtomicU64,
+}

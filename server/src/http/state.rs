@@ -1,0 +1,123 @@
+//! State of the router: one handle for each service. A handler takes those that it uses, each as `State<Handle>`.
+//!
+//! Only the start of the server sees all of them.
+
+use std::sync::Arc;
+
+use axum::extract::FromRef;
+
+use crate::admission::{RateLimits, Shares};
+use crate::api_keys::ApiKeys;
+use crate::audit_log::AuditLog;
+use crate::config::Config;
+use crate::content_store::ContentStore;
+use crate::estimate::Estimator;
+use crate::events::EventHub;
+use crate::job_cache::JobCache;
+use crate::orphans::Orphans;
+use crate::pictures::Pictures;
+use crate::pool::Pool;
+use crate::preview_helper::PreviewHelper;
+use crate::queue::Queue;
+use crate::retention::Retention;
+use crate::shutdown::Shutdown;
+use crate::signed_links::LinkSigner;
+use crate::space_reserve::SpaceReserve;
+use crate::submissions::Submissions;
+use crate::telemetry::Telemetry;
+use crate::webhooks::AddressPolicy;
+use crate::worker_sync::WorkerSync;
+
+/// State of the router; a clone is one count more.
+#[derive(Clone, Debug)]
+pub(crate) struct ApiState(Arc<Handles>);
+
+/// Declares the handles, each of another type, and how a handler gets one.
+macro_rules! handles_of_state {
+    ($($(#[$meta:meta])* $name:ident: $handle:ty,)*) => {
+        /// Handles to the services; cheap to clone.
+        #[derive(Debug)]
+        pub(crate) struct Handles {
+            $($(#[$meta])* pub(crate) $name: $handle,)*
+        }
+
+        $(impl FromRef<ApiState> for $handle {
+            fn from_ref(state: &ApiState) -> Self {
+                state.0.$name.clone()
+            }
+        })*
+    };
+}
+
+handles_of_state! {
+    /// API keys.
+    api_keys: Arc<ApiKeys>,
+    /// Audit log.
+    audit_log: Arc<AuditLog>,
+    /// Settings of the operator.
+    config: Arc<Config>,
+    /// Pictures and blobs.
+    content: Arc<ContentStore>,
+    /// Estimates of jobs.
+    estimator: Arc<Estimator>,
+    /// Distributor of events.
+    events: Arc<EventHub>,
+    /// Parsed job files.
+    jobs: Arc<JobCache>,
+    /// Signer of links.
+    links: Arc<LinkSigner>,
+    /// Announcement of orphans.
+    orphans: Orphans,
+    /// Checked pictures.
+    pictures: Arc<Pictures>,
+    /// Local workers.
+    pool: Arc<Pool>,
+    /// Helper processes that draw previews.
+    preview_helper: Arc<PreviewHelper>,
+    /// Jobs, with tiles, leases and workers.
+    queue: Queue,
+    /// Request rates.
+    rate_limits: Arc<RateLimits>,
+    /// Space set aside for a full disk.
+    reserve: Arc<SpaceReserve>,
+    /// Deletion of jobs past their retention.
+    retention: Arc<Retention>,
+    /// What callers have in progress.
+    shares: Arc<Shares>,
+    /// Stages of the shutdown.
+    shutdown: Shutdown,
+    /// Acceptance of jobs.
+    submissions: Submissions,
+    /// Metrics and status.
+    telemetry: Arc<Telemetry>,
+    /// Addresses that webhooks may have.
+    webhook_addresses: Arc<AddressPolicy>,
+    /// Syncs of workers.
+    worker_sync: Arc<WorkerSync>,
+}
+
+impl ApiState {
+    /// State with these handles.
+    pub(crate) fn new(handles: Handles) -> Self {
+        Self(Arc::new(handles))
+    }
+}
+
+/// Declares a few handles that are used together, as one that a handler can take.
+macro_rules! handle_group {
+    ($(#[$group_meta:meta])* $group:ident { $($(#[$meta:meta])* $name:ident: $handle:ty,)* }) => {
+        $(#[$group_meta])*
+        #[derive(Clone, Debug)]
+        pub(super) struct $group {
+            $($(#[$meta])* pub(super) $name: $handle,)*
+        }
+
+        impl axum::extract::FromRef<$crate::http::ApiState> for $group {
+            fn from_ref(state: &$crate::http::ApiState) -> Self {
+                Self { $($name: axum::extract::FromRef::from_ref(state),)* }
+            }
+        }
+    };
+}
+
+pub(super) use handle_group;

@@ -1,0 +1,86 @@
+//! Deletes stored bytes that no row refers to: those that were announced, and those that no worker has reported.
+
+use std::sync::Arc;
+
+use futures_util::stream::TryStreamExt;
+
+use super::ORPHAN_GRACE;
+use crate::content_store::{self, ContentKind, ContentStore};
+use crate::db::DatabaseError;
+use crate::orphans::Orphans;
+use crate::queue::Queue;
+
+/// Number of hashes that are checked, and deleted if they are orphans, while no result is taken.
+const SWEEP_BATCH: usize = 32;
+
+/// Deletes orphans of the content store.
+#[derive(Debug)]
+pub(crate) struct OrphanSweep {
+    /// The queue, whose rows decide.
+    pub(crate) queue: Queue,
+    /// The store.
+    pub(crate) content: Arc<ContentStore>,
+    /// Takes candidates that are too young.
+    pub(crate) orphans: Orphans,
+}
+
+impl OrphanSweep {
+    /// Deletes orphans a few at a time: results wait while a sweep decides.
+    pub(super) async fn sweep_in_pieces(&self, kind: ContentKind, hashes: &[String]) -> Result<(), DatabaseError> {
+        for piece in hashes.chunks(SWEEP_BATCH) {
+            self.sweep(kind, piece).await?;
+        }
+        Ok(())
+    }
+
+    /// Deletes old content that no worker has reported.
+    pub(super) async fn sweep_unreported(&self) -> Result<(), DatabaseError> {
+        for kind in [ContentKind::Blob, ContentKind::Picture] {
+            let names = match self.unreported_hashes(kind).await {
+                Ok(names) => names,
+                Err(error) => {
+                    tracing::warn!(%error, ?kind, "could not list a folder");
+                    continue;
+                }
+            };
+            self.sweep_in_pieces(kind, &names).await?;
+        }
+        Ok(())
+    }
+
+    async fn sweep(&self, kind: ContentKind, hashes: &[String]) -> Result<(), DatabaseError> {
+        let queue = &self.queue;
+        let (count, young) = match kind {
+            ContentKind::Blob => {
+                self.content.sweep(kind, hashes, async |names| queue.orphan_blobs(&names).await).await?
+            }
+            ContentKind::Picture => {
+                self.content.sweep(kind, hashes, async |names| queue.orphan_pictures(&names).await).await?
+            }
+        };
+        if !young.is_empty() {
+            let orphans = self.orphans.clone();
+            tokio::spawn(async move {
+                tokio::time::sleep(content_store::MIN_SWEEP_AGE).await;
+                orphans.sweep_later(kind, young);
+            });
+        }
+        if count > 0 {
+            tracing::debug!(count, ?kind, "removed orphaned content");
+        }
+        Ok(())
+    }
+
+    async fn unreported_hashes(&self, kind: ContentKind) -> object_store::Result<Vec<String>> {
+        let now_seconds = self.queue.wall_seconds();
+        self.content
+            .list(kind)
+            .try_filter_map(async |meta| {
+                let age_seconds = now_seconds - meta.last_modified.timestamp();
+                let is_old = age_seconds > ORPHAN_GRACE.as_secs().cast_signed();
+                Ok(meta.location.filename().filter(|_| is_old).map(ToOwned::to_owned))
+            })
+            .try_collect()
+            .await
+    }
+}

@@ -1,0 +1,54 @@
+//! Accepts jobs, and stores at once those of their first frames whose pictures exist.
+//!
+//! Depends on no HTTP types; what a submission may contain is checked before.
+
+use std::sync::Arc;
+
+use crate::db::DatabaseError;
+use crate::job_cache::{JobCache, Reader};
+use crate::queue::{NewJob, OpenOutcome, Queue, SubmitOptions, SubmitOutcome};
+
+/// Maximum number of frames of a job that are looked up in the picture cache at submission; the others are
+/// looked up when they are opened.
+const MAX_EAGER_CACHE_LOOKUPS: u32 = 64;
+
+/// Acceptance of jobs.
+#[derive(Clone, Debug)]
+pub(crate) struct Submissions {
+    queue: Queue,
+    jobs: Arc<JobCache>,
+}
+
+impl Submissions {
+    /// Accepts jobs into this queue.
+    pub(crate) fn new(queue: Queue, jobs: Arc<JobCache>) -> Self {
+        Self { queue, jobs }
+    }
+
+    /// Accepts a job, and at once stores its first frames whose pictures are cached.
+    pub(crate) async fn accept(
+        &self,
+        new: NewJob,
+        job: Arc<scene::Job>,
+        options: SubmitOptions,
+        reader: Reader<'_>,
+    ) -> Result<SubmitOutcome, DatabaseError> {
+        let (plan, fresh, text_bytes) = (new.plan, new.no_cache, new.file_text.len());
+        let submitted = self.queue.submit_with(new, options).await?;
+        let SubmitOutcome::Created(number) = submitted else { return Ok(submitted) };
+        self.jobs.insert(number, text_bytes, Arc::clone(&job));
+        if fresh {
+            return Ok(submitted);
+        }
+        for frame in 0..plan.frames.min(MAX_EAGER_CACHE_LOOKUPS) {
+            // Without a thread to parse the job, the frame is opened like any other.
+            let Ok(opening) = self.jobs.frame_opening(reader, &job, number, frame, plan).await else { break };
+            if !self.queue.has_picture(&opening.picture_key).await?
+                || self.queue.reuse(opening).await? != OpenOutcome::Stored
+            {
+                break;
+            }
+        }
+        Ok(submitted)
+    }
+}

@@ -1,0 +1,95 @@
+//! A worker's sync: its results are checked and counted, and work is claimed, for which frames are opened as needed.
+//!
+//! Depends on no HTTP types; waiting for work is up to the caller.
+
+mod frame_openings;
+mod result_check;
+
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+
+use crate::content_store::{ContentError, ContentKind};
+use crate::counters::ServerCounters;
+use crate::db::DatabaseError;
+use crate::orphans::Orphans;
+use crate::preview_helper::PreviewHelper;
+use crate::queue::{NextWork, Queue, SyncInput, SyncOutcome};
+use crate::space_reserve::SpaceReserve;
+pub(crate) use frame_openings::FrameOpenings;
+pub(crate) use result_check::ResultCheck;
+
+/// Error of a worker's sync.
+#[derive(Debug, thiserror::Error)]
+pub(crate) enum SyncError {
+    /// The database failed.
+    #[error(transparent)]
+    Store(#[from] DatabaseError),
+    /// The content store failed.
+    #[error(transparent)]
+    Content(#[from] ContentError),
+}
+
+/// Service for the syncs of workers.
+#[derive(Debug)]
+pub(crate) struct WorkerSync {
+    /// The queue.
+    pub(crate) queue: Queue,
+    /// Check of results before they count.
+    pub(crate) results: ResultCheck,
+    /// Opening of the frames that the queue has reached.
+    pub(crate) openings: FrameOpenings,
+    /// Space set aside for a full disk.
+    pub(crate) reserve: Arc<SpaceReserve>,
+    /// Takes what the results have replaced.
+    pub(crate) orphans: Orphans,
+    /// Forgets what was drawn from refuted pictures.
+    pub(crate) preview_helper: Arc<PreviewHelper>,
+    /// Counters of outcomes.
+    pub(crate) counters: Arc<ServerCounters>,
+}
+
+impl WorkerSync {
+    /// Runs a worker's sync until it has work or there is none; `None` if the worker is unknown.
+    pub(crate) async fn sync(&self, mut turn: SyncInput) -> Result<Option<SyncOutcome>, SyncError> {
+        let gate = if turn.has_reports() { Some(self.results.block_sweep().await) } else { None };
+        self.results.check(&mut turn).await?;
+        // Results could not be stored, and would take the space that deletions need.
+        turn.wants_work &= !self.reserve.is_released();
+        let worker = turn.worker;
+        let again = turn.without_reports();
+        let taken = self.queue.turn(turn).await?;
+        drop(gate);
+        let Some(mut turned) = taken else { return Ok(None) };
+        self.count(&turned);
+        self.orphans.sweep_later(ContentKind::Blob, std::mem::take(&mut turned.leftovers));
+        let forgotten = std::mem::take(&mut turned.verification.forgotten);
+        for hash in &forgotten {
+            self.preview_helper.forget(hash);
+        }
+        self.orphans.sweep_later(ContentKind::Picture, forgotten);
+        while let NextWork::OpenFrame { job, frame, plan } = turned.next {
+            let Some(opening) = self.openings.of(job, frame, plan).await? else {
+                turned.next = NextWork::Nothing(None);
+                break;
+            };
+            let Some(more) = self.queue.turn(SyncInput { opening: Some(opening), ..again.clone() }).await? else {
+                tracing::warn!(%worker, "a worker exited while it claimed work");
+                return Ok(None);
+            };
+            self.count(&more);
+            turned.next = more.next;
+            turned.drain |= more.drain;
+        }
+        Ok(Some(turned))
+    }
+
+    fn count(&self, turned: &SyncOutcome) {
+        self.counters.expired.fetch_add(turned.expired, Ordering::Relaxed);
+        self.counters.fenced.fetch_add(turned.fenced, Ordering::Relaxed);
+        self.counters.nondeterministic.fetch_add(turned.nondeterministic, Ordering::Relaxed);
+        self.counters.rejected.fetch_add(turned.rejected, Ordering::Relaxed);
+        self.counters.verified.fetch_add(turned.verification.agreed, Ordering::Relaxed);
+        self.counters.refuted.fetch_add(turned.verification.differed, Ordering::Relaxed);
+        self.counters.unverified.fetch_add(turned.verification.skipped, Ordering::Relaxed);
+    }
+}
