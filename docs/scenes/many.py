@@ -1,7 +1,9 @@
-"""Writes a job of many shapes, for benchmarks: python3 many.py spheres|boxes|painted COUNT WIDTH HEIGHT SAMPLES > job.json
+"""Writes a job of many shapes, for benchmarks:
+python3 many.py spheres|boxes|painted|formulas|moving COUNT WIDTH HEIGHT SAMPLES > job.json
 
 One smooth union: of spheres that fill a ball, or of turned boxes that stand on a square, like houses. Painted ones are the
-spheres in eight materials, one of which has a texture.
+spheres in eight materials, one of which has a texture. Formulas are COUNT formulas, four of each sphere; moving ones follow
+the time in 24 frames.
 """
 
 import json
@@ -39,6 +41,14 @@ def box():
     return move([between(-1, 1), round(high / 2, 5), between(-1, 1)], turned)
 
 
+def formulas():
+    """A sphere whose place and size are formulas."""
+    x, y, z = [between(-1, 1) for _ in range(3)]
+    sway = " + 0.1 * sin(360 * t + 90)" if kind == "moving" else ""
+    place = [{"expr": f"spread * {x}{sway}"}, {"expr": f"mix(low, 1, {abs(y)})"}, {"expr": f"spread * cos({180 * z:.3f})"}]
+    return move(place, {"sphere": {"radius": {"expr": f"size * (0.5 + {abs(x)})"}}})
+
+
 def move(place, child):
     return {"translate": {"by": place, "child": child}}
 
@@ -46,7 +56,10 @@ def move(place, child):
 MATERIALS = {color: {"diffuse": {"kd": color}} for color in
              ["#c0392b", "#2456a6", "#e8e4da", "#d9a441", "#3c7a3e", "#5b3f8c", "#222428"]}
 MATERIALS["tiles"] = {"diffuse": {"kd": {"checker": {"cell": 0.03, "colors": ["#f0e8d8", "#a04028"]}}}}
-shapes = [{"spheres": sphere, "boxes": box, "painted": painted}[kind]() for _ in range(count)]
+kinds = {"spheres": sphere, "boxes": box, "painted": painted, "formulas": formulas, "moving": formulas}
+if kind in ("formulas", "moving"):
+    count //= 4
+shapes = [kinds[kind]() for _ in range(count)]
 smooth = round(0.3 * count ** (-1 / 2 if kind == "boxes" else -1 / 3), 5)
 scene = {
     "camera": {"position": [0.9, 1.5, -2.6], "look_at": [0, 0, 0], "fov": 48},
@@ -55,4 +68,9 @@ scene = {
 }
 if kind == "painted":
     scene["materials"] = MATERIALS
-print(json.dumps({"scene": scene, "image": {"width": width, "height": height, "samples": samples}}))
+job = {"scene": scene, "image": {"width": width, "height": height, "samples": samples}}
+if kind in ("formulas", "moving"):
+    scene["numbers"] = {"spread": "0.9 + size", "low": -0.5, "size": 0.02}
+if kind == "moving":
+    job["frames"] = {"count": 24, "fps": 24}
+print(json.dumps(job))

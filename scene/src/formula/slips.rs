@@ -91,7 +91,7 @@ pub(super) fn synonym(name: &str) -> Option<&'static str> {
     })
 }
 
-/// What to do about an operation that has no finite value for these numbers.
+/// Fix of an operation that has no finite value for these numbers.
 pub(super) fn cure(name: &str, numbers: &[f32]) -> &'static str {
     match (name, numbers) {
         ("/" | "%" | "mod", [.., 0.0]) => "divide by a number that is not 0",

@@ -29,7 +29,7 @@ enum Meaning {
 /// A job in which one value is written in another form.
 struct Form {
     job: Value,
-    /// What is at the place.
+    /// The value at the place.
     written: Value,
     meaning: Meaning,
 }
@@ -119,7 +119,7 @@ impl Form {
         Self { meaning: Meaning::Moving, ..self }
     }
 
-    /// What is wrong with how the form is read.
+    /// The error in how the form is read.
     fn check(&self, schema: &Schema, place: &Place, key: &str, counts: &Counts) -> Option<String> {
         let is_allowed = schema.allows(&place.schema, &self.written);
         let errors = match parse(self.job.to_string().as_bytes()) {

@@ -55,7 +55,7 @@ const CURES: [&str; 26] = [
 /// A wrong use.
 struct Case<'t> {
     title: &'t str,
-    /// What is written: the name of a part of a job.
+    /// The name of a part of a job.
     part: &'t str,
     text: &'t str,
 }

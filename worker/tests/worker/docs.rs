@@ -28,6 +28,14 @@ struct Picture {
     file: String,
     /// Job that it shows.
     job: Job,
+    /// Frame of the job.
+    frame: u32,
+}
+
+impl Picture {
+    fn of_a_still(file: String, job: Job) -> Self {
+        Self { file, job, frame: 0 }
+    }
 }
 
 /// How a page's pictures are compared.
@@ -50,11 +58,11 @@ fn assert_fresh(page: &Page, compared: Compared) {
     if read(page.name) != page.text.as_bytes() {
         stale.push(page.name);
     }
-    for Picture { file, job } in &page.pictures {
+    for Picture { file, job, frame } in &page.pictures {
         let got = read(file);
         let is_fresh = match compared {
-            Compared::Provenance => picture::says_it_shows(&got, job),
-            Compared::Pixels => picture::shows(&got, job),
+            Compared::Provenance => picture::says_it_shows(&got, job, *frame),
+            Compared::Pixels => picture::shows(&got, job, *frame),
         };
         if !is_fresh {
             stale.push(file);
@@ -71,9 +79,9 @@ fn write(page: &Page, docs: &Path) {
         std::fs::write(&path, bytes).expect("docs can be written");
     };
     write(page.name, page.text.as_bytes());
-    for Picture { file, job } in &page.pictures {
-        if !picture::shows(&std::fs::read(docs.join(file)).unwrap_or_default(), job) {
-            write(file, &picture::render(job));
+    for Picture { file, job, frame } in &page.pictures {
+        if !picture::shows(&std::fs::read(docs.join(file)).unwrap_or_default(), job, *frame) {
+            write(file, &picture::render(job, *frame));
         }
     }
 }

@@ -1,4 +1,4 @@
-//! `sdfarm bench setup`: measures how long an animated job takes to evaluate at a frame.
+//! `sdfarm bench setup`: measures how long a job takes to read, and an animated one to evaluate at a frame.
 
 use std::fmt::Write as _;
 use std::hint::black_box;
@@ -21,7 +21,10 @@ const SHAPES_PER_OBJECT: usize = 16;
 /// Arguments of `bench setup`.
 #[derive(Debug, Args)]
 pub(crate) struct Arguments {
-    /// Size of the job file, in KiB.
+    /// Job file, or name of a shipped scene [default: a generated animated job].
+    #[arg(value_name = "JOB", conflicts_with = "kib")]
+    job: Option<String>,
+    /// Size of the generated job, in KiB.
     #[arg(long, value_name = "KIB", env = "SDFARM_KIB", default_value_t = 30, value_parser = clap::value_parser!(u32).range(1..=1024))]
     kib: u32,
     /// Number of times to set up each frame.
@@ -74,8 +77,11 @@ impl Spread {
 
 /// Runs the measurements and prints them.
 pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
-    let text = job_file(arguments.kib as usize * 1024);
-    let parse = || scene::parse(text.as_bytes()).context("the measured job is invalid");
+    let text = match &arguments.job {
+        Some(name) => super::text(name)?,
+        None => job_file(arguments.kib as usize * 1024).into_bytes(),
+    };
+    let parse = || scene::parse(&text).context("the measured job is invalid");
     let job = parse()?;
     let report = SetupReport {
         size_bytes: text.len(),

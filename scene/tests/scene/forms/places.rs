@@ -3,7 +3,7 @@
 
 use serde_json::{Map, Value};
 
-/// What may stand at a place.
+/// Kinds of values that may stand at a place.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum Kind {
     Number,

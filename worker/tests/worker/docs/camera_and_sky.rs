@@ -95,7 +95,7 @@ pub(crate) fn page() -> Page {
     let mut page = Page { name: "camera-and-sky.md", text: HEAD.to_owned(), pictures: Vec::new() };
     page.text += &part(&schema, "Camera");
     page.text += &part(&schema, "Turntable");
-    let none = Picture { file: "pictures/effects/none.png".to_owned(), job: with("") };
+    let none = Picture::of_a_still("pictures/effects/none.png".to_owned(), with(""));
     let families = [
         (PROJECTIONS, "projections", "Projection", Projection::examples(), columns as fn(&str) -> Job),
         (BACKGROUNDS, "backgrounds", "Background", Background::examples(), before),
@@ -106,7 +106,7 @@ pub(crate) fn page() -> Page {
         for example in examples {
             let file = file(folder, &example.name, example.index);
             page.text += &kind_section(&schema, definition, &example, &file);
-            page.pictures.push(Picture { file, job: job(&example.json) });
+            page.pictures.push(Picture::of_a_still(file, job(&example.json)));
         }
     }
     page.pictures.push(none);

@@ -13,6 +13,17 @@ The scenes that come with sdfarm, drawn small: `sdfarm render scenes/NAME.json -
 page is made from them: `SDFARM_WRITE_DOCS=1 cargo test -p worker --test worker docs`.
 ";
 
+/// Headings, folders of the repository, and where the pictures are in `docs/pictures/gallery`.
+const PARTS: [(&str, &str, &str); 3] = [
+    ("", "scenes", ""),
+    ("\n# Of the paper\n", "scenes/paper", "paper/"),
+    (
+        "\n# With names, formulas and copies\n\nThese jobs say each thing once: named shapes and numbers, formulas, copies, scatters and tracks.\n",
+        "docs/scenes",
+        "written/",
+    ),
+];
+
 const WIDTH: u32 = 400;
 const MAX_SAMPLES: u32 = 12;
 
@@ -38,21 +49,23 @@ fn small(job: Job) -> Job {
 }
 
 pub(crate) fn page() -> Page {
-    let scenes = Path::new(env!("CARGO_MANIFEST_DIR")).join("../scenes");
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
     let mut page = Page { name: "gallery.md", text: HEAD.to_owned(), pictures: Vec::new() };
-    for (heading, folder) in [("", ""), ("\n# Of the paper\n", "paper/")] {
+    for (heading, folder, pictures) in PARTS {
         page.text += heading;
-        for (name, job) in jobs(&scenes.join(folder)) {
-            let file = format!("pictures/gallery/{folder}{name}.png");
+        for (name, job) in jobs(&root.join(folder)) {
+            let file = format!("pictures/gallery/{pictures}{name}.png");
             let Image { width, height, samples, .. } = job.image;
             let frames = if job.frames.count > 1 { format!(", {} frames", job.frames.count) } else { String::new() };
             write!(
                 page.text,
-                "\n## [{name}](../scenes/{folder}{name}.json)\n\n{} nodes, {width}×{height} × {samples}{frames}\n\n![{name}]({file})\n",
+                "\n## [{name}](../{folder}/{name}.json)\n\n{} nodes, {width}×{height} × {samples}{frames}\n\n![{name}]({file})\n",
                 job.nodes()
             )
             .expect("a String takes all");
-            page.pictures.push(Picture { file, job: small(job) });
+            // Everything that moves in these jobs has arrived in the last frame.
+            let frame = if pictures == "written/" { job.frames.count - 1 } else { 0 };
+            page.pictures.push(Picture { file, job: small(job), frame });
         }
     }
     page

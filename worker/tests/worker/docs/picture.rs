@@ -27,19 +27,19 @@ pub(crate) fn stage(keys: &str, [width, height]: [u32; 2]) -> Job {
     scene::parse(text.as_bytes()).unwrap_or_else(|refusal| panic!("{refusal}\n{text}"))
 }
 
-/// A PNG of a job's first frame.
-pub(crate) fn render(job: &Job) -> Vec<u8> {
+/// A PNG of a frame of a job.
+pub(crate) fn render(job: &Job, frame: u32) -> Vec<u8> {
     let renderer = CpuRenderer::new(None, Simd::Auto).expect("this CPU renders");
     let mut file = Cursor::new(Vec::new());
     let scratch = std::env::temp_dir();
-    worker::frame::render_frame(&renderer, job, 0, None, &scratch, &mut file, &CancelFlag::new(), &|_| ())
+    worker::frame::render_frame(&renderer, job, frame, None, &scratch, &mut file, &CancelFlag::new(), &|_| ())
         .expect("a small picture renders");
     file.into_inner()
 }
 
-/// Whether a PNG's provenance names this job's first frame, and its size. The picture version is left out, because most
+/// Whether a PNG's provenance names this frame of a job, and its size. The picture version is left out, because most
 /// pictures are the same in the next.
-pub(crate) fn says_it_shows(png: &[u8], job: &Job) -> bool {
+pub(crate) fn says_it_shows(png: &[u8], job: &Job, frame: u32) -> bool {
     let Ok(reader) = png::Decoder::new(Cursor::new(png)).read_info() else { return false };
     let info = reader.info();
     let of_any_version = |text: &str| {
@@ -47,15 +47,15 @@ pub(crate) fn says_it_shows(png: &[u8], job: &Job) -> bool {
         said.as_object_mut()?.remove("picture_version");
         Some(said)
     };
-    let wanted = of_any_version(&Provenance::new(&job.at(0).expect("an example has a first frame")).json());
+    let wanted = of_any_version(&Provenance::new(&job.at(frame).expect("an example is valid in all frames")).json());
     let said =
         info.utf8_text.iter().filter_map(|chunk| chunk.get_text().ok()).any(|text| of_any_version(&text) == wanted);
     said && (info.width, info.height) == (job.image.width, job.image.height)
 }
 
-/// Whether a PNG shows what a job's first frame looks like: has the same bytes but for the picture version.
-pub(crate) fn shows(png: &[u8], job: &Job) -> bool {
-    says_it_shows(png, job) && pixels(png) == pixels(&render(job))
+/// Whether a PNG shows what this frame of a job looks like: has the same bytes but for the picture version.
+pub(crate) fn shows(png: &[u8], job: &Job, frame: u32) -> bool {
+    says_it_shows(png, job, frame) && pixels(png) == pixels(&render(job, frame))
 }
 
 fn pixels(png: &[u8]) -> Vec<u8> {
