@@ -7,6 +7,8 @@ mod connection;
 mod dialect;
 mod external;
 mod first_write;
+#[cfg(test)]
+pub(crate) mod postgres;
 mod query;
 mod row;
 mod value;
@@ -172,8 +174,8 @@ impl Database {
             .await?;
         let commits = CommitTimes::default();
         Ok(Self {
-            writer: Writer::start(Connection::Sqlite(connection), commits.clone(), Wal::new(&file, wal::LIMIT_BYTES)),
-            readers: Readers::Sqlite(readers),
+            writer: Writer::start(Connection(connection), commits.clone(), Wal::new(&file, wal::LIMIT_BYTES)),
+            readers: Readers(readers),
             commits,
         })
     }

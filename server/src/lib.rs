@@ -34,6 +34,9 @@ mod queue;
 mod retention;
 mod shutdown;
 mod signed_links;
+#[cfg(test)]
+#[path = "../../tests/skip.rs"]
+mod skip;
 mod space_reserve;
 mod startup;
 mod submissions;

@@ -20,7 +20,7 @@ impl Database {
             .disable_statement_logging()
             .connect()
             .await?;
-        Ok(Connection::Sqlite(connection))
+        Ok(Connection(connection))
     }
 }
 
@@ -28,6 +28,6 @@ impl Connection {
     /// Opens any database file for reading.
     pub(crate) async fn read_file(file: &Path) -> Result<Self, DatabaseError> {
         let options = SqliteConnectOptions::new().filename(file).read_only(true).disable_statement_logging();
-        Ok(Self::Sqlite(options.connect().await?))
+        Ok(Self(options.connect().await?))
     }
 }

@@ -4,9 +4,8 @@ use std::marker::PhantomData;
 
 #[cfg(test)]
 use sqlx::AssertSqlSafe;
-use sqlx::postgres::Postgres;
 use sqlx::query::Query;
-use sqlx::sqlite::Sqlite;
+use sqlx::sqlite::{Sqlite, SqliteArguments};
 use sqlx::{SqlSafeStr, SqlStr};
 
 use super::DatabaseError;
@@ -25,7 +24,7 @@ enum Text {
     Made(String),
 }
 
-/// A statement with its values, in the language of `dialect`.
+/// A statement with its values, in the language that `dialect` describes.
 #[derive(Clone, Debug)]
 pub(crate) struct Statement {
     text: Text,
@@ -82,33 +81,29 @@ impl Statement {
 
     /// Runs it, and returns how many rows it changed.
     pub(crate) async fn execute(self, on: impl Into<Target<'_>>) -> Result<Changed, DatabaseError> {
-        let rows = match on.into() {
-            Target::Sqlite(connection) => self.sqlite().execute(connection).await?.rows_affected(),
-            Target::SqliteReaders(pool) => self.sqlite().execute(pool).await?.rows_affected(),
-            Target::Postgres(connection) => self.postgres().execute(connection).await?.rows_affected(),
-            Target::PostgresReaders(pool) => self.postgres().execute(pool).await?.rows_affected(),
+        let done = match on.into() {
+            Target::Connection(connection) => self.into_query().execute(connection).await?,
+            Target::Readers(pool) => self.into_query().execute(pool).await?,
         };
-        Ok(Changed { rows })
+        Ok(Changed { rows: done.rows_affected() })
     }
 
     /// Its rows.
     pub(crate) async fn fetch_all(self, on: impl Into<Target<'_>>) -> Result<Vec<Row>, DatabaseError> {
-        Ok(match on.into() {
-            Target::Sqlite(connection) => sqlite_rows(self.sqlite().fetch_all(connection).await?),
-            Target::SqliteReaders(pool) => sqlite_rows(self.sqlite().fetch_all(pool).await?),
-            Target::Postgres(connection) => postgres_rows(self.postgres().fetch_all(connection).await?),
-            Target::PostgresReaders(pool) => postgres_rows(self.postgres().fetch_all(pool).await?),
-        })
+        let rows = match on.into() {
+            Target::Connection(connection) => self.into_query().fetch_all(connection).await?,
+            Target::Readers(pool) => self.into_query().fetch_all(pool).await?,
+        };
+        Ok(rows.into_iter().map(Row::from).collect())
     }
 
     /// Its row, if there is one.
     pub(crate) async fn fetch_optional(self, on: impl Into<Target<'_>>) -> Result<Option<Row>, DatabaseError> {
-        Ok(match on.into() {
-            Target::Sqlite(connection) => self.sqlite().fetch_optional(connection).await?.map(Row::Sqlite),
-            Target::SqliteReaders(pool) => self.sqlite().fetch_optional(pool).await?.map(Row::Sqlite),
-            Target::Postgres(connection) => self.postgres().fetch_optional(connection).await?.map(Row::Postgres),
-            Target::PostgresReaders(pool) => self.postgres().fetch_optional(pool).await?.map(Row::Postgres),
-        })
+        let row = match on.into() {
+            Target::Connection(connection) => self.into_query().fetch_optional(connection).await?,
+            Target::Readers(pool) => self.into_query().fetch_optional(pool).await?,
+        };
+        Ok(row.map(Row::from))
     }
 
     /// Its row.
@@ -116,7 +111,9 @@ impl Statement {
         self.fetch_optional(on).await?.ok_or_else(|| sqlx::Error::RowNotFound.into())
     }
 
-    fn sqlite(self) -> Query<'static, Sqlite, <Sqlite as sqlx::Database>::Arguments> {
+    fn into_query(self) -> Query<'static, Sqlite, SqliteArguments> {
+        #[cfg(test)]
+        super::postgres::record(&self);
         let query = sqlx::query(self.text.into_dialect(Dialect::Sqlite));
         self.values.into_iter().fold(query, |query, value| match value {
             Value::Integer(value) => query.bind(value),
@@ -126,14 +123,13 @@ impl Statement {
         })
     }
 
-    fn postgres(self) -> Query<'static, Postgres, <Postgres as sqlx::Database>::Arguments> {
-        let query = sqlx::query(self.text.into_dialect(Dialect::Postgres));
-        self.values.into_iter().fold(query, |query, value| match value {
-            Value::Integer(value) => query.bind(value),
-            Value::Real(value) => query.bind(value),
-            Value::Text(value) => query.bind(value),
-            Value::Bytes(value) => query.bind(value),
-        })
+    /// Its text, if it is written in the program, and its values.
+    #[cfg(test)]
+    pub(super) fn parts(&self) -> Option<(&'static str, &[Value])> {
+        match self.text {
+            Text::Written(text) => Some((text, &self.values)),
+            Text::Made(_) => None,
+        }
     }
 }
 
@@ -167,12 +163,4 @@ impl Text {
             Self::Made(text) => AssertSqlSafe(dialect::translate(&text, dialect)).into_sql_str(),
         }
     }
-}
-
-fn sqlite_rows(rows: Vec<sqlx::sqlite::SqliteRow>) -> Vec<Row> {
-    rows.into_iter().map(Row::Sqlite).collect()
-}
-
-fn postgres_rows(rows: Vec<sqlx::postgres::PgRow>) -> Vec<Row> {
-    rows.into_iter().map(Row::Postgres).collect()
 }

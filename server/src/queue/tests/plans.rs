@@ -119,9 +119,8 @@ async fn plan(readers: &Readers, statement: &str) -> Vec<String> {
     rows.iter().map(|row| row.get("detail").expect("a text")).collect()
 }
 
-#[tokio::test]
-async fn every_statement_uses_an_index() {
-    tracing::subscriber::set_global_default(Recorder).expect("no other test sets a subscriber");
+/// Runs random sequences, and the statements that they do not run.
+async fn run_sequences() {
     let mut runner = TestRunner::deterministic();
     for _ in 0..SEQUENCES {
         let folder = tempfile::tempdir().expect("a temporary folder");
@@ -133,6 +132,20 @@ async fn every_statement_uses_an_index() {
         pair.work_off().await;
         ask(&pair.bench).await;
     }
+}
+
+#[tokio::test]
+async fn every_statement_is_prepared_by_postgresql() {
+    run_sequences().await;
+    if let Some(prepared) = db::postgres::prepare_all().await {
+        assert!(prepared >= 60, "only {prepared} statements were recorded");
+    }
+}
+
+#[tokio::test]
+async fn every_statement_uses_an_index() {
+    tracing::subscriber::set_global_default(Recorder).expect("no other test sets a subscriber");
+    run_sequences().await;
     let bench = Fixture::new().await;
     let seen = SEEN.lock().expect("no holder panics").clone();
     let (mut explained, mut wasteful) = (0, Vec::new());
