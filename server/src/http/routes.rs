@@ -61,7 +61,7 @@ pub(super) mod limit {
     pub(in crate::http) const NONE: Option<Duration> = None;
 }
 
-/// What the audit log records of a route's requests. Rejections are recorded of every route.
+/// Changes that the audit log records of a route. Rejections are recorded of every route.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Audit {
     /// Nothing.
@@ -101,7 +101,7 @@ pub(super) struct Policy {
     pub(super) permission: Permission,
     /// Time limit for the start of the response.
     pub(super) time_limit: Option<Duration>,
-    /// What the audit log records.
+    /// Changes that the audit log records.
     pub(super) audit: Audit,
     /// Whether monitors and workers request it again and again: it is served before others, and not traced.
     pub(super) is_polled: bool,

@@ -82,7 +82,7 @@ handles_of_state! {
     reserve: Arc<SpaceReserve>,
     /// Deletion of jobs past their retention.
     retention: Arc<Retention>,
-    /// What callers have in progress.
+    /// Requests and bytes that callers have in progress.
     shares: Arc<Shares>,
     /// Stages of the shutdown.
     shutdown: Shutdown,

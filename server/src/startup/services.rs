@@ -35,7 +35,7 @@ use crate::telemetry::Telemetry;
 use crate::webhooks::{AddressPolicy, Signer, Webhooks};
 use crate::worker_sync::{FrameOpenings, ResultCheck, WorkerSync};
 
-/// What was opened, and only one service or the server itself takes.
+/// Opened parts that one service, or the server itself, takes alone.
 pub(super) struct Opened {
     /// Bound addresses.
     pub(super) listeners: Listeners,
@@ -55,7 +55,7 @@ pub(super) struct Opened {
     pub(super) lock: FolderLock,
 }
 
-/// What several services share.
+/// Parts that several services share.
 pub(super) struct Foundation {
     /// The queue.
     pub(super) queue: Queue,
