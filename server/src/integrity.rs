@@ -45,7 +45,7 @@ const INVARIANTS: [(&str, &str); 8] = [
     ),
     (
         "a job's counter of finished tiles is wrong",
-        "SELECT number FROM job WHERE cleanup IS NOT 'delete' AND tiles_done <>
+        "SELECT number FROM job WHERE cleanup IS DISTINCT FROM 'delete' AND tiles_done <>
          (SELECT coalesce(sum(tiles_done), 0) FROM frame WHERE frame.job = job.number)",
     ),
     (
@@ -57,7 +57,7 @@ const INVARIANTS: [(&str, &str); 8] = [
     ),
     (
         "a job's counter of stored frames is wrong",
-        "SELECT job.number FROM job WHERE cleanup IS NOT 'delete' AND frames_stored <>
+        "SELECT job.number FROM job WHERE cleanup IS DISTINCT FROM 'delete' AND frames_stored <>
          (SELECT count(*) FROM frame WHERE frame.job = job.number AND frame.state = 'stored')",
     ),
     (
@@ -72,7 +72,7 @@ const INVARIANTS: [(&str, &str); 8] = [
     (
         "a job does not have exactly one success event",
         // A job whose picture was lost or forgotten runs again, and succeeds once more.
-        "SELECT number FROM job WHERE state = 'succeeded' AND cleanup IS NOT 'delete' AND
+        "SELECT number FROM job WHERE state = 'succeeded' AND cleanup IS DISTINCT FROM 'delete' AND
          (SELECT count(*) FROM outbox WHERE outbox.job = job.number AND outbox.state = 'succeeded') <> 1 +
          (SELECT count(*) FROM outbox WHERE outbox.job = job.number AND outbox.state = 'running' AND outbox.number >
           (SELECT min(number) FROM outbox AS first WHERE first.job = job.number AND first.state = 'succeeded'))",
@@ -98,7 +98,7 @@ pub async fn check_integrity(data: &Path) -> Result<IntegrityReport, IntegrityEr
         }
     }
     // A job that is being deleted has no id any more, and only some of its rows.
-    let ids = db::query_scalar::<String>("SELECT id FROM job WHERE cleanup IS NOT 'delete'");
+    let ids = db::query_scalar::<String>("SELECT id FROM job WHERE cleanup IS DISTINCT FROM 'delete'");
     for id in ids.fetch_all(&mut connection).await? {
         match id.parse() {
             Ok(id) => drop(audit.jobs.insert(id)),

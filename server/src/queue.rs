@@ -376,7 +376,7 @@ impl Queue {
 
 /// Id of a job, for logs.
 async fn job_id(connection: &mut Connection, job: i64) -> Result<String> {
-    Ok(db::query_scalar("SELECT id FROM job WHERE number = ?").bind(job).fetch_one(connection).await?)
+    db::query_scalar("SELECT id FROM job WHERE number = ?").bind(job).fetch_one(connection).await
 }
 
 /// Checks how many rows a transition changed.

@@ -15,7 +15,7 @@ use std::sync::{LazyLock, RwLock};
 /// Engine whose language a text is translated to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(crate) enum Dialect {
-    /// SQLite.
+    /// `SQLite`.
     Sqlite,
     /// PostgreSQL.
     #[cfg_attr(

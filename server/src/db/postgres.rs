@@ -1,12 +1,12 @@
 //! PostgreSQL in tests: a cluster of its own in a temporary folder, the tables of `migrations/postgres`, and the statements
-//! that tests have run.
+//! that a test has run.
 
+use std::cell::RefCell;
 use std::collections::{BTreeMap, BTreeSet};
 use std::os::unix::fs::chown;
 use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
-use std::sync::Mutex;
 use std::time::Duration;
 
 use sqlx::postgres::{PgConnectOptions, PgConnection, PgTypeInfo, Postgres};
@@ -25,16 +25,18 @@ static MIGRATIONS: sqlx::migrate::Migrator = sqlx::migrate!("../migrations/postg
 /// Types that a row's columns may have.
 const COLUMN_TYPES: [&str; 6] = ["INT8", "INT4", "BOOL", "FLOAT8", "TEXT", "BYTEA"];
 /// Time for a cluster to start.
-const START_TIMEOUT: Duration = Duration::from_secs(60);
+const START_TIMEOUT: Duration = Duration::from_mins(1);
 
-/// Statements that this process has run, with the types of their parameters.
-static SEEN: Mutex<BTreeMap<&'static str, Vec<PgTypeInfo>>> = Mutex::new(BTreeMap::new());
+thread_local! {
+    /// Statements that this test has run, with the types of their parameters. A test's runtime has one thread.
+    static SEEN: RefCell<BTreeMap<&'static str, Vec<PgTypeInfo>>> = RefCell::default();
+}
 
 /// Records a statement.
 pub(super) fn record(statement: &Statement) {
     let Some((text, values)) = statement.parts() else { return };
     let of_sqlite = ["PRAGMA", "BEGIN", "COMMIT", "ROLLBACK", "SAVEPOINT", "RELEASE"];
-    if of_sqlite.iter().any(|word| text.starts_with(word)) || text.contains("sqlite_") || text.contains("pragma_") {
+    if of_sqlite.iter().any(|word| text.starts_with(word)) {
         return;
     }
     let kinds = values.iter().map(|value| match value {
@@ -43,7 +45,9 @@ pub(super) fn record(statement: &Statement) {
         Value::Text(_) => <str as Type<Postgres>>::type_info(),
         Value::Bytes(_) => <Vec<u8> as Type<Postgres>>::type_info(),
     });
-    SEEN.lock().expect("no holder panics").entry(text).or_insert_with(|| kinds.collect());
+    SEEN.with_borrow_mut(|seen| {
+        seen.entry(text).or_insert_with(|| kinds.collect());
+    });
 }
 
 /// A running cluster; it is stopped and removed when it is dropped.
@@ -138,10 +142,10 @@ fn command(program: &Path, user: Option<u32>) -> Command {
     command
 }
 
-/// Prepares every recorded statement for PostgreSQL; returns how many, or `None` if it is not installed.
+/// Prepares for PostgreSQL every statement that this test has run; returns how many, or `None` if it is not installed.
 pub(crate) async fn prepare_all() -> Option<usize> {
     let (cluster, mut connection) = Cluster::start().await?;
-    let seen = SEEN.lock().expect("no holder panics").clone();
+    let seen = SEEN.take();
     let mut failed = Vec::new();
     for (text, parameters) in &seen {
         let translated = translate(text, Dialect::Postgres);

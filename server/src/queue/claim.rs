@@ -316,11 +316,11 @@ pub(super) fn read_ready(row: &Row) -> Result<ReadyTile> {
 
 /// Tile row of a frame's stitch.
 pub(super) async fn stitch_tile(connection: &mut Connection, job: i64, frame: u32) -> Result<i64> {
-    Ok(db::query_scalar("SELECT id FROM tile WHERE job = ? AND frame = ? AND position = -1")
+    db::query_scalar("SELECT id FROM tile WHERE job = ? AND frame = ? AND position = -1")
         .bind(job)
         .bind(frame)
         .fetch_one(connection)
-        .await?)
+        .await
 }
 
 /// Inputs of a stitch.
@@ -366,7 +366,7 @@ async fn grant(
     let tiles = super::json_numbers(grants.iter().map(|grant| grant.tile));
     let leased = db::query(
         "UPDATE tile SET state = 'leased', epoch = epoch + 1, not_before_ms = 0
-         WHERE state = 'ready' AND id IN (SELECT value FROM @texts(?))",
+         WHERE state = 'ready' AND id IN (SELECT value FROM @numbers(?))",
     )
     .bind(tiles)
     .execute(&mut *connection)
@@ -386,8 +386,8 @@ pub(super) async fn make_leases(
         grants.iter().map(|grant| (grant.tile, grant.lease.to_string(), grant.charged_us)).collect();
     let made = db::query(
         "INSERT INTO lease (id, tile, epoch, worker, generation, granted_ms, expires_ms, charged_us, charged_priority)
-         SELECT new.value ->> 1, tile.id, tile.epoch, ?1, ?2, ?3, ?4, new.value ->> 2, job.priority
-         FROM json_each(?5) AS new @join tile ON tile.id = new.value ->> 0
+         SELECT listed.value ->> 1, tile.id, tile.epoch, ?1, ?2, ?3, ?4, CAST(listed.value ->> 2 AS BIGINT), job.priority
+         FROM @rows(?5) @join tile ON tile.id = CAST(listed.value ->> 0 AS BIGINT)
          @join job ON job.number = tile.job",
     )
     .bind(worker)

@@ -99,7 +99,7 @@ pub(super) async fn piece(connection: &mut Connection, job: i64, moment: Transit
 
 /// Next frame of a job in one of some states.
 async fn next_frame(connection: &mut Connection, statement: &'static str, job: i64) -> Result<Option<u32>> {
-    Ok(db::query_scalar(statement).bind(job).fetch_optional(connection).await?)
+    db::query_scalar(statement).bind(job).fetch_optional(connection).await
 }
 
 /// Voids open frames and tiles of a job that ended; returns whether none is left, and the frames' blobs.
@@ -156,7 +156,7 @@ async fn void_tiles(
     let count = row_count(tiles.len());
     let tiles = json_numbers(tiles);
     let leases: Vec<String> = db::query_scalar(
-        "SELECT lease.id FROM json_each(?) AS listed @join lease ON lease.tile = listed.value
+        "SELECT lease.id FROM @numbers(?) @join lease ON lease.tile = listed.value
          WHERE lease.ended IS NULL",
     )
     .bind(&tiles)
@@ -170,7 +170,7 @@ async fn void_tiles(
             .execute(&mut *connection)
             .await?;
     }
-    let voided = db::query("UPDATE tile SET state = 'void' WHERE id IN (SELECT value FROM @texts(?))")
+    let voided = db::query("UPDATE tile SET state = 'void' WHERE id IN (SELECT value FROM @numbers(?))")
         .bind(&tiles)
         .execute(connection)
         .await?;
@@ -208,7 +208,7 @@ async fn requeue_piece(connection: &mut Connection, job: i64, moment: Transition
         db::query(
             "UPDATE tile SET state = 'ready', not_before_ms = 0, avoid = NULL, errors = 0, crashes = 0, lost = 0,
                              interrupts = 0, blob = NULL, blob_bytes = NULL
-             WHERE id IN (SELECT value FROM @texts(?))",
+             WHERE id IN (SELECT value FROM @numbers(?))",
         )
         .bind(json_numbers(tiles.iter().map(|(tile, _)| *tile)))
         .execute(&mut *connection)

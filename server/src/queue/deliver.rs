@@ -183,8 +183,8 @@ async fn finish_tiles(
     expect_rows("lease: live to ended", count, ended)?;
     let results: Vec<_> = tiles.iter().map(|tile| (tile.held.tile, tile.hash, tile.size_bytes)).collect();
     let done = db::query(
-        "UPDATE tile SET state = 'done', blob = result.value ->> 1, blob_bytes = result.value ->> 2
-         FROM json_each(?) AS result WHERE tile.id = result.value ->> 0 AND tile.state = 'leased'",
+        "UPDATE tile SET state = 'done', blob = listed.value ->> 1, blob_bytes = CAST(listed.value ->> 2 AS BIGINT)
+         FROM @rows(?) WHERE tile.id = CAST(listed.value ->> 0 AS BIGINT) AND tile.state = 'leased'",
     )
     .bind(serde_json::json!(results).to_string())
     .execute(&mut *connection)

@@ -103,15 +103,17 @@ impl Queue {
 
     /// Whether a job has finished; `None` if it does not exist.
     pub(crate) async fn has_ended(&self, job: i64) -> Result<Option<bool>> {
-        Ok(db::query_scalar("SELECT finished_at_ms IS NOT NULL FROM job WHERE number = ? AND cleanup IS NOT 'delete'")
-            .bind(job)
-            .fetch_optional(self.readers())
-            .await?)
+        db::query_scalar(
+            "SELECT finished_at_ms IS NOT NULL FROM job WHERE number = ? AND cleanup IS DISTINCT FROM 'delete'",
+        )
+        .bind(job)
+        .fetch_optional(self.readers())
+        .await
     }
 
     /// Number of the newest event.
     pub(crate) async fn newest_event(&self) -> Result<i64> {
-        Ok(db::query_scalar(NEWEST_SQL).fetch_one(self.readers()).await?)
+        db::query_scalar(NEWEST_SQL).fetch_one(self.readers()).await
     }
 
     /// The next events of all jobs.
@@ -244,15 +246,16 @@ async fn prune(connection: &mut Connection, ended_before_ms: i64) -> Result<u64>
     .fetch_optional(&mut *connection)
     .await?;
     let Some(job) = job else { return prune_surplus(connection, MAX_EVENTS).await };
-    let last: Option<i64> =
-        db::query_scalar("SELECT max(number) FROM (SELECT number FROM outbox WHERE job = ? ORDER BY number LIMIT ?)")
-            .bind(job)
-            .bind(EVENTS_BATCH)
-            .fetch_one(&mut *connection)
-            .await?;
+    let last: Option<i64> = db::query_scalar(
+        "SELECT max(number) FROM (SELECT number FROM outbox WHERE job = ? ORDER BY number LIMIT ?) AS oldest",
+    )
+    .bind(job)
+    .bind(EVENTS_BATCH)
+    .fetch_one(&mut *connection)
+    .await?;
     db::query(
         "UPDATE job SET events_pruned = coalesce(?1, events_pruned),
-                        events_kept = EXISTS (SELECT 1 FROM outbox WHERE outbox.job = ?2 AND outbox.number > ?1)
+                        events_kept = CAST(EXISTS (SELECT 1 FROM outbox WHERE outbox.job = ?2 AND outbox.number > ?1) AS INTEGER)
          WHERE number = ?2",
     )
     .bind(last)

@@ -49,7 +49,7 @@ pub(super) async fn charge(connection: &mut Connection, share: &FairShare, charg
     let clock_us: i64 = db::query_scalar(
         "INSERT INTO share_clock (priority, served_us)
          SELECT priority, served_us FROM share WHERE submitter = ? AND priority = ?
-         ON CONFLICT (priority) DO UPDATE SET served_us = max(served_us, excluded.served_us)
+         ON CONFLICT (priority) DO UPDATE SET served_us = @max(share_clock.served_us, excluded.served_us)
          RETURNING served_us",
     )
     .bind(&share.submitter)
@@ -57,7 +57,7 @@ pub(super) async fn charge(connection: &mut Connection, share: &FairShare, charg
     .fetch_one(&mut *connection)
     .await?;
     let charged =
-        db::query("UPDATE share SET served_us = min(?, max(served_us, ?) + ?) WHERE submitter = ? AND priority = ?")
+        db::query("UPDATE share SET served_us = @min(?, @max(served_us, ?) + ?) WHERE submitter = ? AND priority = ?")
             .bind(MAX_SERVED_US)
             .bind(clock_us - MAX_CREDIT_US)
             .bind(charged_us)
@@ -82,8 +82,8 @@ struct UsedLease {
 
 /// Live leases of a list, with the data that their used time depends on.
 const USED_SQL: &str = "SELECT lease.id, lease.worker, tile.job, tile.rays, lease.charged_us,
-        max(lease.granted_ms, worker.delivered_ms) AS since_ms
-     FROM json_each(?) AS listed @join lease ON lease.id = listed.value
+        @max(lease.granted_ms, worker.delivered_ms) AS since_ms
+     FROM @texts(?) @join lease ON lease.id = listed.value
      @join worker ON worker.id = lease.worker @join tile ON tile.id = lease.tile
      WHERE lease.ended IS NULL AND (?2 IS NULL OR lease.worker = ?2)";
 
@@ -163,8 +163,8 @@ async fn store_used_time(
     }
     let pairs: Vec<(&str, i64)> = used.iter().map(|(lease, used_us)| (lease.lease.as_str(), *used_us)).collect();
     let stored = db::query(
-        "UPDATE lease SET used_us = pair.value ->> 1 FROM json_each(?) AS pair
-         WHERE lease.id = pair.value ->> 0 AND lease.ended IS NULL",
+        "UPDATE lease SET used_us = CAST(listed.value ->> 1 AS BIGINT) FROM @rows(?)
+         WHERE lease.id = listed.value ->> 0 AND lease.ended IS NULL",
     )
     .bind(serde_json::json!(pairs).to_string())
     .execute(connection)

@@ -60,7 +60,7 @@ pub(super) async fn mark_started(connection: &mut Connection, job: i64, moment: 
 pub(super) async fn progress(connection: &mut Connection, job: i64, by: ProgressDelta) -> Result<i64> {
     let done: Option<i64> = db::query_scalar(
         "UPDATE job SET tiles_done = tiles_done + ?1, rays_done = rays_done + ?2, frames_stored = frames_stored + ?3,
-                        rays_peak = max(rays_peak, rays_done + ?2)
+                        rays_peak = @max(rays_peak, rays_done + ?2)
          WHERE number = ?4 RETURNING tiles_done",
     )
     .bind(by.tiles)

@@ -100,9 +100,9 @@ const DRY_RUN_SQL: &str = "
             SELECT 1 FROM tile AS other WHERE other.blob IS NOT NULL AND other.blob = tile.blob AND other.job <> this.number))
     SELECT state,
            (SELECT count(*) FROM alone) AS pictures,
-           (SELECT coalesce(sum(size_bytes), 0) FROM alone) AS picture_bytes,
+           (SELECT CAST(coalesce(sum(size_bytes), 0) AS BIGINT) FROM alone) AS picture_bytes,
            (SELECT count(*) FROM unneeded) AS blobs,
-           (SELECT coalesce(sum(blob_bytes), 0) FROM unneeded) AS blob_bytes,
+           (SELECT CAST(coalesce(sum(blob_bytes), 0) AS BIGINT) FROM unneeded) AS blob_bytes,
            2 + (SELECT count(*) FROM frame WHERE frame.job = this.number)
              + (SELECT count(*) FROM tile WHERE tile.job = this.number)
              + (SELECT count(*) FROM outbox WHERE outbox.job = this.number) AS rows

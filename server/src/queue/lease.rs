@@ -246,7 +246,7 @@ pub(super) async fn revoke_duplicates(
 ) -> Result<Wake> {
     let void = db::query(
         "UPDATE lease SET ended = 'void', used_us = 0
-             WHERE ended IS NULL AND tile IN (SELECT value FROM @texts(?))",
+             WHERE ended IS NULL AND tile IN (SELECT value FROM @numbers(?))",
     )
     .bind(super::json_numbers(tiles))
     .execute(connection)
@@ -263,7 +263,7 @@ async fn end_lease(
 ) -> Result<()> {
     let used_us = (moment.now_ms - held.granted_ms).max(0).saturating_mul(1000);
     let done = db::query(
-        "UPDATE lease SET ended = ?, used_us = min(charged_us, coalesce(used_us, ?)) WHERE id = ? AND ended IS NULL",
+        "UPDATE lease SET ended = ?, used_us = @min(charged_us, coalesce(used_us, ?)) WHERE id = ? AND ended IS NULL",
     )
     .bind(ended)
     .bind(used_us)

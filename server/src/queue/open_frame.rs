@@ -55,17 +55,20 @@ pub(super) async fn open(
 
 /// Creates the tiles of a frame.
 pub(super) async fn create_tiles(connection: &mut Connection, opening: &FrameOpening) -> Result<()> {
-    let rects: Vec<[u32; 4]> = opening.tiles.iter().map(|rect| [rect.x, rect.y, rect.width, rect.height]).collect();
+    let samples = u64::from(opening.samples);
+    let rects = opening.tiles.iter().enumerate();
+    let tiles: Vec<_> = rects
+        .map(|(position, rect)| (position, rect.x, rect.y, rect.width, rect.height, rect.pixels() * samples))
+        .collect();
     let made = db::query(
         "INSERT INTO tile (job, frame, kind, position, x_px, y_px, width_px, height_px, rays, state)
-         SELECT ?1, ?2, 'render', key, value ->> 0, value ->> 1, value ->> 2, value ->> 3,
-                (value ->> 2) * (value ->> 3) * ?3, 'ready'
-         FROM json_each(?4)",
+         SELECT ?1, ?2, 'render', CAST(value ->> 0 AS BIGINT), CAST(value ->> 1 AS BIGINT), CAST(value ->> 2 AS BIGINT),
+                CAST(value ->> 3 AS BIGINT), CAST(value ->> 4 AS BIGINT), CAST(value ->> 5 AS BIGINT), 'ready'
+         FROM @rows(?3)",
     )
     .bind(opening.job)
     .bind(opening.frame)
-    .bind(opening.samples)
-    .bind(serde_json::json!(rects).to_string())
+    .bind(serde_json::json!(tiles).to_string())
     .execute(connection)
     .await?;
     expect_rows("tile: made", opening.tiles.len() as u64, made)

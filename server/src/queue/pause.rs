@@ -86,6 +86,6 @@ impl Queue {
 
     /// Whether the farm is paused.
     pub(crate) async fn is_paused(&self) -> Result<bool> {
-        Ok(db::query_scalar("SELECT value <> 0 FROM meta WHERE name = 'paused'").fetch_one(self.readers()).await?)
+        db::query_scalar("SELECT value <> 0 FROM meta WHERE name = 'paused'").fetch_one(self.readers()).await
     }
 }

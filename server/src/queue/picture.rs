@@ -121,7 +121,7 @@ async fn finish_all(connection: &mut Connection, held: &[LiveLease]) -> Result<W
             .await?;
     expect_rows("lease: live to ended", held.len() as u64, ended)?;
     let done =
-        db::query("UPDATE tile SET state = 'done' WHERE state = 'leased' AND id IN (SELECT value FROM @texts(?))")
+        db::query("UPDATE tile SET state = 'done' WHERE state = 'leased' AND id IN (SELECT value FROM @numbers(?))")
             .bind(super::json_numbers(held.iter().map(|held| held.tile)))
             .execute(&mut *connection)
             .await?;
@@ -148,7 +148,7 @@ async fn cache_picture(
          SELECT ?1, ?2, ?3, media_type, ?4 FROM job WHERE number = ?5
          ON CONFLICT (key) DO UPDATE SET hash = excluded.hash, size_bytes = excluded.size_bytes,
              stored_at_ms = excluded.stored_at_ms
-         WHERE (SELECT fresh FROM job WHERE number = ?5)",
+         WHERE (SELECT fresh = 1 FROM job WHERE number = ?5)",
     )
     .bind(key)
     .bind(picture.hash)

@@ -31,7 +31,7 @@ macro_rules! jobs_where {
                     (SELECT max(coalesce(max_nodes, 9223372036854775807)) FROM worker
                      WHERE state <> 'gone' AND state IN ('starting', 'ready')) AS farm_max_nodes,
                     (SELECT value <> 0 FROM meta WHERE name = 'paused') AS farm_paused
-             FROM job WHERE cleanup IS NOT 'delete' AND ",
+             FROM job WHERE cleanup IS DISTINCT FROM 'delete' AND ",
             $condition
         )
     };
@@ -189,18 +189,15 @@ impl Queue {
 
     /// File of the job with this id, as it was submitted.
     pub(crate) async fn file(&self, id: JobId) -> Result<Option<String>> {
-        Ok(db::query_scalar("SELECT text FROM job_file JOIN job ON number = job WHERE id = ?")
+        db::query_scalar("SELECT text FROM job_file JOIN job ON number = job WHERE id = ?")
             .bind(id.to_string())
             .fetch_optional(self.readers())
-            .await?)
+            .await
     }
 
     /// File of the job with this number, as it was submitted.
     pub(crate) async fn file_of(&self, number: i64) -> Result<Option<String>> {
-        Ok(db::query_scalar("SELECT text FROM job_file WHERE job = ?")
-            .bind(number)
-            .fetch_optional(self.readers())
-            .await?)
+        db::query_scalar("SELECT text FROM job_file WHERE job = ?").bind(number).fetch_optional(self.readers()).await
     }
 
     /// Picture of a frame.
@@ -243,14 +240,14 @@ impl Queue {
 
     /// Number of ready pool workers.
     pub(crate) async fn pool_ready(&self) -> Result<u32> {
-        Ok(db::query_scalar("SELECT count(*) FROM worker WHERE state <> 'gone' AND state = 'ready' AND pool = 1")
+        db::query_scalar("SELECT count(*) FROM worker WHERE state <> 'gone' AND state = 'ready' AND pool = 1")
             .fetch_one(self.readers())
-            .await?)
+            .await
     }
 
     /// Those of some blobs that no unfinished frame uses.
     pub(crate) async fn orphan_blobs(&self, hashes: &[String]) -> Result<Vec<String>> {
-        Ok(db::query_scalar(
+        db::query_scalar(
             "SELECT value FROM @texts(?) WHERE NOT EXISTS (
                  SELECT 1 FROM tile JOIN frame ON frame.job = tile.job AND frame.number = tile.frame
                  WHERE tile.blob = value AND (frame.state IN ('open', 'stitching')
@@ -259,19 +256,19 @@ impl Queue {
         )
         .bind(super::json_list(hashes))
         .fetch_all(self.readers())
-        .await?)
+        .await
     }
 
     /// Those of some pictures that no job uses.
     pub(crate) async fn orphan_pictures(&self, hashes: &[String]) -> Result<Vec<String>> {
-        Ok(db::query_scalar(
+        db::query_scalar(
             "SELECT value FROM @texts(?)
              WHERE NOT EXISTS (SELECT 1 FROM frame WHERE frame.picture IS NOT NULL AND frame.picture = value)
                AND NOT EXISTS (SELECT 1 FROM picture WHERE picture.hash = value)",
         )
         .bind(super::json_list(hashes))
         .fetch_all(self.readers())
-        .await?)
+        .await
     }
 
     /// Whether the database responds.

@@ -32,7 +32,7 @@ pub(super) async fn recover(connection: &mut Connection, now_ms: i64, lease_ms: 
     .await?;
     db::query(
         "UPDATE tile SET state = 'ready', interrupts = interrupts + 1
-         WHERE state = 'leased' AND id IN (SELECT value FROM @texts(?))
+         WHERE state = 'leased' AND id IN (SELECT value FROM @numbers(?))
            AND NOT EXISTS (SELECT 1 FROM lease WHERE lease.tile = tile.id AND ended IS NULL)",
     )
     .bind(json_numbers(tiles.iter().copied()))

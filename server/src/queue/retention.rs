@@ -16,26 +16,26 @@ const FOREVER: i64 = -1;
 
 /// Jobs past their own retention.
 const OVER_SQL: &str = "SELECT number, id, name, finished_at_ms, keep_ms FROM job @index(job_by_own_end)
-     WHERE finished_at_ms IS NOT NULL AND keep_ms >= 0 AND finished_at_ms + keep_ms <= ? AND cleanup IS NOT 'delete'
+     WHERE finished_at_ms IS NOT NULL AND keep_ms >= 0 AND finished_at_ms + keep_ms <= ? AND cleanup IS DISTINCT FROM 'delete'
      ORDER BY finished_at_ms + keep_ms LIMIT ?";
 
 /// Jobs without a retention of their own that finished before the given time.
 const OLD_SQL: &str = "SELECT number, id, name, finished_at_ms, keep_ms FROM job @index(job_by_finish)
-     WHERE finished_at_ms IS NOT NULL AND keep_ms IS NULL AND finished_at_ms <= ? AND cleanup IS NOT 'delete'
+     WHERE finished_at_ms IS NOT NULL AND keep_ms IS NULL AND finished_at_ms <= ? AND cleanup IS DISTINCT FROM 'delete'
      ORDER BY finished_at_ms LIMIT ?";
 
 /// Jobs that may be deleted for the store's size, oldest first.
 const OLDEST_SQL: &str = "SELECT number, id, name, finished_at_ms, keep_ms FROM job @index(job_not_for_ever)
      WHERE finished_at_ms IS NOT NULL AND (keep_ms IS NULL OR keep_ms >= 0)
-       AND (finished_at_ms, number) > (?, ?) AND cleanup IS NOT 'delete'
+       AND (finished_at_ms, number) > (?, ?) AND cleanup IS DISTINCT FROM 'delete'
      ORDER BY finished_at_ms, number LIMIT ?";
 
 /// Bytes of pictures that only this job and the listed jobs use.
-const FREED_SQL: &str = "SELECT coalesce(sum(size_bytes), 0) FROM (
+const FREED_SQL: &str = "SELECT CAST(coalesce(sum(size_bytes), 0) AS BIGINT) FROM (
          SELECT DISTINCT picture, size_bytes FROM frame AS own
          WHERE own.job = ?1 AND own.picture IS NOT NULL AND NOT EXISTS (
              SELECT 1 FROM frame AS other WHERE other.picture = own.picture AND other.picture IS NOT NULL
-             AND other.job <> ?1 AND other.job NOT IN (SELECT value FROM @texts(?2))))";
+             AND other.job <> ?1 AND other.job NOT IN (SELECT value FROM @numbers(?2))))";
 
 /// Finished job, as read from the database.
 #[derive(Clone, Debug)]
@@ -96,7 +96,7 @@ impl Queue {
     /// Bytes of a job's pictures that no job uses once it and the jobs `gone` are deleted.
     pub(crate) async fn freed_bytes(&self, job: &FinishedJob, gone: &[i64]) -> Result<u64> {
         let query = db::query_scalar(FREED_SQL).bind(job.number).bind(json_numbers(gone.iter().copied()));
-        Ok(query.fetch_one(self.readers()).await?)
+        query.fetch_one(self.readers()).await
     }
 
     /// Deletes a job if it has not changed since it was read; `None` if it has.
@@ -118,7 +118,7 @@ async fn remove(
 ) -> Result<Option<RemovedContent>> {
     let same: Option<i64> = db::query_scalar(
         "SELECT number FROM job
-         WHERE number = ? AND finished_at_ms = ? AND keep_ms IS ? AND cleanup IS NOT 'delete'",
+         WHERE number = ? AND finished_at_ms = ? AND keep_ms IS NOT DISTINCT FROM ? AND cleanup IS DISTINCT FROM 'delete'",
     )
     .bind(job.number)
     .bind(job.finished_at_ms)

@@ -39,7 +39,7 @@ impl JobSpeed {
 /// very short batch does not produce a huge speed.
 macro_rules! measured_sql {
     () => {
-        "min(1e15, max(1.0, speed.rays / (speed.seconds + 0.05)))"
+        "@min(1e15, @max(1.0, speed.rays / (speed.seconds + 0.05)))"
     };
 }
 pub(super) use measured_sql;
@@ -60,7 +60,8 @@ pub(super) async fn record(
         "INSERT INTO speed (job, worker, rays, seconds, at_ms)
          SELECT number, ?2, ?3, ?4, ?5 FROM job WHERE number = ?1 AND finished_at_ms IS NULL
          ON CONFLICT (job, worker) DO UPDATE SET
-             rays = min(?7, rays * ?6 + excluded.rays), seconds = min(?8, seconds * ?6 + excluded.seconds),
+             rays = @min(?7, speed.rays * ?6 + excluded.rays),
+             seconds = @min(?8, speed.seconds * ?6 + excluded.seconds),
              at_ms = excluded.at_ms",
     )
     .bind(job)

@@ -10,8 +10,8 @@ const JOBS_SQL: &str = "SELECT state, count(*) AS number FROM job GROUP BY state
 
 /// Remaining work of unfinished jobs.
 const UNFINISHED_SQL: &str = "SELECT count(*) AS jobs, min(created_at_ms) AS oldest_ms,
-        coalesce(sum(tiles_total - tiles_done), 0) AS tiles, coalesce(sum(tiles_done), 0) AS tiles_done,
-        coalesce(sum(rays_total - rays_done), 0) AS rays
+        CAST(coalesce(sum(tiles_total - tiles_done), 0) AS BIGINT) AS tiles, CAST(coalesce(sum(tiles_done), 0) AS BIGINT) AS tiles_done,
+        CAST(coalesce(sum(rays_total - rays_done), 0) AS BIGINT) AS rays
      FROM job WHERE finished_at_ms IS NULL";
 
 /// Oldest job without any lease so far.

@@ -15,7 +15,7 @@ pub(super) async fn create(connection: &mut Connection, job: i64, frame: u32) ->
     let made = db::query(
         "INSERT INTO tile (job, frame, kind, position, x_px, y_px, width_px, height_px, rays, state)
          SELECT number, ?2, 'stitch', -1, 0, 0, width_px, height_px, 0, 'ready' FROM job WHERE number = ?1
-         ON CONFLICT (job, frame, position) DO UPDATE SET state = 'ready' WHERE state = 'void'",
+         ON CONFLICT (job, frame, position) DO UPDATE SET state = 'ready' WHERE tile.state = 'void'",
     )
     .bind(job)
     .bind(frame)
@@ -41,7 +41,7 @@ pub(super) async fn redo_tiles(
     let rays: Vec<i64> = db::query_scalar(
         "UPDATE tile SET state = 'ready', blob = NULL, blob_bytes = NULL
          WHERE job = ? AND frame = ? AND kind = 'render' AND state = 'done'
-           AND position IN (SELECT value FROM @texts(?)) RETURNING rays",
+           AND position IN (SELECT value FROM @numbers(?)) RETURNING rays",
     )
     .bind(held.job)
     .bind(held.frame)

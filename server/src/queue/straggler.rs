@@ -86,7 +86,7 @@ impl OldLease {
 }
 
 /// Camera rays of the tiles of a job that a worker holds.
-const HELD_RAYS_SQL: &str = "SELECT coalesce(sum(tile.rays), 0) FROM lease @index(lease_live_by_worker)
+const HELD_RAYS_SQL: &str = "SELECT CAST(coalesce(sum(tile.rays), 0) AS BIGINT) FROM lease @index(lease_live_by_worker)
      @join tile ON tile.id = lease.tile
      WHERE lease.worker = ? AND lease.ended IS NULL AND tile.job = ?";
 
@@ -169,7 +169,7 @@ async fn grant(
     moment: TransitionContext,
 ) -> Result<()> {
     let again =
-        db::query("UPDATE tile SET epoch = epoch + 1 WHERE state = 'leased' AND id IN (SELECT value FROM @texts(?))")
+        db::query("UPDATE tile SET epoch = epoch + 1 WHERE state = 'leased' AND id IN (SELECT value FROM @numbers(?))")
             .bind(super::json_numbers(grants.iter().map(|grant| grant.tile)))
             .execute(&mut *connection)
             .await?;

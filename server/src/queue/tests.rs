@@ -106,13 +106,13 @@ impl Fixture {
     /// Asserts that every job's and frame's counters are those of their tiles.
     async fn check(&self) {
         const CHECKS: [&str; 10] = [
-            "SELECT count(*) FROM job WHERE cleanup IS NOT 'delete' AND tiles_done + 0 <> (
+            "SELECT count(*) FROM job WHERE cleanup IS DISTINCT FROM 'delete' AND tiles_done + 0 <> (
                  SELECT count(*) FROM tile WHERE tile.job = job.number AND kind = 'render' AND state = 'done')",
-            "SELECT count(*) FROM job WHERE cleanup IS NOT 'delete' AND rays_done <> (
+            "SELECT count(*) FROM job WHERE cleanup IS DISTINCT FROM 'delete' AND rays_done <> (
                  SELECT coalesce(sum(rays), 0) FROM tile WHERE tile.job = job.number AND kind = 'render' AND state = 'done')",
-            "SELECT count(*) FROM job WHERE cleanup IS NOT 'delete' AND tiles_dead <> (
+            "SELECT count(*) FROM job WHERE cleanup IS DISTINCT FROM 'delete' AND tiles_dead <> (
                  SELECT count(*) FROM tile WHERE tile.job = job.number AND state = 'dead')",
-            "SELECT count(*) FROM job WHERE cleanup IS NOT 'delete' AND frames_stored <> (
+            "SELECT count(*) FROM job WHERE cleanup IS DISTINCT FROM 'delete' AND frames_stored <> (
                  SELECT count(*) FROM frame WHERE frame.job = job.number AND state = 'stored')",
             "SELECT count(*) FROM frame WHERE (SELECT cleanup FROM job WHERE job.number = frame.job) IS NOT 'delete'
                  AND tiles_done <> (

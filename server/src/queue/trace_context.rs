@@ -27,10 +27,10 @@ impl Queue {
 
     /// Trace context of a job, if it has one.
     pub(crate) async fn trace_of(&self, job: JobId) -> Result<Option<String>> {
-        Ok(db::query_scalar("SELECT traceparent FROM job_trace WHERE job = ?")
+        db::query_scalar("SELECT traceparent FROM job_trace WHERE job = ?")
             .bind(job.to_string())
             .fetch_optional(self.readers())
-            .await?)
+            .await
     }
 
     /// Deletes trace contexts of jobs that finished, were deleted, or were never accepted, except recent ones;

@@ -61,12 +61,12 @@ async fn reopen_tiles(
 ) -> Result<usize> {
     let rays: Vec<i64> = db::query_scalar(
         "UPDATE tile SET state = 'ready', blob = NULL, blob_bytes = NULL
-         WHERE state = 'done' AND id IN (SELECT value FROM @texts(?)) RETURNING rays",
+         WHERE state = 'done' AND id IN (SELECT value FROM @numbers(?)) RETURNING rays",
     )
     .bind(json_numbers(tiles.iter().copied()))
     .fetch_all(&mut *connection)
     .await?;
-    db::query("UPDATE lease SET ended = 'void' WHERE ended = 'done' AND tile IN (SELECT value FROM @texts(?))")
+    db::query("UPDATE lease SET ended = 'void' WHERE ended = 'done' AND tile IN (SELECT value FROM @numbers(?))")
         .bind(json_numbers(tiles.iter().copied()))
         .execute(&mut *connection)
         .await?;

@@ -141,8 +141,14 @@ async fn insert(
         DeliveredPart::WholeFrame => WHOLE_FRAME,
     };
     // A result that was delivered again, because the first was lost, is verified instead of it.
+    db::query("DELETE FROM verification WHERE job = ? AND frame = ? AND position = ?")
+        .bind(candidate.job)
+        .bind(candidate.frame)
+        .bind(position)
+        .execute(&mut *connection)
+        .await?;
     db::query(
-        "INSERT OR REPLACE INTO verification (job, frame, position, worker, lease, hash, created_ms)
+        "INSERT INTO verification (job, frame, position, worker, lease, hash, created_ms)
          VALUES (?, ?, ?, ?, ?, ?, ?)",
     )
     .bind(candidate.job)
@@ -161,11 +167,11 @@ async fn insert(
 const NEXT_SQL: &str = "
     SELECT verification.number, verification.job, frame, position
     FROM verification JOIN job ON job.number = verification.job
-    WHERE verifier IS NULL AND verification.worker <> ?1 AND second_worker IS NOT ?1
+    WHERE verifier IS NULL AND verification.worker <> ?1 AND second_worker IS DISTINCT FROM ?1
       AND (position = -1 OR job.nodes <= ?2)
       AND (position <> -1 OR NOT EXISTS (SELECT 1 FROM tile WHERE tile.job = verification.job
            AND tile.frame = verification.frame AND tile.kind = 'render' AND tile.blob IS NULL))
-      AND ((SELECT pool FROM worker WHERE id = ?1) OR NOT EXISTS (
+      AND ((SELECT pool = 1 FROM worker WHERE id = ?1) OR NOT EXISTS (
            SELECT 1 FROM worker AS own WHERE own.state <> 'gone' AND own.state = 'ready' AND own.pool = 1
            AND (position = -1 OR coalesce(own.max_nodes, job.nodes) >= job.nodes)))
       AND (SELECT value = 0 FROM meta WHERE name = 'paused')
@@ -174,7 +180,7 @@ const NEXT_SQL: &str = "
 /// Other tiles of the same frame that this worker may verify.
 const TOGETHER_SQL: &str = "
     SELECT number, position FROM verification
-    WHERE job = ?2 AND frame = ?3 AND position >= 0 AND verifier IS NULL AND worker <> ?1 AND second_worker IS NOT ?1
+    WHERE job = ?2 AND frame = ?3 AND position >= 0 AND verifier IS NULL AND worker <> ?1 AND second_worker IS DISTINCT FROM ?1
     ORDER BY position LIMIT ?4";
 
 /// Claims a verification for a worker.
@@ -227,7 +233,7 @@ pub(super) async fn claim(
 
 /// Tiles of a frame, or one of them.
 async fn tiles(connection: &mut Connection, job: i64, frame: u32, position: Option<i64>) -> Result<Vec<db::Row>> {
-    Ok(db::query(
+    db::query(
         "SELECT id, position, x_px, y_px, width_px, height_px FROM tile
          WHERE job = ?1 AND frame = ?2 AND kind = 'render' AND (?3 IS NULL OR position = ?3) ORDER BY position",
     )
@@ -235,5 +241,5 @@ async fn tiles(connection: &mut Connection, job: i64, frame: u32, position: Opti
     .bind(frame)
     .bind(position)
     .fetch_all(connection)
-    .await?)
+    .await
 }

@@ -83,7 +83,7 @@ impl Queue {
              WHERE state = 'pending' AND next_at_ms <= ?
                AND submitter NOT IN (SELECT value FROM @texts(?))
                AND target NOT IN (SELECT value FROM @texts(?))
-               AND number NOT IN (SELECT value FROM @texts(?))
+               AND number NOT IN (SELECT value FROM @numbers(?))
              ORDER BY next_at_ms LIMIT ?",
         )
         .bind(self.clock.wall_ms())

@@ -138,7 +138,7 @@ async fn run_sequences() {
 async fn every_statement_is_prepared_by_postgresql() {
     run_sequences().await;
     if let Some(prepared) = db::postgres::prepare_all().await {
-        assert!(prepared >= 60, "only {prepared} statements were recorded");
+        assert!(prepared >= 120, "only {prepared} statements were recorded");
     }
 }
 

@@ -21,7 +21,7 @@ pub(super) async fn grant(
 ) -> Result<()> {
     db::query(
         "UPDATE verification SET verifier = ?, granted_ms = ?, expires_ms = ?
-         WHERE verifier IS NULL AND number IN (SELECT value FROM @texts(?))",
+         WHERE verifier IS NULL AND number IN (SELECT value FROM @numbers(?))",
     )
     .bind(worker)
     .bind(moment.now_ms)
@@ -32,7 +32,7 @@ pub(super) async fn grant(
     let rows: Vec<_> = granted.iter().map(|(number, lease, position)| (lease.to_string(), number, position)).collect();
     let made = db::query(
         "INSERT INTO verification_lease (id, verification, position)
-         SELECT value ->> 0, value ->> 1, value ->> 2 FROM json_each(?)",
+         SELECT value ->> 0, CAST(value ->> 1 AS BIGINT), CAST(value ->> 2 AS BIGINT) FROM @rows(?)",
     )
     .bind(serde_json::json!(rows).to_string())
     .execute(connection)
@@ -87,9 +87,9 @@ pub(super) async fn release(connection: &mut Connection, numbers: &[i64]) -> Res
         return Ok(Wake::default());
     }
     for statement in [
-        "DELETE FROM verification_lease WHERE verification IN (SELECT value FROM @texts(?))",
+        "DELETE FROM verification_lease WHERE verification IN (SELECT value FROM @numbers(?))",
         "UPDATE verification SET verifier = NULL, granted_ms = NULL, expires_ms = NULL
-         WHERE number IN (SELECT value FROM @texts(?))",
+         WHERE number IN (SELECT value FROM @numbers(?))",
     ] {
         db::query(statement).bind(json_numbers(numbers.iter().copied())).execute(&mut *connection).await?;
     }
@@ -136,7 +136,7 @@ pub(in super::super) async fn discard_expired(
     }
     if !old.is_empty() {
         tracing::warn!(count = old.len(), "results could not be verified: no other worker rendered them again in time");
-        db::query("DELETE FROM verification WHERE number IN (SELECT value FROM @texts(?))")
+        db::query("DELETE FROM verification WHERE number IN (SELECT value FROM @numbers(?))")
             .bind(json_numbers(old.iter().copied()))
             .execute(&mut *connection)
             .await?;

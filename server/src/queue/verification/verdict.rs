@@ -171,7 +171,7 @@ async fn conclude(
             return Ok(ring);
         }
         Verdict::Confirmed { wrong } => {
-            db::query("UPDATE worker SET verified_lease = max(coalesce(verified_lease, ''), ?) WHERE id = ?")
+            db::query("UPDATE worker SET verified_lease = @max(coalesce(verified_lease, ''), ?) WHERE id = ?")
                 .bind(&case.lease)
                 .bind(&case.first.worker)
                 .execute(&mut *connection)
