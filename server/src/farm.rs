@@ -15,7 +15,7 @@ use tokio_util::sync::CancellationToken;
 
 use crate::admission::Admission;
 use crate::config::Config;
-use crate::content_store::{ContentError, ContentKind, ContentStore};
+use crate::content_store::{BlobStore, ContentError, ContentKind};
 use crate::database::DatabaseError;
 use crate::events::EventHub;
 use crate::fair_queue::FairQueue;
@@ -78,7 +78,7 @@ pub(crate) struct Farm {
     /// Distributor of events.
     pub(crate) events: EventHub,
     /// Pictures and blobs.
-    pub(crate) content: ContentStore,
+    pub(crate) content: BlobStore,
     /// Space set aside for a full disk.
     pub(crate) reserve: SpaceReserve,
     /// Parsed job files.

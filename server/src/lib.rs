@@ -6,10 +6,10 @@ mod admission;
 mod api_keys;
 mod archive;
 mod audit_log;
+mod blobs;
 mod budget;
 mod clock;
 mod config;
-mod content_store;
 mod data_folder;
 mod database;
 mod delivery_check;
@@ -35,6 +35,13 @@ mod telemetry;
 mod tile_plan;
 mod webhooks;
 
+#[cfg(test)]
+#[path = "../../tests/seaweedfs.rs"]
+mod seaweedfs;
+#[cfg(test)]
+#[path = "../../tests/skip.rs"]
+mod skip;
+
 use std::net::SocketAddr;
 use std::sync::Arc;
 use std::time::Duration;
@@ -43,6 +50,7 @@ use tokio::sync::mpsc;
 use tokio_util::sync::CancellationToken;
 
 pub use api_keys::{OfflineApiKeys, OfflineApiKeysError};
+pub use blobs::{BucketError, ParseStoreError, StoreLocation};
 pub use clock::{Clock, ManualClock};
 pub use config::{
     Config, MAX_CONNECTIONS, MAX_JOBS_PER_NAME, MAX_PAUSED_PER_NAME, MAX_QUEUED_JOBS, MAX_RAYS_PER_NAME,
@@ -56,6 +64,8 @@ pub use private_files::ExposedFile;
 pub use startup::StartError;
 pub use webhooks::{AddressRange, SecretError, webhook_secret};
 
+// The name by which other modules import it.
+use blobs as content_store;
 use database::Database;
 use farm::{Farm, OrphanCandidates};
 use listen::Listeners;

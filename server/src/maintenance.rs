@@ -9,7 +9,7 @@ use futures_util::stream::TryStreamExt;
 use tokio::sync::mpsc;
 use tokio_util::sync::CancellationToken;
 
-use crate::content_store::{self, ContentKind};
+use crate::blobs::ContentKind;
 use crate::database::DatabaseError;
 use crate::farm::{Farm, OrphanCandidates};
 use crate::retention;
@@ -18,8 +18,6 @@ use crate::retention;
 const LEASE_CHECK_INTERVAL: Duration = Duration::from_secs(1);
 /// Interval at which rows and folders are cleaned up.
 const CLEANUP_INTERVAL: Duration = Duration::from_mins(10);
-/// Minimum age at which content without a report is swept.
-const ORPHAN_GRACE: Duration = Duration::from_mins(10);
 /// Number of hashes that are checked, and deleted if they are orphans, while no result is taken.
 const SWEEP_BATCH: usize = 32;
 /// Delay after a piece of a large change that failed.
@@ -104,10 +102,11 @@ async fn sweep(farm: &Arc<Farm>, kind: ContentKind, hashes: &[String]) -> Result
             farm.content.sweep(kind, hashes, async |names| queue.orphan_pictures(&names).await).await?
         }
     };
-    if !young.is_empty() {
+    // Young objects of a bucket are not remembered for that long: the next cleanup lists them again.
+    if let (false, Some(delay)) = (young.is_empty(), farm.content.sweep_retry_delay()) {
         let farm = Arc::clone(farm);
         tokio::spawn(async move {
-            tokio::time::sleep(content_store::MIN_SWEEP_AGE).await;
+            tokio::time::sleep(delay).await;
             farm.sweep_later(kind, young);
         });
     }
@@ -129,12 +128,12 @@ async fn clean_up(farm: &Arc<Farm>) -> Result<(), DatabaseError> {
     }
     farm.queue.prune_idempotency_keys().await?;
     farm.queue.prune_deliveries().await?;
-    let data = farm.config.data.clone();
-    let removed = tokio::task::spawn_blocking(move || content_store::remove_partial_writes(&data, ORPHAN_GRACE)).await;
+    let of_farm = Arc::clone(farm);
+    let removed = tokio::task::spawn_blocking(move || of_farm.content.remove_partial_writes()).await;
     if let Err(error) = removed.map_err(std::io::Error::other).flatten() {
         tracing::warn!(%error, "could not remove partial files");
     }
-    for kind in [ContentKind::Blob, ContentKind::Picture] {
+    for kind in ContentKind::ALL {
         let names = match unreported_hashes(farm, kind).await {
             Ok(names) => names,
             Err(error) => {
@@ -148,12 +147,12 @@ async fn clean_up(farm: &Arc<Farm>) -> Result<(), DatabaseError> {
 }
 
 async fn unreported_hashes(farm: &Farm, kind: ContentKind) -> object_store::Result<Vec<String>> {
-    let now_seconds = farm.queue.wall_seconds();
+    let (now_seconds, min_age_seconds) = (farm.queue.wall_seconds(), farm.content.orphan_age().as_secs());
     farm.content
         .list(kind)
         .try_filter_map(async |meta| {
             let age_seconds = now_seconds - meta.last_modified.timestamp();
-            let is_old = age_seconds > ORPHAN_GRACE.as_secs().cast_signed();
+            let is_old = age_seconds > min_age_seconds.cast_signed();
             Ok(meta.location.filename().filter(|_| is_old).map(ToOwned::to_owned))
         })
         .try_collect()

@@ -5,7 +5,6 @@
 
 use std::collections::BTreeSet;
 
-use futures_util::stream::TryStreamExt;
 use proto::retention::{GcReport, RemovalReason, RemovedJob};
 
 use crate::clock::rfc3339;
@@ -77,12 +76,8 @@ pub(crate) async fn collect_until_done(farm: &Farm) -> Result<(), RetentionError
 
 async fn store_bytes(farm: &Farm) -> object_store::Result<u64> {
     let mut sum_bytes = 0;
-    for kind in [ContentKind::Picture, ContentKind::Blob] {
-        sum_bytes += farm
-            .content
-            .list(kind)
-            .try_fold(0, async |bytes, meta| Ok::<_, object_store::Error>(bytes + meta.size))
-            .await?;
+    for kind in ContentKind::ALL {
+        sum_bytes += farm.content.size_bytes(kind).await?;
     }
     Ok(sum_bytes)
 }

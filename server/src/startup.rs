@@ -11,9 +11,9 @@ use tokio_util::sync::CancellationToken;
 
 use crate::Server;
 use crate::admission::{Admission, Shares};
+use crate::blobs::{BlobStore, BucketError, ContentKind, OpenStoreError, StoreLocation};
 use crate::clock::Clock;
 use crate::config::Config;
-use crate::content_store::ContentStore;
 use crate::database::{Database, DatabaseError, OpenError};
 use crate::estimate;
 use crate::events::EventHub;
@@ -47,6 +47,24 @@ pub enum StartError {
         folder: PathBuf,
         /// Error of the system.
         source: io::Error,
+    },
+    /// The store cannot be used.
+    #[error(transparent)]
+    Store(#[from] BucketError),
+    /// The farm's pictures are in another store.
+    #[error(
+        "the farm in {folder} has its pictures in {recorded}, not in {given}: start it with the store it has \
+         (--store s3://BUCKET/PREFIX, none for the data folder); or, to move it, copy pictures/ to the new store, and \
+         replace the line in {folder}/{} by it (remove the file for the data folder)",
+        crate::blobs::RECORD_FILE
+    )]
+    OtherStore {
+        /// The data folder.
+        folder: PathBuf,
+        /// Store of its pictures.
+        recorded: StoreLocation,
+        /// Store in the configuration.
+        given: StoreLocation,
     },
     /// Others may read the data folder's secrets.
     #[error(transparent)]
@@ -105,7 +123,7 @@ pub(crate) async fn start(config: Config, clock: Clock) -> Result<Server, StartE
         LockError::Io(source) => folder(source),
     })?;
     private_files::restrict(&config.data)?;
-    let pictures = ContentStore::open(&config.data).map_err(folder)?;
+    let content = open_store(&config).await?;
     let links = LinkSigner::open(&config.data).map_err(folder)?;
     let sketches = PreviewHelper::open(&config.data, &config.worker_program).map_err(folder)?;
     let entrance = Listeners::open(&config).await?;
@@ -137,7 +155,8 @@ pub(crate) async fn start(config: Config, clock: Clock) -> Result<Server, StartE
         events: EventHub::new(queue.clone()),
         webhooks,
         queue,
-        content: pictures,
+        telemetry: Telemetry::new(config.data.clone(), &store, content.location()),
+        content,
         reserve,
         jobs: JobCache::new(),
         admission,
@@ -146,13 +165,37 @@ pub(crate) async fn start(config: Config, clock: Clock) -> Result<Server, StartE
         preview_helper: sketches,
         links,
         totals: ServerCounters::default(),
-        telemetry: Telemetry::new(config.data.clone(), &store),
         orphans: left,
         is_shutting_down: CancellationToken::new(),
         shutdown: CancellationToken::new(),
         config,
     });
     Ok(Server { listeners: entrance, farm, store, orphans: leftovers, lock })
+}
+
+/// Opens the farm's store, which must be the one that the data folder records.
+async fn open_store(config: &Config) -> Result<BlobStore, StartError> {
+    let folder = |source| StartError::DataFolder { folder: config.data.clone(), source };
+    let recorded = StoreLocation::recorded(&config.data).map_err(folder)?;
+    let is_recorded = recorded != StoreLocation::Folder;
+    if is_recorded && recorded != config.store {
+        let given = config.store.clone();
+        return Err(StartError::OtherStore { folder: config.data.clone(), recorded, given });
+    }
+    let opened = BlobStore::open(&config.store, &config.data, config.object_sweep_age).await;
+    let content = opened.map_err(|error| match error {
+        OpenStoreError::Folder(source) => folder(source),
+        OpenStoreError::Bucket(error) => error.into(),
+    })?;
+    let has_pictures = || {
+        let entries = std::fs::read_dir(ContentKind::Picture.path(&config.data));
+        entries.is_ok_and(|mut entries| entries.next().is_some())
+    };
+    if content.folder().is_none() && !is_recorded && has_pictures() {
+        tracing::warn!(store = %config.store, "the pictures in the data folder are not used: copy them to the store's pictures/, or they are rendered again");
+    }
+    config.store.record(&config.data).map_err(folder)?;
+    Ok(content)
 }
 
 /// Creates the sender of webhooks, with the operator's secret or the data folder's own.

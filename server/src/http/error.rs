@@ -458,7 +458,7 @@ impl From<HelperError> for ApiError {
         match error {
             HelperError::Busy => Self::TooManyPreviews(error),
             HelperError::TimedOut => Self::PreviewDelayed(error),
-            HelperError::Start(_) | HelperError::Failed(_) => Self::PreviewFailed,
+            HelperError::Start(_) | HelperError::Fetch(_) | HelperError::Failed(_) => Self::PreviewFailed,
         }
     }
 }

@@ -34,11 +34,13 @@ pub(super) async fn livez() -> &'static str {
 )]
 pub(super) async fn readyz(State(farm): State<Arc<Farm>>) -> Result<Json<Value>, ApiError> {
     farm.queue.check().await?;
-    farm.content.check_writable().await?;
+    farm.content.check_usable().await?;
     let workers = farm.queue.workers().await?.workers;
     let status = if workers.is_empty() { "degraded" } else { "ready" };
     let names: Vec<String> = workers.into_iter().map(|worker| worker.name).collect();
-    Ok(Json(json!({ "status": status, "database": "ok", "store": "ok", "workers": names })))
+    Ok(Json(
+        json!({ "status": status, "database": "ok", "store": "ok", "store_kind": farm.content.location().kind(), "workers": names }),
+    ))
 }
 
 /// Metrics in the `OpenMetrics` text format.

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use axum::Json;
 use axum::body::Body;
 use axum::extract::{Path, State};
-use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode, header};
+use axum::http::{HeaderMap, HeaderName, HeaderValue, Method, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use proto::JobId;
 use proto::frame::ForgottenPicture;
@@ -20,6 +20,9 @@ use crate::queue::StoredImage;
 /// Cache lifetime: a frame's picture never changes.
 pub(super) const IMMUTABLE: &str = "public, max-age=31536000, immutable";
 
+/// Size of a picture above which a client may be sent to the store for it.
+const MIN_REDIRECT_BYTES: u64 = 1 << 20;
+
 /// Get the picture of a job's first frame.
 #[utoipa::path(
     get, path = "/v1/jobs/{id}/image", tag = "pictures", operation_id = "get_image",
@@ -28,6 +31,7 @@ pub(super) const IMMUTABLE: &str = "public, max-age=31536000, immutable";
         (status = 200, description = "The picture: image/png or image/x-exr, depending on the job", body = Vec<u8>, content_type = "image/*"),
         (status = 206, description = "The requested range"),
         (status = 304, description = "The client has the current version"),
+        (status = 307, description = "The picture is at this address for five minutes; only with --redirect-pictures"),
         (status = 404, description = "Not stored yet, or no such job", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
         (status = 416, description = "The range is outside the picture", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
     )
@@ -35,9 +39,10 @@ pub(super) const IMMUTABLE: &str = "public, max-age=31536000, immutable";
 pub(super) async fn first_frame(
     State(farm): State<Arc<Farm>>,
     Path(id): Path<String>,
+    method: Method,
     headers: HeaderMap,
 ) -> Result<Response, ApiError> {
-    answer(&farm, job_id(&id)?, 0, &headers).await
+    answer(&farm, job_id(&id)?, 0, &method, &headers).await
 }
 
 /// Get the picture of one of a job's frames.
@@ -51,6 +56,7 @@ pub(super) async fn first_frame(
         (status = 200, description = "The picture: image/png or image/x-exr, depending on the job", body = Vec<u8>, content_type = "image/*"),
         (status = 206, description = "The requested range"),
         (status = 304, description = "The client has the current version"),
+        (status = 307, description = "The picture is at this address for five minutes; only with --redirect-pictures"),
         (status = 404, description = "Not stored yet, or no such frame or job", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
         (status = 416, description = "The range is outside the picture", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
     )
@@ -58,10 +64,11 @@ pub(super) async fn first_frame(
 pub(super) async fn frame(
     State(farm): State<Arc<Farm>>,
     Path((id, frame)): Path<(String, String)>,
+    method: Method,
     headers: HeaderMap,
 ) -> Result<Response, ApiError> {
     let (job, frame) = frame_of(&farm, &id, &frame).await?;
-    answer(&farm, job, frame, &headers).await
+    answer(&farm, job, frame, &method, &headers).await
 }
 
 /// Parses a job id and a frame number from a path.
@@ -79,7 +86,13 @@ pub(super) async fn frame_of(farm: &Farm, id: &str, frame: &str) -> Result<(JobI
 }
 
 /// Response with a frame's stored picture.
-pub(super) async fn answer(farm: &Farm, job: JobId, frame: u32, headers: &HeaderMap) -> Result<Response, ApiError> {
+pub(super) async fn answer(
+    farm: &Farm,
+    job: JobId,
+    frame: u32,
+    method: &Method,
+    headers: &HeaderMap,
+) -> Result<Response, ApiError> {
     let (hash, size_bytes, media_type) = match farm.queue.image(job, frame).await? {
         StoredImage::Stored { hash, size_bytes, media_type } => (hash, size_bytes, media_type),
         StoredImage::NotYet(state) => return Err(ApiError::NotStored { job, frame, state }),
@@ -106,6 +119,14 @@ pub(super) async fn answer(farm: &Farm, job: JobId, frame: u32, headers: &Header
         ByteRange::Unsatisfiable => return Err(ApiError::WrongRange { size_bytes }),
     };
     let name = intact(farm, &hash, size_bytes).await?;
+    // A presigned address is for GET only.
+    if farm.config.redirect_pictures
+        && size_bytes > MIN_REDIRECT_BYTES
+        && *method == Method::GET
+        && let Some(address) = farm.content.presigned(ContentKind::Picture, &name, &media_type).await?
+    {
+        return Ok(redirect(&address));
+    }
     let found = farm.content.get(ContentKind::Picture, &name, part.clone()).await?;
     let Some((length_bytes, bytes)) = found else { return Err(ApiError::LostPicture) };
     let mut response = set_cache_headers((status, Body::from_stream(bytes)).into_response(), &tag);
@@ -115,6 +136,14 @@ pub(super) async fn answer(farm: &Farm, job: JobId, frame: u32, headers: &Header
         set(&mut response, header::CONTENT_RANGE, &format!("bytes {}-{}/{size_bytes}", part.start, part.end - 1));
     }
     Ok(response)
+}
+
+/// Response that sends the client to the store; the address soon expires, so it must not be cached.
+fn redirect(address: &str) -> Response {
+    let mut response = StatusCode::TEMPORARY_REDIRECT.into_response();
+    set(&mut response, header::LOCATION, address);
+    set(&mut response, header::CACHE_CONTROL, "no-store");
+    response
 }
 
 /// Name of a picture whose file is intact; otherwise its frames are rendered again.

@@ -14,7 +14,7 @@ use serde::Deserialize;
 use super::auth::Caller;
 use super::error::ApiError;
 use super::{body, images, range};
-use crate::content_store::ContentKind;
+use crate::blobs::{ContentKind, LocalCopies};
 use crate::farm::Farm;
 use crate::queue::FrameContents;
 
@@ -157,8 +157,13 @@ async fn scaled(
         return Ok(describe(StatusCode::NOT_MODIFIED.into_response(), &tag, cache));
     }
     images::intact(farm, hash, size_bytes).await?;
-    let sketch = HelperRequest::Thumbnail { file: ContentKind::Picture.file(&farm.config.data, hash), width_px };
-    let picture = farm.preview_helper.picture(reader.name, &tag, &sketch).await?;
+    let request = async {
+        let names = [hash.to_owned()];
+        let copies =
+            LocalCopies::fetch(&farm.content, farm.preview_helper.folder(), ContentKind::Picture, &names).await?;
+        Ok((HelperRequest::Thumbnail { file: copies.files()[0].clone(), width_px }, copies))
+    };
+    let picture = farm.preview_helper.picture(reader.name, &tag, request).await?;
     Ok(png(picture, &tag, cache))
 }
 
@@ -177,15 +182,19 @@ async fn unfinished(
         return Ok(describe(StatusCode::NOT_MODIFIED.into_response(), &tag, "no-cache"));
     }
     let text = farm.queue.file(job).await?.ok_or_else(|| ApiError::UnknownJob(job.to_string()))?;
-    let sketch = HelperRequest::Preview {
-        job: text,
-        frame,
-        width_px,
-        tiles: blobs.iter().map(|hash| ContentKind::Blob.file(&farm.config.data, hash)).collect(),
-        coarse: farm.preview_helper.coarse(job, frame),
-        coarse_ms: COARSE_MS,
+    let request = async {
+        let copies = LocalCopies::fetch(&farm.content, farm.preview_helper.folder(), ContentKind::Blob, &blobs).await?;
+        let request = HelperRequest::Preview {
+            job: text,
+            frame,
+            width_px,
+            tiles: copies.files().to_vec(),
+            coarse: farm.preview_helper.coarse(job, frame),
+            coarse_ms: COARSE_MS,
+        };
+        Ok((request, copies))
     };
-    let picture = farm.preview_helper.picture(reader.name, &tag, &sketch).await?;
+    let picture = farm.preview_helper.picture(reader.name, &tag, request).await?;
     Ok(png(picture, &tag, "no-cache"))
 }
 

@@ -55,10 +55,11 @@ pub(super) async fn register(
     Ok(Json(RegisterResponse { worker, lease_ms: farm.queue.lease_ms().unsigned_abs(), folders }))
 }
 
-/// Folders that a pool worker writes to directly; `None` if a folder's name is not UTF-8.
+/// Folders that a pool worker writes to directly; `None` if the store is no folder, or a folder's name is not UTF-8.
 fn folders(farm: &Farm) -> Option<ContentFolders> {
+    let data = farm.content.folder()?;
     let folder = |kind: ContentKind| {
-        let folder = std::path::absolute(kind.path(&farm.config.data)).ok()?;
+        let folder = std::path::absolute(kind.path(data)).ok()?;
         folder.into_os_string().into_string().ok()
     };
     Some(ContentFolders { blobs: folder(ContentKind::Blob)?, pictures: folder(ContentKind::Picture)? })
