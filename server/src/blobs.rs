@@ -33,7 +33,7 @@ use tokio::sync::RwLock;
 
 pub use bucket::BucketError;
 pub(crate) use content::{ContentHash, ContentKind};
-pub(crate) use error::ContentError;
+pub(crate) use error::{ContentError, OpenStoreError};
 pub(crate) use local_copies::LocalCopies;
 pub(crate) use location::FILE as RECORD_FILE;
 pub use location::{ParseStoreError, StoreLocation};
@@ -73,17 +73,6 @@ pub(crate) enum FileState {
     Missing,
     /// It has another size or other bytes.
     Damaged,
-}
-
-/// Error returned when a store cannot be opened.
-#[derive(Debug, thiserror::Error)]
-pub(crate) enum OpenStoreError {
-    /// The folder cannot be used.
-    #[error(transparent)]
-    Folder(#[from] io::Error),
-    /// The bucket cannot be used.
-    #[error(transparent)]
-    Bucket(#[from] BucketError),
 }
 
 /// A kind of store. Memory is a kind of [`Objects`].
@@ -345,7 +334,17 @@ impl BlobStore {
             Backend::Folder(_) => true,
             Backend::Objects(_) => self.age(kind, name).await?.is_some(),
         };
-        Ok(is_there && unless_missing(self.store(kind).delete(&self.path(kind, name)).await)?.is_some())
+        Ok(is_there && self.remove(kind, name).await?)
+    }
+
+    /// Deletes content; returns whether there was any, or true if the store does not say.
+    async fn remove(&self, kind: ContentKind, name: &ContentHash) -> object_store::Result<bool> {
+        let path = self.path(kind, name);
+        let deleted = match &self.backend {
+            Backend::Folder(folder) => folder.store(kind).delete(&path).await,
+            Backend::Objects(objects) => objects.delete(&path).await,
+        };
+        Ok(unless_missing(deleted)?.is_some())
     }
 
     /// Age of content; `None` if it is missing.
@@ -426,9 +425,9 @@ impl BlobStore {
             Ok(Some(_)) | Err(_) => {}
         }
         fail_point::trigger_infallible(FailPoint::Sweeping);
-        match unless_missing(self.store(kind).delete(&self.path(kind, name)).await) {
-            Ok(Some(())) => Swept::Deleted,
-            Ok(None) => Swept::Not,
+        match self.remove(kind, name).await {
+            Ok(true) => Swept::Deleted,
+            Ok(false) => Swept::Not,
             Err(error) => {
                 tracing::warn!(%error, name = name.as_str(), "could not remove orphaned content");
                 Swept::Not

@@ -5,6 +5,19 @@ use std::io;
 
 use object_store::client::{HttpError, HttpErrorKind};
 
+use super::BucketError;
+
+/// Error returned when a store cannot be opened.
+#[derive(Debug, thiserror::Error)]
+pub(crate) enum OpenStoreError {
+    /// The folder cannot be used.
+    #[error(transparent)]
+    Folder(#[from] io::Error),
+    /// The bucket cannot be used.
+    #[error(transparent)]
+    Bucket(#[from] BucketError),
+}
+
 /// Error when storing or reading bytes.
 #[derive(Debug, thiserror::Error)]
 pub(crate) enum ContentError {

@@ -6,12 +6,16 @@
 //! bytes is what was asked for, unless it is old enough to be swept before it is reported; any other is overwritten with
 //! the right bytes. A large object is sent in parts, which S3 cannot complete conditionally through this client: it is
 //! looked for first, and if two servers store it at once, the second replaces it with the same bytes.
+//!
+//! **Reports.** The ends of what this server stored are remembered until its object may be swept, so that a worker's
+//! report, and with it the renewal of its leases, does not wait for the store.
 
+use std::collections::HashMap;
 use std::fs::File;
 use std::io::{self, Write};
 use std::os::unix::fs::FileExt;
 use std::path::{Path as FolderPath, PathBuf};
-use std::sync::Arc;
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, SystemTime};
 
 use bytes::Bytes;
@@ -23,15 +27,19 @@ use object_store::{
     GetResult, ObjectMeta, ObjectStore, ObjectStoreExt, PutMode, PutOptions, PutPayload, WriteMultipart,
 };
 use tokio::sync::Semaphore;
+use tokio::time::Instant;
 
 use super::incoming::{Incoming, Piece};
 use super::{ContentError, ContentHash, error, generic_error};
+use crate::clock::monotonic_now;
 use crate::delivery_check::{FileEnds, HEAD_BYTES, TAIL_BYTES};
 
 /// Size above which an object is sent in parts of this size; all but the last part of an upload to S3 need 5 MiB.
 const PART_BYTES: u64 = 8 << 20;
 /// Parts of an upload that are in memory.
 const MAX_PARTS_IN_MEMORY: usize = 4;
+/// Maximum number of objects whose ends are remembered, up to 16 KiB each; then all are forgotten, and read again.
+const MAX_REMEMBERED: usize = 1024;
 /// Maximum number of uploads to the store at a time: with [`MAX_PARTS_IN_MEMORY`] they take 256 MiB at most.
 const MAX_UPLOADS: usize = 8;
 
@@ -51,6 +59,7 @@ pub(super) struct Objects {
     /// Folder in which content is received.
     spool: PathBuf,
     uploads: Semaphore,
+    remembered: Mutex<HashMap<Path, (Instant, FileEnds)>>,
     /// Age from which an object that is stored again is written again, so that no sweep deletes it.
     refresh_age: Duration,
 }
@@ -59,7 +68,8 @@ impl Objects {
     /// Objects that no sweep deletes before they have this age.
     pub(super) fn new(bucket: Bucket, spool: &FolderPath, min_sweep_age: Duration) -> Self {
         let uploads = Semaphore::new(MAX_UPLOADS);
-        Self { bucket, spool: spool.to_owned(), uploads, refresh_age: min_sweep_age / 2 }
+        let remembered = Mutex::default();
+        Self { bucket, spool: spool.to_owned(), uploads, remembered, refresh_age: min_sweep_age / 2 }
     }
 
     /// The object store.
@@ -87,6 +97,7 @@ impl Objects {
         failed: impl Fn(object_store::Error) -> ContentError,
     ) -> Result<Option<String>, ContentError> {
         let received = self.receive(incoming, &failed).await?;
+        let ends = received.ends().await.map_err(&failed)?;
         // Only uploads are counted, not clients that are still sending: a slow one keeps no other waiting.
         let _upload = self.uploads.acquire().await.expect("never closed");
         let sent = if received.size_bytes() <= PART_BYTES {
@@ -94,7 +105,19 @@ impl Objects {
         } else {
             self.put_parts(name, path, received).await
         };
-        sent.map_err(failed)
+        let version = sent.map_err(failed)?;
+        let mut remembered = self.remembered.lock().expect("no holder panics");
+        if remembered.len() >= MAX_REMEMBERED {
+            remembered.clear();
+        }
+        remembered.insert(path.clone(), (monotonic_now(), ends));
+        Ok(version)
+    }
+
+    /// Deletes an object, whether or not there is one.
+    pub(super) async fn delete(&self, path: &Path) -> object_store::Result<()> {
+        self.remembered.lock().expect("no holder panics").remove(path);
+        self.store().delete(path).await
     }
 
     async fn receive<S: Stream<Item = io::Result<Bytes>> + Unpin>(
@@ -200,6 +223,10 @@ impl Objects {
 
     /// Size, first and last bytes of an object.
     pub(super) async fn ends(&self, path: &Path) -> object_store::Result<FileEnds> {
+        let remembered = self.remembered.lock().expect("no holder panics").get(path).cloned();
+        if let Some((_, ends)) = remembered.filter(|(stored, _)| stored.elapsed() < self.refresh_age) {
+            return Ok(ends);
+        }
         let size_bytes = self.store().head(path).await?.size;
         if size_bytes == 0 {
             return Ok(FileEnds { size_bytes, head: Bytes::new(), tail: Bytes::new() });
@@ -230,6 +257,15 @@ impl Received {
             Self::Memory(bytes) => bytes.len() as u64,
             Self::File(_, size_bytes) => *size_bytes,
         }
+    }
+
+    async fn ends(&self) -> object_store::Result<FileEnds> {
+        let size_bytes = self.size_bytes();
+        let tail_bytes = size_bytes.min(TAIL_BYTES);
+        let head = self.read(0, size_bytes.min(HEAD_BYTES)).await?;
+        let tail = self.read(size_bytes - tail_bytes, tail_bytes).await?;
+        // Copied, so that the content itself is not kept.
+        Ok(FileEnds { size_bytes, head: Bytes::copy_from_slice(&head), tail: Bytes::copy_from_slice(&tail) })
     }
 
     async fn read(&self, offset: u64, size_bytes: u64) -> object_store::Result<Bytes> {

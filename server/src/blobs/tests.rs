@@ -189,6 +189,21 @@ async fn content_is_listed_and_deleted(store: &BlobStore) {
     assert_eq!(names(store, PICTURE).await.len(), before + 1);
 }
 
+/// Another server reads what the first remembers.
+async fn ends_are_those_that_are_remembered(store: &BlobStore, other: &BlobStore) {
+    for size_bytes in [0, 1, 12, 16 << 10, (16 << 10) + 1, 300_000] {
+        let name = put(store, BLOB, &content(11, size_bytes)).await;
+        let (ours, theirs) = (store.ends(BLOB, &name).await, other.ends(BLOB, &name).await);
+        let ends = |ends: Result<Option<FileEnds>, ContentError>| {
+            let ends = ends.expect("reads").expect("is there");
+            (ends.size_bytes, ends.head, ends.tail)
+        };
+        assert_eq!(ends(ours), ends(theirs), "{size_bytes}");
+        assert!(store.delete(BLOB, &name).await.expect("deletes"));
+        assert!(store.ends(BLOB, &name).await.expect("looks").is_none(), "what is deleted is forgotten");
+    }
+}
+
 /// With an age of zero everything is swept, and stored again when it is put again.
 async fn old_objects_are_swept_and_refreshed(store: &BlobStore) {
     let bytes = content(9, 10);
@@ -246,6 +261,8 @@ async fn a_bucket_conforms() {
     let store = open_bucket(&s3, "s3://renders/farm/a", data.path(), MIN_OBJECT_SWEEP_AGE);
     conforms(&store).await;
     old_objects_are_swept_and_refreshed(&open_bucket(&s3, "s3://renders", data.path(), Duration::ZERO)).await;
+    let other = open_bucket(&s3, "s3://renders/farm/a", data.path(), MIN_OBJECT_SWEEP_AGE);
+    ends_are_those_that_are_remembered(&store, &other).await;
     presigned_address_gives_the_picture(&store).await;
     wrong_settings_are_explained(&s3).await;
     assert_eq!(s3.names("renders/farm/probe"), Vec::<String>::new(), "the check leaves no object");
