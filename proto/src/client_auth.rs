@@ -126,13 +126,21 @@ pub fn server_url(server: &str) -> Result<Url, ClientAuthError> {
     if is_plain && ["http", "https"].contains(&url.scheme()) { Ok(url) } else { Err(wrong()) }
 }
 
-/// Starts every HTTP client of this process, because the process has to choose its TLS library before the first
-/// client is built.
+/// Starts every HTTP client of this process but that of the object store, because the process has to choose its TLS
+/// library before the first client is built.
+///
+/// It speaks HTTP/1.1 whatever other packages enable in reqwest: a worker's uploads and its waiting calls must not share
+/// a connection.
 pub fn client_builder() -> ClientBuilder {
+    install_crypto_provider();
+    reqwest::Client::builder().pool_idle_timeout(IDLE_TIMEOUT).http1_only()
+}
+
+/// Chooses the TLS library of this process, before a client is built that does not come from [`client_builder`].
+pub fn install_crypto_provider() {
     static CRYPTO_PROVIDER: Once = Once::new();
     // Fails only if another part of the process has installed a provider already; that one is used.
     CRYPTO_PROVIDER.call_once(|| drop(rustls::crypto::ring::default_provider().install_default()));
-    reqwest::Client::builder().pool_idle_timeout(IDLE_TIMEOUT)
 }
 
 #[cfg(test)]

@@ -14,7 +14,7 @@ use futures_util::stream::BoxStream;
 use zip::write::{SimpleFileOptions, StreamWriter};
 use zip::{CompressionMethod, DateTime, ZipWriter};
 
-use crate::content_store::{ContentError, ContentKind, ContentStore};
+use crate::blobs::{BlobStore, ContentError, ContentKind};
 use crate::db::DatabaseError;
 use crate::pictures::{PictureError, PictureState, Pictures};
 use crate::queue::{FrameSet, Queue, StoredFrame};
@@ -92,7 +92,7 @@ struct ArchiveEntry {
 /// Archive in progress.
 pub(crate) struct Archive {
     queue: Queue,
-    content: Arc<ContentStore>,
+    content: Arc<BlobStore>,
     pictures: Arc<Pictures>,
     frames: FrameSet,
     basket: SharedBuffer,
@@ -105,7 +105,7 @@ pub(crate) struct Archive {
 
 impl Archive {
     /// Starts an archive of the stored pictures among these frames.
-    pub(crate) fn new(queue: Queue, content: Arc<ContentStore>, pictures: Arc<Pictures>, frames: FrameSet) -> Self {
+    pub(crate) fn new(queue: Queue, content: Arc<BlobStore>, pictures: Arc<Pictures>, frames: FrameSet) -> Self {
         let basket = SharedBuffer::default();
         let writer = Some(ZipWriter::new_stream(basket.clone()));
         Self {

@@ -7,6 +7,7 @@ use std::time::Duration;
 use proto::Secret;
 use proto::pool::MAX_POOL_WORKERS;
 
+use crate::blobs::StoreLocation;
 use crate::webhooks::AddressRange;
 
 /// Default maximum of unfinished jobs.
@@ -50,8 +51,14 @@ pub struct TlsFiles {
 pub struct Config {
     /// Address to listen on; port 0 takes any free port.
     pub listen: SocketAddr,
-    /// Folder of the database and the pictures; created if missing.
+    /// Folder of the database and, unless they are in a store, the pictures; created if missing.
     pub data: PathBuf,
+    /// Where pictures and tiles are stored.
+    pub store: StoreLocation,
+    /// Whether clients are sent to the store for stored pictures of more than 1 MiB, if it is a bucket of S3.
+    pub redirect_pictures: bool,
+    /// Age below which objects of a bucket are never swept; `None` is the default. For tests.
+    pub object_sweep_age: Option<Duration>,
     /// Local workers; `None` is one for each of `devices`.
     pub workers: Option<u32>,
     /// `--device` of the local workers in turn: `["cpu"]`, or one for each GPU. Empty means `["auto"]`.
@@ -126,6 +133,9 @@ impl Default for Config {
         Self {
             listen: SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), 8080),
             data: PathBuf::from("sdfarm-data"),
+            store: StoreLocation::Folder,
+            redirect_pictures: false,
+            object_sweep_age: None,
             workers: None,
             devices: vec!["auto".to_owned()],
             simd: "auto".to_owned(),

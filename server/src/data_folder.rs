@@ -4,6 +4,7 @@
 //! while it holds the folder's lock.
 
 mod backup;
+mod bucket;
 mod database;
 mod doctor;
 mod hashed_files;
@@ -79,6 +80,9 @@ pub enum DataFolderError {
         /// Reason.
         reason: String,
     },
+    /// The bucket of the farm's pictures could not be used.
+    #[error(transparent)]
+    Store(Box<dyn std::error::Error + Send + Sync>),
     /// Others may read the folder's secrets.
     #[error(transparent)]
     Exposed(#[from] ExposedFile),

@@ -6,10 +6,10 @@ mod admission;
 mod api_keys;
 mod archive;
 mod audit_log;
+mod blobs;
 mod budget;
 mod clock;
 mod config;
-mod content_store;
 mod counters;
 mod data_folder;
 mod db;
@@ -32,6 +32,9 @@ mod preview_helper;
 mod private_files;
 mod queue;
 mod retention;
+#[cfg(test)]
+#[path = "../../tests/seaweedfs.rs"]
+mod seaweedfs;
 mod shutdown;
 mod signed_links;
 #[cfg(test)]
@@ -51,6 +54,7 @@ use std::time::Duration;
 use tokio_util::sync::CancellationToken;
 
 pub use api_keys::{OfflineApiKeys, OfflineApiKeysError};
+pub use blobs::{BucketError, ParseStoreError, StoreLocation};
 pub use clock::{Clock, ManualClock};
 pub use config::{
     Config, MAX_CONNECTIONS, MAX_JOBS_PER_NAME, MAX_PAUSED_PER_NAME, MAX_QUEUED_JOBS, MAX_RAYS_PER_NAME,

@@ -4,7 +4,6 @@
 
 mod orphan_sweep;
 
-use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
@@ -12,7 +11,7 @@ use std::time::Duration;
 use tokio::sync::mpsc;
 use tokio_util::sync::CancellationToken;
 
-use crate::content_store;
+use crate::blobs::BlobStore;
 use crate::counters::ServerCounters;
 use crate::db::DatabaseError;
 use crate::orphans::{OrphanCandidates, Orphans};
@@ -26,8 +25,6 @@ pub(crate) use orphan_sweep::OrphanSweep;
 const LEASE_CHECK_INTERVAL: Duration = Duration::from_secs(1);
 /// Interval at which rows and folders are cleaned up.
 const CLEANUP_INTERVAL: Duration = Duration::from_mins(10);
-/// Minimum age at which content without a report is swept.
-const ORPHAN_GRACE: Duration = Duration::from_mins(10);
 /// Delay after a piece of a large change that failed.
 const FAILED_PIECE_DELAY: Duration = Duration::from_secs(1);
 
@@ -73,8 +70,8 @@ pub(crate) struct Cleanup {
     pub(crate) retention: Arc<Retention>,
     /// Has old previews.
     pub(crate) preview_helper: Arc<PreviewHelper>,
-    /// The data folder.
-    pub(crate) data: PathBuf,
+    /// The store, which has partial files.
+    pub(crate) content: Arc<BlobStore>,
 }
 
 impl Maintenance {
@@ -165,9 +162,8 @@ impl Cleanup {
         }
         self.queue.prune_idempotency_keys().await?;
         self.queue.prune_deliveries().await?;
-        let data = self.data.clone();
-        let removed =
-            tokio::task::spawn_blocking(move || content_store::remove_partial_writes(&data, ORPHAN_GRACE)).await;
+        let content = Arc::clone(&self.content);
+        let removed = tokio::task::spawn_blocking(move || content.remove_partial_writes()).await;
         if let Err(error) = removed.map_err(std::io::Error::other).flatten() {
             tracing::warn!(%error, "could not remove partial files");
         }

@@ -2,7 +2,7 @@
 
 use tokio::sync::mpsc;
 
-use crate::content_store::ContentKind;
+use crate::blobs::ContentKind;
 use crate::queue::RemovedContent;
 
 /// Stored bytes that may be orphans.

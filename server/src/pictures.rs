@@ -4,11 +4,14 @@ use std::sync::Arc;
 
 use proto::frame::ForgottenPicture;
 
-use crate::content_store::{ContentError, ContentHash, ContentKind, ContentStore, FileState};
+use crate::blobs::{BlobStore, ContentError, ContentHash, ContentKind, FileState};
 use crate::db::DatabaseError;
 use crate::preview_helper::PreviewHelper;
 use crate::queue::Queue;
 use crate::space_reserve::SpaceReserve;
+
+/// Size of a picture above which a client may be sent to the store for it.
+const MIN_REDIRECT_BYTES: u64 = 1 << 20;
 
 /// Whether a stored picture may be served.
 #[derive(Clone, Debug)]
@@ -36,20 +39,23 @@ pub(crate) enum PictureError {
 #[derive(Debug)]
 pub(crate) struct Pictures {
     queue: Queue,
-    content: Arc<ContentStore>,
+    content: Arc<BlobStore>,
     reserve: Arc<SpaceReserve>,
     preview_helper: Arc<PreviewHelper>,
+    redirects: bool,
 }
 
 impl Pictures {
-    /// Serves the pictures of this store, which the queue's frames show.
+    /// Serves the pictures of this store, which the queue's frames show; with `redirects`, clients may read large ones
+    /// from the store itself.
     pub(crate) fn new(
         queue: Queue,
-        content: Arc<ContentStore>,
+        content: Arc<BlobStore>,
         reserve: Arc<SpaceReserve>,
         preview_helper: Arc<PreviewHelper>,
+        redirects: bool,
     ) -> Self {
-        Self { queue, content, reserve, preview_helper }
+        Self { queue, content, reserve, preview_helper, redirects }
     }
 
     /// Checks the file of a picture with this recorded size. If it is missing or damaged, the picture is forgotten.
@@ -63,6 +69,20 @@ impl Pictures {
         tracing::error!(code, hash, "a stored picture is missing or damaged; its frames are rendered again");
         self.forget(&name).await?;
         Ok(state)
+    }
+
+    /// Address in the store to send a client to for an intact picture, valid for five minutes and for GET only; `None` if
+    /// the server should answer itself.
+    pub(crate) async fn redirect(
+        &self,
+        name: &ContentHash,
+        size_bytes: u64,
+        media_type: &str,
+    ) -> Result<Option<String>, ContentError> {
+        if !self.redirects || size_bytes <= MIN_REDIRECT_BYTES {
+            return Ok(None);
+        }
+        self.content.presigned(ContentKind::Picture, name, media_type).await
     }
 
     /// Forgets a picture: its rows, its file, and what was drawn from it. The frames that show it are rendered again,

@@ -17,6 +17,7 @@ use proto::preview_helper::{self, CostSample, HelperRequest};
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::process::{Child, Command};
 
+use crate::blobs::{ContentError, LocalCopies};
 use crate::fair_queue::{FairQueue, Place, WaitingLimits};
 
 /// Maximum number of helper processes.
@@ -54,6 +55,9 @@ pub(crate) enum HelperError {
     /// The helper could not be started.
     #[error("could not start the preview helper: {0}")]
     Start(io::Error),
+    /// The stored files that it should read could not be fetched.
+    #[error(transparent)]
+    Fetch(#[from] ContentError),
     /// The helper failed.
     #[error("the preview helper failed: {0}")]
     Failed(String),
@@ -86,12 +90,18 @@ impl PreviewHelper {
         self.folder.join(format!("{job}-{frame}"))
     }
 
-    /// Picture with this entity tag, from the cache or drawn in the turn of its submitter.
+    /// Folder for copies of stored files that a helper reads; emptied at the next start.
+    pub(crate) fn folder(&self) -> &Path {
+        &self.folder
+    }
+
+    /// Picture with this entity tag, from the cache or drawn in the turn of its submitter, when the request is made: the
+    /// files that it names exist until the helper has ended.
     pub(crate) async fn picture(
         &self,
         submitter: &str,
         tag: &str,
-        request: &HelperRequest,
+        request: impl Future<Output = Result<(HelperRequest, LocalCopies), HelperError>>,
     ) -> Result<Bytes, HelperError> {
         if let Some(kept) = self.find(tag) {
             return Ok(kept);
@@ -101,8 +111,10 @@ impl PreviewHelper {
         if let Some(kept) = self.find(tag) {
             return Ok(kept);
         }
-        let picture = Bytes::from(self.run(request).await?);
-        drop(turn);
+        let made = tokio::time::timeout(TIME_LIMIT, request).await;
+        let (request, copies) = made.map_err(|_| HelperError::TimedOut).flatten()?;
+        let picture = Bytes::from(self.run(&request).await?);
+        drop((copies, turn));
         self.keep(tag, &picture);
         Ok(picture)
     }
@@ -167,6 +179,10 @@ impl PreviewHelper {
         let mut files = Vec::new();
         for entry in std::fs::read_dir(&self.folder)? {
             let entry = entry?;
+            if entry.file_type()?.is_dir() {
+                // Copies that a helper is reading.
+                continue;
+            }
             files.push((entry.metadata()?.modified().unwrap_or(SystemTime::UNIX_EPOCH), entry.path()));
         }
         files.sort();

@@ -7,12 +7,11 @@ use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::time::Duration;
 
-use futures_util::stream::TryStreamExt;
 use proto::retention::{GcReport, RemovalReason, RemovedJob};
 use tokio_util::sync::CancellationToken;
 
+use crate::blobs::{BlobStore, ContentKind};
 use crate::clock::rfc3339;
-use crate::content_store::{ContentKind, ContentStore};
 use crate::db::DatabaseError;
 use crate::orphans::Orphans;
 use crate::queue::{FinishedJob, Queue};
@@ -54,7 +53,7 @@ pub(crate) struct RetentionLimits {
 #[derive(Debug)]
 pub(crate) struct Retention {
     queue: Queue,
-    content: Arc<ContentStore>,
+    content: Arc<BlobStore>,
     reserve: Arc<SpaceReserve>,
     orphans: Orphans,
     limits: RetentionLimits,
@@ -64,7 +63,7 @@ impl Retention {
     /// Keeps these limits.
     pub(crate) fn new(
         queue: Queue,
-        content: Arc<ContentStore>,
+        content: Arc<BlobStore>,
         reserve: Arc<SpaceReserve>,
         orphans: Orphans,
         limits: RetentionLimits,
@@ -112,12 +111,8 @@ impl Retention {
 
     async fn store_bytes(&self) -> object_store::Result<u64> {
         let mut sum_bytes = 0;
-        for kind in [ContentKind::Picture, ContentKind::Blob] {
-            sum_bytes += self
-                .content
-                .list(kind)
-                .try_fold(0, async |bytes, meta| Ok::<_, object_store::Error>(bytes + meta.size))
-                .await?;
+        for kind in ContentKind::ALL {
+            sum_bytes += self.content.size_bytes(kind).await?;
         }
         Ok(sum_bytes)
     }

@@ -12,9 +12,9 @@ use std::sync::Arc;
 
 use crate::api_keys::ApiKeys;
 use crate::audit_log::AuditLog;
+use crate::blobs::{BlobStore, BucketError, ContentKind, OpenStoreError, StoreLocation};
 use crate::clock::Clock;
 use crate::config::Config;
-use crate::content_store::ContentStore;
 use crate::db::{Database, DatabaseError, OpenError};
 use crate::http::ApiState;
 use crate::listen::{ListenError, Listeners};
@@ -47,6 +47,24 @@ pub enum StartError {
         folder: PathBuf,
         /// Error of the system.
         source: io::Error,
+    },
+    /// The store cannot be used.
+    #[error(transparent)]
+    Store(#[from] BucketError),
+    /// The farm's pictures are in another store.
+    #[error(
+        "the farm in {folder} has its pictures in {recorded}, not in {given}: start it with the store it has \
+         (--store s3://BUCKET/PREFIX, none for the data folder); or, to move it, copy pictures/ to the new store, and \
+         replace the line in {folder}/{} by it (remove the file for the data folder)",
+        crate::blobs::RECORD_FILE
+    )]
+    OtherStore {
+        /// The data folder.
+        folder: PathBuf,
+        /// Store of its pictures.
+        recorded: StoreLocation,
+        /// Store in the configuration.
+        given: StoreLocation,
     },
     /// Others may read the data folder's secrets.
     #[error(transparent)]
@@ -138,7 +156,7 @@ pub(crate) async fn start(config: Config, clock: Clock) -> Result<Started, Start
         LockError::Io(source) => folder(source),
     })?;
     private_files::restrict(&config.data)?;
-    let content = ContentStore::open(&config.data).map_err(folder)?;
+    let content = open_store(&config).await?;
     let links = LinkSigner::open(&config.data).map_err(folder)?;
     let preview_helper = PreviewHelper::open(&config.data, &config.worker_program).map_err(folder)?;
     let listeners = Listeners::open(&config).await?;
@@ -164,6 +182,31 @@ pub(crate) async fn start(config: Config, clock: Clock) -> Result<Started, Start
         config: Arc::new(config),
     };
     Ok(foundation.connect(Opened { listeners, database, api_keys, audit_log, links, webhook_addresses, signer, lock }))
+}
+
+/// Opens the farm's store, which must be the one that the data folder records.
+async fn open_store(config: &Config) -> Result<BlobStore, StartError> {
+    let folder = |source| StartError::DataFolder { folder: config.data.clone(), source };
+    let recorded = StoreLocation::recorded(&config.data).map_err(folder)?;
+    let is_recorded = recorded != StoreLocation::Folder;
+    if is_recorded && recorded != config.store {
+        let given = config.store.clone();
+        return Err(StartError::OtherStore { folder: config.data.clone(), recorded, given });
+    }
+    let opened = BlobStore::open(&config.store, &config.data, config.object_sweep_age).await;
+    let content = opened.map_err(|error| match error {
+        OpenStoreError::Folder(source) => folder(source),
+        OpenStoreError::Bucket(error) => error.into(),
+    })?;
+    let has_pictures = || {
+        let entries = std::fs::read_dir(ContentKind::Picture.path(&config.data));
+        entries.is_ok_and(|mut entries| entries.next().is_some())
+    };
+    if content.folder().is_none() && !is_recorded && has_pictures() {
+        tracing::warn!(store = %config.store, "the pictures in the data folder are not used: copy them to the store's pictures/, or they are rendered again");
+    }
+    config.store.record(&config.data).map_err(folder)?;
+    Ok(content)
 }
 
 /// Opens the queue, and repairs the state that the last server left.

@@ -16,6 +16,7 @@ use proto::{JobId, WorkerId};
 use tokio::time::Instant;
 
 use crate::admission::Shares;
+use crate::blobs::{BlobStore, ContentKind};
 use crate::clock::monotonic_now;
 use crate::counters::ServerCounters;
 use crate::db::{Database, DatabaseError};
@@ -28,6 +29,8 @@ use metrics::{Labels, replace};
 const COUNTS_TTL: Duration = Duration::from_secs(1);
 /// Time for which the sizes of folders are cached.
 const SIZES_TTL: Duration = Duration::from_secs(30);
+/// Time for which the sizes in a bucket are cached, because listing it costs money.
+const BUCKET_SIZES_TTL: Duration = Duration::from_mins(10);
 /// Inverse of the maximum fraction of time spent on counting.
 const MAX_COUNTING_FRACTION: u32 = 20;
 /// Time for which a worker's GPU is shown after its last report.
@@ -43,6 +46,7 @@ pub(crate) struct Telemetry {
     /// Metrics counted as they happen.
     pub(crate) metrics: Metrics,
     queue: Queue,
+    content: Arc<BlobStore>,
     counters: Arc<ServerCounters>,
     started: Instant,
     data: PathBuf,
@@ -77,6 +81,17 @@ impl<T: Clone> Expiring<T> {
     }
 }
 
+async fn bucket_sizes(content: &BlobStore, last: FolderSizes, disk: Disk) -> FolderSizes {
+    let measured = tokio::try_join!(content.size_bytes(ContentKind::Picture), content.size_bytes(ContentKind::Blob));
+    match measured {
+        Ok((pictures_bytes, blobs_bytes)) => FolderSizes { pictures_bytes, blobs_bytes, disk },
+        Err(error) => {
+            tracing::warn!(%error, "could not list the store");
+            FolderSizes { disk, ..last }
+        }
+    }
+}
+
 /// Device of a worker.
 #[derive(Debug)]
 struct DeviceStatus {
@@ -88,10 +103,17 @@ struct DeviceStatus {
 
 impl Telemetry {
     /// Metrics of a server that starts now.
-    pub(crate) fn new(data: PathBuf, database: &Database, queue: Queue, counters: Arc<ServerCounters>) -> Self {
+    pub(crate) fn new(
+        data: PathBuf,
+        database: &Database,
+        queue: Queue,
+        content: Arc<BlobStore>,
+        counters: Arc<ServerCounters>,
+    ) -> Self {
         Self {
-            metrics: Metrics::new(database.commits()),
+            metrics: Metrics::new(database.commits(), content.location()),
             queue,
+            content,
             counters,
             started: monotonic_now(),
             data,
@@ -155,20 +177,26 @@ impl Telemetry {
         Ok(counts)
     }
 
-    /// Sizes in the data folder, cached for 30 s.
-    pub(crate) async fn sizes(&self) -> FolderSizes {
+    /// Sizes of the store and of the data folder's disk, cached for 30 s, or for 10 min of a bucket. If the bucket cannot
+    /// be listed, its sizes are those of the last time.
+    async fn sizes(&self) -> FolderSizes {
         let mut kept = self.sizes.lock().await;
         if let Some(sizes) = Expiring::get(kept.as_ref()) {
             return sizes;
         }
         let (begun, data) = (monotonic_now(), self.data.clone());
-        let measure = move || FolderSizes {
-            pictures_bytes: host::folder_bytes(&data.join("pictures")),
-            blobs_bytes: host::folder_bytes(&data.join("tiles")),
-            disk: host::disk(&data),
+        let (sizes, keep) = if self.content.folder().is_some() {
+            let measure = move || FolderSizes {
+                pictures_bytes: host::folder_bytes(&data.join("pictures")),
+                blobs_bytes: host::folder_bytes(&data.join("tiles")),
+                disk: host::disk(&data),
+            };
+            (tokio::task::spawn_blocking(measure).await.unwrap_or_default(), SIZES_TTL)
+        } else {
+            let last = kept.as_ref().map(|kept| kept.value).unwrap_or_default();
+            (bucket_sizes(&self.content, last, host::disk(&data)).await, BUCKET_SIZES_TTL)
         };
-        let sizes = tokio::task::spawn_blocking(measure).await.unwrap_or_default();
-        *kept = Some(Expiring::new(sizes, begun, SIZES_TTL));
+        *kept = Some(Expiring::new(sizes, begun, keep));
         sizes
     }
 

@@ -8,7 +8,7 @@ mod result_check;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
-use crate::content_store::{ContentError, ContentKind};
+use crate::blobs::{ContentError, ContentKind};
 use crate::counters::ServerCounters;
 use crate::db::DatabaseError;
 use crate::orphans::Orphans;

@@ -33,6 +33,7 @@ mod api {
     mod retention;
     mod start_page;
     mod startup;
+    mod store;
     mod verification;
     mod webhooks;
     mod worker_keys;

@@ -20,14 +20,18 @@ pub(crate) struct Arguments {
 /// Backs up the farm and prints a summary.
 pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     let backup = server::back_up(&arguments.data, &arguments.folder).await?;
-    print_line(&format!(
-        "{} pictures are in {}: {} copied now ({} bytes), {} dropped",
-        backup.pictures,
-        arguments.folder.display(),
-        backup.copied,
-        backup.copied_bytes,
-        backup.removed
-    ))?;
+    let folder = arguments.folder.display();
+    print_line(&match &backup.store {
+        None => format!(
+            "{} pictures are in {folder}: {} copied now ({} bytes), {} dropped",
+            backup.pictures, backup.copied, backup.copied_bytes, backup.removed
+        ),
+        Some(store) => format!(
+            "the database is in {folder}; {} pictures stay in {store}, which this backup does not protect: turn on its \
+             versioning ({folder}/pictures.txt lists them)",
+            backup.pictures
+        ),
+    })?;
     for hash in &backup.missing {
         print_note(&format!("picture {hash} is missing from the store, or damaged"));
     }

@@ -20,12 +20,17 @@ pub(crate) struct Arguments {
 /// Restores the farm, and checks every byte.
 pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     let restored = server::restore(&arguments.folder, &arguments.data).await?;
-    print_line(&format!(
-        "restored the farm of {} to {}: its database and {} pictures are intact",
-        restored.made_at,
-        arguments.data.display(),
-        restored.pictures
-    ))?;
+    let (made_at, data) = (&restored.made_at, arguments.data.display());
+    print_line(&match &restored.store {
+        None => format!(
+            "restored the farm of {made_at} to {data}: its database and {} pictures are intact",
+            restored.pictures
+        ),
+        Some(store) => format!(
+            "restored the farm of {made_at} to {data}: its database is intact; its pictures are in {store}: check them \
+             with `sdfarm doctor --data {data}`, and start the server with --store {store}"
+        ),
+    })?;
     for hash in &restored.missing {
         print_note(&format!("picture {hash} is missing from the backup, or damaged"));
     }

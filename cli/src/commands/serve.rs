@@ -10,7 +10,7 @@ use proto::pool::MAX_POOL_WORKERS;
 use proto::{Retention, Secret};
 use server::{
     AddressRange, Config, MAX_CONNECTIONS, MAX_JOBS_PER_NAME, MAX_PAUSED_PER_NAME, MAX_QUEUED_JOBS, MAX_RAYS_PER_NAME,
-    MAX_REQUESTS_PER_CALLER, MAX_TILE_SECONDS, Server, TlsFiles, VERIFY_NEW_MINUTES, VERIFY_PERCENT,
+    MAX_REQUESTS_PER_CALLER, MAX_TILE_SECONDS, Server, StoreLocation, TlsFiles, VERIFY_NEW_MINUTES, VERIFY_PERCENT,
 };
 use tokio_util::sync::CancellationToken;
 use worker::{CpuRenderer, RenderError, Simd};
@@ -33,9 +33,18 @@ pub(crate) struct Arguments {
     /// Address to listen on; port 0 takes any free port.
     #[arg(long, value_name = "ADDRESS:PORT", env = "SDFARM_LISTEN", default_value = "127.0.0.1:8080", value_parser = address)]
     listen: SocketAddr,
-    /// Folder of the database and the pictures; created if missing.
+    /// Folder of the database and, without --store, the pictures; created if missing.
     #[arg(long, value_name = "FOLDER", env = "SDFARM_DATA", default_value = "./sdfarm-data")]
     data: PathBuf,
+    /// Bucket of an S3 store for pictures and tiles; keys, region and endpoint come from the usual AWS variables [default: the data folder].
+    #[arg(long, value_name = "s3://BUCKET/PREFIX", env = "SDFARM_STORE")]
+    store: Option<StoreLocation>,
+    /// Send clients to the store for stored pictures of more than 1 MiB, by an address that is valid for five minutes.
+    #[arg(long, env = "SDFARM_REDIRECT_PICTURES", requires = "store", value_parser = clap::builder::FalseyValueParser::new(), action = clap::ArgAction::SetTrue)]
+    redirect_pictures: bool,
+    /// Age below which objects are never swept; for tests.
+    #[arg(long, hide = true, value_name = "SECONDS", requires = "store")]
+    object_sweep_seconds: Option<u64>,
     /// Workers on this machine [default: one for each GPU, otherwise one with every core].
     #[arg(long, value_name = "N", env = "SDFARM_WORKERS", value_parser = clap::value_parser!(u32).range(0..=i64::from(MAX_POOL_WORKERS)))]
     workers: Option<u32>,
@@ -121,6 +130,9 @@ impl Arguments {
         Ok(Config {
             listen: self.listen,
             data: self.data,
+            store: self.store.unwrap_or_default(),
+            redirect_pictures: self.redirect_pictures,
+            object_sweep_age: self.object_sweep_seconds.map(Duration::from_secs),
             workers: self.workers,
             devices: devices(self.device)?,
             simd: self.simd.to_string(),

@@ -1,15 +1,17 @@
 //! Backup of a running farm: the database as of one instant, then the pictures it names.
 //!
 //! Pictures never change, so only new ones are copied. Tile blobs are left out: unfinished frames are rendered
-//! again.
+//! again. Pictures in a bucket stay there: a backup lists them, and says which are missing.
 
 use std::collections::HashSet;
 use std::fs::{self, File};
+use std::io::{BufWriter, Write};
 use std::path::Path;
 
 use super::database::PictureRef;
 use super::manifest::{self, Manifest};
-use super::{DataFolderError, database, hashed_files};
+use super::{DataFolderError, bucket, database, hashed_files};
+use crate::blobs::BlobStore;
 use crate::clock::{Clock, rfc3339};
 use crate::db::{self, Database};
 use crate::private_files;
@@ -18,6 +20,8 @@ use crate::private_files;
 const MAX_ATTEMPTS: u32 = 4;
 /// Files of a data folder larger than this are not copied, because sdfarm has no such files.
 const MAX_FILE_BYTES: u64 = 1 << 20;
+/// File with the hash and the size of each picture in the bucket, a line each.
+const LIST_FILE: &str = "pictures.txt";
 
 /// Result of a backup.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -32,11 +36,14 @@ pub struct Backup {
     pub removed: u64,
     /// Pictures in the database that are missing from the store.
     pub missing: Vec<String>,
+    /// Bucket in which the pictures stay; `None` if they are in the backup.
+    pub store: Option<String>,
 }
 
 /// Copies the farm in `data` to `folder`, which is empty or holds an earlier backup.
 pub async fn back_up(data: &Path, folder: &Path) -> Result<Backup, DataFolderError> {
     let mut live = database::open(data).await?;
+    let bucket = bucket::open(data)?;
     let earlier = prepare(data, folder)?;
     let part = folder.join("farm.sqlite.part");
     for round in 1.. {
@@ -45,7 +52,10 @@ pub async fn back_up(data: &Path, folder: &Path) -> Result<Backup, DataFolderErr
         let into = db::query("VACUUM INTO ?").bind(part.to_string_lossy().into_owned());
         into.execute(&mut live).await.map_err(DataFolderError::database(&Database::file(data)))?;
         let names = picture_refs(&part).await?;
-        let backup = copy_pictures(data, folder, &names)?;
+        let backup = match &bucket {
+            None => copy_pictures(data, folder, &names)?,
+            Some(bucket) => list_pictures(bucket, folder, &names).await?,
+        };
         if !backup.missing.is_empty()
             && round < MAX_ATTEMPTS
             && !missing_in_farm(&mut live, &backup.missing, data).await?
@@ -111,6 +121,19 @@ fn copy_pictures(data: &Path, folder: &Path, names: &[PictureRef]) -> Result<Bac
     Ok(backup)
 }
 
+/// Writes the list of the pictures that the database names, and compares it with the bucket.
+async fn list_pictures(bucket: &BlobStore, folder: &Path, names: &[PictureRef]) -> Result<Backup, DataFolderError> {
+    let (pictures, missing) = bucket::find_pictures(bucket, names).await?;
+    let file = folder.join(LIST_FILE);
+    let listed = File::create(&file).and_then(|list| {
+        let mut list = BufWriter::new(list);
+        names.iter().try_for_each(|named| writeln!(list, "{} {}", named.hash, named.size_bytes))?;
+        list.flush()
+    });
+    listed.map_err(DataFolderError::file("write", &file))?;
+    Ok(Backup { pictures, missing, store: Some(bucket.location().to_string()), ..Backup::default() })
+}
+
 /// Whether the farm itself lacks some of these pictures; if not, they were deleted with their jobs in the
 /// meantime.
 async fn missing_in_farm(live: &mut db::Connection, missing: &[String], data: &Path) -> Result<bool, DataFolderError> {
@@ -139,6 +162,7 @@ fn finish(
         database,
         pictures: names.len() as u64,
         files: copy_files(data, folder)?,
+        store: backup.store.clone(),
     };
     let file = manifest.database_file(folder);
     let placed = File::open(&part).and_then(|copy| copy.sync_all()).and_then(|()| fs::rename(&part, &file));

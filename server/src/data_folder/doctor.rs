@@ -8,8 +8,9 @@ use std::sync::Arc;
 
 use db::Connection;
 
-use super::store_check::{self, StoreComparison};
-use super::{DataFolderError, database};
+use super::store_check::{self, Orphan, StoreComparison};
+use super::{DataFolderError, bucket, database};
+use crate::blobs::{BlobStore, ContentError, ContentHash, ContentKind};
 use crate::clock::Clock;
 use crate::db::{self, Database, Durability};
 use crate::host;
@@ -116,12 +117,8 @@ pub async fn run_checks(data: &Path, depth: Depth, repair: Repair) -> Result<Vec
     if is_sound {
         check_clock(&mut connection, data, &mut findings).await?;
         findings.push(check_books(data, &mut connection, repair == Repair::Store && lock.is_some()).await?);
-        let found = check_store(data, &mut connection, depth, serving.is_some()).await?;
-        let repaired = match repair {
-            Repair::Store if lock.is_some() => Some(repair_store(data, &found).await?),
-            Repair::Store | Repair::None => None,
-        };
-        findings.extend(store_findings(&found, repaired));
+        let repairs = repair == Repair::Store && lock.is_some();
+        findings.extend(check_store(data, &mut connection, depth, serving.is_some(), repairs).await?);
     }
     check_host(data, &mut findings);
     drop(lock);
@@ -217,17 +214,41 @@ async fn check_store(
     connection: &mut Connection,
     depth: Depth,
     serving: bool,
-) -> Result<StoreComparison, DataFolderError> {
+    repairs: bool,
+) -> Result<Vec<Finding>, DataFolderError> {
     let failed = DataFolderError::database(&Database::file(data));
     let pictures = database::pictures(connection).await.map_err(&failed)?;
     let blobs = database::blobs(connection).await.map_err(&failed)?;
-    store_check::compare_store(data, &pictures, &blobs, depth == Depth::Bytes, serving)
+    let bucket = bucket::open(data)?;
+    let is_deep = depth == Depth::Bytes;
+    let mut findings = Vec::new();
+    let found = match &bucket {
+        None => store_check::compare_store(data, &pictures, &blobs, is_deep, serving)?,
+        Some(bucket) => {
+            if let Err(error) = bucket.check().await {
+                return Ok(vec![Finding::error("store", error.problem(), error.cure())]);
+            }
+            findings.push(Finding::ok("store", format!("{} can be read and written", bucket.location())));
+            bucket::compare(bucket, &pictures, &blobs, is_deep).await?
+        }
+    };
+    let repaired = if repairs { Some(repair_store(data, bucket.as_ref(), &found).await?) } else { None };
+    findings.extend(store_findings(&found, repaired));
+    Ok(findings)
 }
 
 /// Deletes orphans and damaged pictures, and requeues the frames of missing pictures.
-async fn repair_store(data: &Path, found: &StoreComparison) -> Result<Reopened, DataFolderError> {
-    for path in &found.orphans {
-        fs::remove_file(path).map_err(DataFolderError::file("remove", path))?;
+async fn repair_store(
+    data: &Path,
+    bucket: Option<&BlobStore>,
+    found: &StoreComparison,
+) -> Result<Reopened, DataFolderError> {
+    for orphan in &found.orphans {
+        match (orphan, bucket) {
+            (Orphan::Object(kind, name), Some(bucket)) => delete(bucket, *kind, name).await?,
+            (Orphan::Object(..), None) => unreachable!("objects are found in a bucket"),
+            (Orphan::File(path), _) => fs::remove_file(path).map_err(DataFolderError::file("remove", path))?,
+        }
     }
     let lost: Vec<String> = found.missing.iter().chain(&found.damaged).cloned().collect();
     if lost.is_empty() {
@@ -242,10 +263,21 @@ async fn repair_store(data: &Path, found: &StoreComparison) -> Result<Reopened, 
     // The rows first: a picture without a row is only an orphan.
     let reopened = reopened?;
     for hash in &found.damaged {
-        let path = data.join("pictures").join(hash);
-        fs::remove_file(&path).map_err(DataFolderError::file("remove", &path))?;
+        match (bucket, ContentHash::parse(hash)) {
+            (Some(bucket), Some(name)) => delete(bucket, ContentKind::Picture, &name).await?,
+            (Some(_), None) => {}
+            (None, _) => {
+                let path = data.join("pictures").join(hash);
+                fs::remove_file(&path).map_err(DataFolderError::file("remove", &path))?;
+            }
+        }
     }
     Ok(reopened)
+}
+
+async fn delete(bucket: &BlobStore, kind: ContentKind, name: &ContentHash) -> Result<(), DataFolderError> {
+    let deleted = bucket.delete_if(kind, name, async |_| Ok::<_, ContentError>(true)).await;
+    deleted.map(drop).map_err(|error| DataFolderError::Store(error.into()))
 }
 
 fn store_findings(found: &StoreComparison, repaired: Option<Reopened>) -> Vec<Finding> {

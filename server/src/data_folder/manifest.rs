@@ -27,6 +27,9 @@ pub(super) struct Manifest {
     pub(super) pictures: u64,
     /// Other files of the data folder: secrets.
     pub(super) files: Vec<String>,
+    /// Bucket in which the pictures are; `None` if they are in the backup.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(super) store: Option<String>,
 }
 
 impl Manifest {
@@ -40,7 +43,7 @@ impl Manifest {
         };
         let list: Self = serde_json::from_slice(&text)
             .map_err(|error| DataFolderError::Manifest { path: path.clone(), reason: error.to_string() })?;
-        let is_hash = crate::content_store::ContentHash::parse(&list.database).is_some();
+        let is_hash = crate::blobs::ContentHash::parse(&list.database).is_some();
         let is_plain = list.files.iter().all(|name| Path::new(name).file_name().is_some_and(|file| file == &name[..]));
         if is_hash && is_plain {
             Ok(Some(list))

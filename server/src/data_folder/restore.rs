@@ -18,6 +18,8 @@ pub struct Restored {
     pub pictures: u64,
     /// Number of pictures that the backup lacks.
     pub missing: Vec<String>,
+    /// Bucket in which the pictures are; `None` if they were restored.
+    pub store: Option<String>,
 }
 
 /// Restores the backup in `folder` into `data`, which must be new or empty.
@@ -44,8 +46,9 @@ pub async fn restore(folder: &Path, data: &Path) -> Result<Restored, DataFolderE
     let pictures = data.join("pictures");
     private_files::create_folder(&pictures).map_err(DataFolderError::file("make", &pictures))?;
     let lock = FolderLock::acquire(data).map_err(DataFolderError::lock(data))?;
-    let mut restored = Restored { made_at: manifest.made_at.clone(), ..Restored::default() };
-    for named in names {
+    let mut restored =
+        Restored { made_at: manifest.made_at.clone(), store: manifest.store.clone(), ..Restored::default() };
+    for named in names.into_iter().filter(|_| manifest.store.is_none()) {
         let from = folder.join("pictures").join(&named.hash);
         match hashed_files::copy(&from, &pictures.join(&named.hash), &named.hash) {
             Ok(true) => restored.pictures += 1,

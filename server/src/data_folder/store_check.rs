@@ -7,9 +7,19 @@ use std::time::Duration;
 
 use super::database::PictureRef;
 use super::{DataFolderError, hashed_files};
+use crate::blobs::{ContentHash, ContentKind};
 
 /// Minimum age of an orphan: newer files may not have been reported yet to a running server.
 const UNREPORTED_AGE: Duration = Duration::from_mins(10);
+
+/// Content that no row refers to.
+#[derive(Clone, Debug)]
+pub(super) enum Orphan {
+    /// File in a data folder.
+    File(PathBuf),
+    /// Object in a bucket.
+    Object(ContentKind, ContentHash),
+}
 
 /// Result of the comparison.
 #[derive(Clone, Debug, Default)]
@@ -20,9 +30,9 @@ pub(super) struct StoreComparison {
     pub(super) missing: Vec<String>,
     /// Hashes of pictures with other bytes than their name says.
     pub(super) damaged: Vec<String>,
-    /// Files that no row refers to.
-    pub(super) orphans: Vec<PathBuf>,
-    /// Total size of those files, in bytes.
+    /// Content that no row refers to.
+    pub(super) orphans: Vec<Orphan>,
+    /// Its total size, in bytes.
     pub(super) orphan_bytes: u64,
 }
 
@@ -76,7 +86,7 @@ fn find_orphans(
         let is_young = serving && age < UNREPORTED_AGE;
         if metadata.is_file() && !named.contains(&*entry.file_name().to_string_lossy()) && !is_young {
             found.orphan_bytes += metadata.len();
-            found.orphans.push(entry.path());
+            found.orphans.push(Orphan::File(entry.path()));
         }
     }
     Ok(())

@@ -38,7 +38,7 @@ pub(crate) struct ScalarStatement<T> {
     column: PhantomData<fn() -> T>,
 }
 
-/// What a statement has changed.
+/// Number of rows that a statement has changed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Changed {
     rows: u64,

@@ -10,8 +10,8 @@ use proto::{JobId, Problem};
 use super::content_encoding::encoding_cure;
 use crate::admission::{CallerClass, Holder};
 use crate::api_keys::ApiKeyError;
+use crate::blobs::ContentError;
 use crate::budget::Exhausted;
-use crate::content_store::ContentError;
 use crate::db::DatabaseError;
 use crate::job_cache::JobLoadError;
 use crate::listen::SlowBody;
@@ -458,7 +458,7 @@ impl From<HelperError> for ApiError {
         match error {
             HelperError::Busy => Self::TooManyPreviews(error),
             HelperError::TimedOut => Self::PreviewDelayed(error),
-            HelperError::Start(_) | HelperError::Failed(_) => Self::PreviewFailed,
+            HelperError::Start(_) | HelperError::Fetch(_) | HelperError::Failed(_) => Self::PreviewFailed,
         }
     }
 }

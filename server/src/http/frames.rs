@@ -18,7 +18,7 @@ use super::jobs::job_id;
 use super::state::handle_group;
 use crate::admission::{Holder, Shares};
 use crate::archive::Archive;
-use crate::content_store::ContentStore;
+use crate::blobs::BlobStore;
 use crate::pictures::Pictures;
 use crate::queue::Queue;
 
@@ -35,7 +35,7 @@ handle_group! {
         /// Has the frames.
         queue: Queue,
         /// Has the pictures.
-        content: Arc<ContentStore>,
+        content: Arc<BlobStore>,
         /// Checks them.
         pictures: Arc<Pictures>,
         /// Has room for the archive's directory.

@@ -10,7 +10,7 @@ use serde_json::{Value, json};
 
 use super::error::ApiError;
 use crate::admission::Shares;
-use crate::content_store::ContentStore;
+use crate::blobs::BlobStore;
 use crate::pool::Pool;
 use crate::queue::Queue;
 use crate::telemetry::Telemetry;
@@ -38,14 +38,17 @@ pub(super) async fn livez() -> &'static str {
 )]
 pub(super) async fn readyz(
     State(queue): State<Queue>,
-    State(content): State<Arc<ContentStore>>,
+    State(content): State<Arc<BlobStore>>,
 ) -> Result<Json<Value>, ApiError> {
     queue.check().await?;
-    content.check_writable().await?;
+    content.check_usable().await?;
     let workers = queue.workers().await?.workers;
     let status = if workers.is_empty() { "degraded" } else { "ready" };
     let names: Vec<String> = workers.into_iter().map(|worker| worker.name).collect();
-    Ok(Json(json!({ "status": status, "database": "ok", "store": "ok", "workers": names })))
+    let store_kind = content.location().kind();
+    Ok(Json(json!({
+        "status": status, "database": "ok", "store": "ok", "store_kind": store_kind, "workers": names
+    })))
 }
 
 /// Metrics in the `OpenMetrics` text format.

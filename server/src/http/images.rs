@@ -5,7 +5,7 @@ use std::sync::Arc;
 use axum::Json;
 use axum::body::Body;
 use axum::extract::{Path, State};
-use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode, header};
+use axum::http::{HeaderMap, HeaderName, HeaderValue, Method, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use proto::JobId;
 use proto::frame::ForgottenPicture;
@@ -14,7 +14,7 @@ use super::error::ApiError;
 use super::jobs::job_id;
 use super::range::{self, ByteRange};
 use super::state::handle_group;
-use crate::content_store::{ContentHash, ContentKind, ContentStore};
+use crate::blobs::{BlobStore, ContentHash, ContentKind};
 use crate::pictures::{PictureError, PictureState, Pictures};
 use crate::queue::{Queue, StoredImage};
 
@@ -27,7 +27,7 @@ handle_group! {
         /// Has the frames.
         queue: Queue,
         /// Has the pictures.
-        content: Arc<ContentStore>,
+        content: Arc<BlobStore>,
         /// Checks them.
         pictures: Arc<Pictures>,
     }
@@ -41,6 +41,7 @@ handle_group! {
         (status = 200, description = "The picture: image/png or image/x-exr, depending on the job", body = Vec<u8>, content_type = "image/*"),
         (status = 206, description = "The requested range"),
         (status = 304, description = "The client has the current version"),
+        (status = 307, description = "The picture is at this address for five minutes; only with --redirect-pictures"),
         (status = 404, description = "Not stored yet, or no such job", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
         (status = 416, description = "The range is outside the picture", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
     )
@@ -48,9 +49,10 @@ handle_group! {
 pub(super) async fn first_frame(
     State(stored): State<StoredPictures>,
     Path(id): Path<String>,
+    method: Method,
     headers: HeaderMap,
 ) -> Result<Response, ApiError> {
-    stored.answer(job_id(&id)?, 0, &headers).await
+    stored.answer(job_id(&id)?, 0, &method, &headers).await
 }
 
 /// Get the picture of one of a job's frames.
@@ -64,6 +66,7 @@ pub(super) async fn first_frame(
         (status = 200, description = "The picture: image/png or image/x-exr, depending on the job", body = Vec<u8>, content_type = "image/*"),
         (status = 206, description = "The requested range"),
         (status = 304, description = "The client has the current version"),
+        (status = 307, description = "The picture is at this address for five minutes; only with --redirect-pictures"),
         (status = 404, description = "Not stored yet, or no such frame or job", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
         (status = 416, description = "The range is outside the picture", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
     )
@@ -71,10 +74,11 @@ pub(super) async fn first_frame(
 pub(super) async fn frame(
     State(stored): State<StoredPictures>,
     Path((id, frame)): Path<(String, String)>,
+    method: Method,
     headers: HeaderMap,
 ) -> Result<Response, ApiError> {
     let (job, frame) = frame_of(&stored.queue, &id, &frame).await?;
-    stored.answer(job, frame, &headers).await
+    stored.answer(job, frame, &method, &headers).await
 }
 
 /// Parses a job id and a frame number from a path.
@@ -93,7 +97,13 @@ pub(super) async fn frame_of(queue: &Queue, id: &str, frame: &str) -> Result<(Jo
 
 impl StoredPictures {
     /// Response with a frame's stored picture.
-    pub(super) async fn answer(&self, job: JobId, frame: u32, headers: &HeaderMap) -> Result<Response, ApiError> {
+    pub(super) async fn answer(
+        &self,
+        job: JobId,
+        frame: u32,
+        method: &Method,
+        headers: &HeaderMap,
+    ) -> Result<Response, ApiError> {
         let (hash, size_bytes, media_type) = match self.queue.image(job, frame).await? {
             StoredImage::Stored { hash, size_bytes, media_type } => (hash, size_bytes, media_type),
             StoredImage::NotYet(state) => return Err(ApiError::NotStored { job, frame, state }),
@@ -122,6 +132,12 @@ impl StoredPictures {
             ByteRange::Unsatisfiable => return Err(ApiError::WrongRange { size_bytes }),
         };
         let name = intact(&self.pictures, &hash, size_bytes).await?;
+        // The address in the store is for GET only.
+        if *method == Method::GET
+            && let Some(address) = self.pictures.redirect(&name, size_bytes, &media_type).await?
+        {
+            return Ok(redirect(&address));
+        }
         let found = self.content.get(ContentKind::Picture, &name, part.clone()).await?;
         let Some((length_bytes, bytes)) = found else { return Err(ApiError::LostPicture) };
         let mut response = set_cache_headers((status, Body::from_stream(bytes)).into_response(), &tag);
@@ -132,6 +148,14 @@ impl StoredPictures {
         }
         Ok(response)
     }
+}
+
+/// Response that sends the client to the store; the address soon expires, so it must not be cached.
+fn redirect(address: &str) -> Response {
+    let mut response = StatusCode::TEMPORARY_REDIRECT.into_response();
+    set(&mut response, header::LOCATION, address);
+    set(&mut response, header::CACHE_CONTROL, "no-store");
+    response
 }
 
 /// Name of a picture whose file is intact; otherwise its frames are rendered again.

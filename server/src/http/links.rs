@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use axum::Json;
 use axum::extract::{Path, State};
-use axum::http::{HeaderMap, HeaderValue, Uri, header};
+use axum::http::{HeaderMap, HeaderValue, Method, StatusCode, Uri, header};
 use axum::response::Response;
 use proto::link::{LinkContent, LinkRequest, LinkView};
 use serde::Deserialize;
@@ -92,6 +92,7 @@ pub(super) async fn sign(
         (status = 200, description = "The picture: image/png or image/x-exr, depending on the job", body = Vec<u8>, content_type = "image/*"),
         (status = 206, description = "The requested range"),
         (status = 304, description = "The client has the current version"),
+        (status = 307, description = "The picture is at this address for five minutes; only with --redirect-pictures"),
         (status = 403, description = "The signature does not match the link", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
         (status = 404, description = "Not stored yet, or the job was deleted", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
         (status = 410, description = "The link has expired", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
@@ -107,6 +108,7 @@ pub(super) async fn follow(
     State(previews): State<Previews>,
     Path((id, frame, content)): Path<(String, String, String)>,
     uri: Uri,
+    method: Method,
     headers: HeaderMap,
 ) -> Result<Response, ApiError> {
     let signed: LinkQuery = body::read_query(&uri)?;
@@ -122,14 +124,16 @@ pub(super) async fn follow(
         return Err(ApiError::LinkExpired(rfc3339(signed.expires.saturating_mul(1000))));
     }
     let mut response = match content {
-        LinkContent::Image => stored.answer(job, frame, &headers).await?,
+        LinkContent::Image => stored.answer(job, frame, &method, &headers).await?,
         LinkContent::Preview => {
             let reader = Reader { name: LINK_READER, headers: &headers };
             previews.answer(reader, job, frame, None).await?
         }
     };
-    // A cached copy must be revalidated, or it would outlive the link.
-    response.headers_mut().insert(header::CACHE_CONTROL, HeaderValue::from_static("private, no-cache"));
+    if response.status() != StatusCode::TEMPORARY_REDIRECT {
+        // A cached copy must be revalidated, or it would outlive the link.
+        response.headers_mut().insert(header::CACHE_CONTROL, HeaderValue::from_static("private, no-cache"));
+    }
     response.headers_mut().insert(header::REFERRER_POLICY, HeaderValue::from_static("no-referrer"));
     Ok(response)
 }

@@ -15,8 +15,7 @@ use super::auth::Caller;
 use super::error::ApiError;
 use super::state::handle_group;
 use super::{body, images, range};
-use crate::config::Config;
-use crate::content_store::ContentKind;
+use crate::blobs::{BlobStore, ContentError, ContentKind, LocalCopies};
 use crate::pictures::Pictures;
 use crate::preview_helper::PreviewHelper;
 use crate::queue::{FrameContents, Queue};
@@ -39,8 +38,8 @@ handle_group! {
         pictures: Arc<Pictures>,
         /// Draws.
         preview_helper: Arc<PreviewHelper>,
-        /// Has the data folder, whose files the helper reads.
-        config: Arc<Config>,
+        /// Has the bytes that the helper reads.
+        content: Arc<BlobStore>,
     }
 }
 
@@ -175,8 +174,11 @@ impl Previews {
             return Ok(describe(StatusCode::NOT_MODIFIED.into_response(), &tag, cache));
         }
         images::intact(&self.pictures, hash, size_bytes).await?;
-        let sketch = HelperRequest::Thumbnail { file: ContentKind::Picture.file(&self.config.data, hash), width_px };
-        let picture = self.preview_helper.picture(reader.name, &tag, &sketch).await?;
+        let request = async {
+            let copies = self.copies(ContentKind::Picture, &[hash.to_owned()]).await?;
+            Ok((HelperRequest::Thumbnail { file: copies.files()[0].clone(), width_px }, copies))
+        };
+        let picture = self.preview_helper.picture(reader.name, &tag, request).await?;
         Ok(png(picture, &tag, cache))
     }
 
@@ -195,16 +197,25 @@ impl Previews {
             return Ok(describe(StatusCode::NOT_MODIFIED.into_response(), &tag, "no-cache"));
         }
         let text = self.queue.file(job).await?.ok_or_else(|| ApiError::UnknownJob(job.to_string()))?;
-        let sketch = HelperRequest::Preview {
-            job: text,
-            frame,
-            width_px,
-            tiles: blobs.iter().map(|hash| ContentKind::Blob.file(&self.config.data, hash)).collect(),
-            coarse: self.preview_helper.coarse(job, frame),
-            coarse_ms: COARSE_MS,
+        let request = async {
+            let copies = self.copies(ContentKind::Blob, &blobs).await?;
+            let request = HelperRequest::Preview {
+                job: text,
+                frame,
+                width_px,
+                tiles: copies.files().to_vec(),
+                coarse: self.preview_helper.coarse(job, frame),
+                coarse_ms: COARSE_MS,
+            };
+            Ok((request, copies))
         };
-        let picture = self.preview_helper.picture(reader.name, &tag, &sketch).await?;
+        let picture = self.preview_helper.picture(reader.name, &tag, request).await?;
         Ok(png(picture, &tag, "no-cache"))
+    }
+
+    /// Stored content as files that the helper can read.
+    async fn copies(&self, kind: ContentKind, names: &[String]) -> Result<LocalCopies, ContentError> {
+        LocalCopies::fetch(&self.content, self.preview_helper.folder(), kind, names).await
     }
 }
 

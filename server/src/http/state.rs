@@ -9,8 +9,8 @@ use axum::extract::FromRef;
 use crate::admission::{RateLimits, Shares};
 use crate::api_keys::ApiKeys;
 use crate::audit_log::AuditLog;
+use crate::blobs::BlobStore;
 use crate::config::Config;
-use crate::content_store::ContentStore;
 use crate::estimate::Estimator;
 use crate::events::EventHub;
 use crate::job_cache::JobCache;
@@ -57,7 +57,7 @@ handles_of_state! {
     /// Settings of the operator.
     config: Arc<Config>,
     /// Pictures and blobs.
-    content: Arc<ContentStore>,
+    content: Arc<BlobStore>,
     /// Estimates of jobs.
     estimator: Arc<Estimator>,
     /// Distributor of events.

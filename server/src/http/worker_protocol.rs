@@ -21,9 +21,8 @@ use super::error::ApiError;
 use super::jobs::job_id;
 use super::state::handle_group;
 use super::trace_context;
+use crate::blobs::{BlobStore, ContentHash, ContentKind, WRITE_CHUNK_BYTES};
 use crate::clock::monotonic_now;
-use crate::config::Config;
-use crate::content_store::{ContentHash, ContentKind, ContentStore, WRITE_CHUNK_BYTES};
 use crate::pool::Pool;
 use crate::queue::{LeaseNeed, NewWorker, NextWork, Queue, SyncInput, SyncOutcome};
 use crate::shutdown::Shutdown;
@@ -49,8 +48,8 @@ handle_group! {
         pool: Arc<Pool>,
         /// Shows their devices.
         telemetry: Arc<Telemetry>,
-        /// Has the data folder.
-        config: Arc<Config>,
+        /// Has the folders that they write to.
+        content: Arc<BlobStore>,
     }
 }
 
@@ -74,7 +73,7 @@ handle_group! {
         /// Has the leases.
         queue: Queue,
         /// Takes the bytes.
-        content: Arc<ContentStore>,
+        content: Arc<BlobStore>,
         /// Says whether there is room.
         reserve: Arc<SpaceReserve>,
     }
@@ -97,14 +96,15 @@ pub(super) async fn register(
     let worker = registrar.queue.register(NewWorker { request: hello, pool, name: name.clone(), owner }).await?.worker;
     registrar.telemetry.record_worker(worker, &name, &device);
     tracing::info!(%worker, %name, pool, "worker registered");
-    let folders = if pool { folders(&registrar.config) } else { None };
+    let folders = if pool { folders(&registrar.content) } else { None };
     Ok(Json(RegisterResponse { worker, lease_ms: registrar.queue.lease_ms().unsigned_abs(), folders }))
 }
 
-/// Folders that a pool worker writes to directly; `None` if a folder's name is not UTF-8.
-fn folders(config: &Config) -> Option<ContentFolders> {
+/// Folders that a pool worker writes to directly; `None` if the store is no folder, or a folder's name is not UTF-8.
+fn folders(content: &BlobStore) -> Option<ContentFolders> {
+    let data = content.folder()?;
     let folder = |kind: ContentKind| {
-        let folder = std::path::absolute(kind.path(&config.data)).ok()?;
+        let folder = std::path::absolute(kind.path(data)).ok()?;
         folder.into_os_string().into_string().ok()
     };
     Some(ContentFolders { blobs: folder(ContentKind::Blob)?, pictures: folder(ContentKind::Picture)? })
@@ -272,7 +272,7 @@ pub(super) async fn put_picture(
 /// Returns a tile's blob.
 pub(super) async fn get_blob(
     State(queue): State<Queue>,
-    State(content): State<Arc<ContentStore>>,
+    State(content): State<Arc<BlobStore>>,
     caller: Caller,
     Path(hash): Path<String>,
 ) -> Result<Response, ApiError> {

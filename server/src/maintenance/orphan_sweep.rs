@@ -4,8 +4,7 @@ use std::sync::Arc;
 
 use futures_util::stream::TryStreamExt;
 
-use super::ORPHAN_GRACE;
-use crate::content_store::{self, ContentKind, ContentStore};
+use crate::blobs::{BlobStore, ContentKind};
 use crate::db::DatabaseError;
 use crate::orphans::Orphans;
 use crate::queue::Queue;
@@ -19,7 +18,7 @@ pub(crate) struct OrphanSweep {
     /// The queue, whose rows decide.
     pub(crate) queue: Queue,
     /// The store.
-    pub(crate) content: Arc<ContentStore>,
+    pub(crate) content: Arc<BlobStore>,
     /// Takes candidates that are too young.
     pub(crate) orphans: Orphans,
 }
@@ -35,7 +34,7 @@ impl OrphanSweep {
 
     /// Deletes old content that no worker has reported.
     pub(super) async fn sweep_unreported(&self) -> Result<(), DatabaseError> {
-        for kind in [ContentKind::Blob, ContentKind::Picture] {
+        for kind in ContentKind::ALL {
             let names = match self.unreported_hashes(kind).await {
                 Ok(names) => names,
                 Err(error) => {
@@ -58,10 +57,11 @@ impl OrphanSweep {
                 self.content.sweep(kind, hashes, async |names| queue.orphan_pictures(&names).await).await?
             }
         };
-        if !young.is_empty() {
+        // Young objects of a bucket are not remembered for that long: the next cleanup lists them again.
+        if let (false, Some(delay)) = (young.is_empty(), self.content.sweep_retry_delay()) {
             let orphans = self.orphans.clone();
             tokio::spawn(async move {
-                tokio::time::sleep(content_store::MIN_SWEEP_AGE).await;
+                tokio::time::sleep(delay).await;
                 orphans.sweep_later(kind, young);
             });
         }
@@ -72,12 +72,12 @@ impl OrphanSweep {
     }
 
     async fn unreported_hashes(&self, kind: ContentKind) -> object_store::Result<Vec<String>> {
-        let now_seconds = self.queue.wall_seconds();
+        let (now_seconds, min_age_seconds) = (self.queue.wall_seconds(), self.content.orphan_age().as_secs());
         self.content
             .list(kind)
             .try_filter_map(async |meta| {
                 let age_seconds = now_seconds - meta.last_modified.timestamp();
-                let is_old = age_seconds > ORPHAN_GRACE.as_secs().cast_signed();
+                let is_old = age_seconds > min_age_seconds.cast_signed();
                 Ok(meta.location.filename().filter(|_| is_old).map(ToOwned::to_owned))
             })
             .try_collect()

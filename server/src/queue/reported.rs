@@ -9,7 +9,7 @@ use super::lease::{self, LeaseEnd};
 use super::{
     Connection, Queue, Result, TransitionContext, Wake, exclusion, json_list, parse_column, verification, workers,
 };
-use crate::content_store::ContentKind;
+use crate::blobs::ContentKind;
 use crate::db;
 
 /// Tile of a live lease.

@@ -10,8 +10,8 @@ use super::Started;
 use crate::admission::{RateLimits, Shares};
 use crate::api_keys::ApiKeys;
 use crate::audit_log::AuditLog;
+use crate::blobs::BlobStore;
 use crate::config::Config;
-use crate::content_store::ContentStore;
 use crate::counters::ServerCounters;
 use crate::db::Database;
 use crate::estimate::Estimator;
@@ -60,7 +60,7 @@ pub(super) struct Foundation {
     /// The queue.
     pub(super) queue: Queue,
     /// Pictures and blobs.
-    pub(super) content: Arc<ContentStore>,
+    pub(super) content: Arc<BlobStore>,
     /// Space set aside for a full disk.
     pub(super) reserve: Arc<SpaceReserve>,
     /// Helper processes that draw previews.
@@ -178,7 +178,7 @@ impl Foundation {
                 queue: queue.clone(),
                 retention,
                 preview_helper: Arc::clone(&self.preview_helper),
-                data: self.config.data.clone(),
+                content: Arc::clone(&self.content),
             },
         }
     }
@@ -189,11 +189,13 @@ impl Foundation {
 
     fn pictures(&self) -> Pictures {
         let (content, reserve) = (Arc::clone(&self.content), Arc::clone(&self.reserve));
-        Pictures::new(self.queue.clone(), content, reserve, Arc::clone(&self.preview_helper))
+        let redirects = self.config.redirect_pictures;
+        Pictures::new(self.queue.clone(), content, reserve, Arc::clone(&self.preview_helper), redirects)
     }
 
     fn telemetry(&self, database: &Database) -> Telemetry {
-        Telemetry::new(self.config.data.clone(), database, self.queue.clone(), Arc::clone(&self.counters))
+        let (content, counters) = (Arc::clone(&self.content), Arc::clone(&self.counters));
+        Telemetry::new(self.config.data.clone(), database, self.queue.clone(), content, counters)
     }
 
     fn worker_sync(&self, jobs: &Arc<JobCache>, orphans: Orphans) -> WorkerSync {

@@ -15,6 +15,7 @@ use prometheus_client::metrics::info::Info;
 use prometheus_client::registry::{Metric, Registry};
 use proto::worker_protocol::{Phase, Timing};
 
+use crate::blobs::StoreLocation;
 use crate::db::CommitTimes;
 use crate::histograms::seconds;
 
@@ -101,13 +102,15 @@ impl Registrar {
 
 impl Metrics {
     /// Creates all metrics, including those of the database's writer.
-    pub(super) fn new(commits: &CommitTimes) -> Self {
+    pub(super) fn new(commits: &CommitTimes, location: &StoreLocation) -> Self {
         let mut book = Registrar(Registry::default());
         let build = vec![
             ("version", env!("CARGO_PKG_VERSION").to_owned()),
             ("picture_version", scene::PICTURE_VERSION.to_string()),
         ];
         book.0.register("sdfarm_build", "Version of the server", Info::new(build));
+        let store = vec![("kind", location.kind().to_owned()), ("location", location.to_string())];
+        book.0.register("sdfarm_store", "Store of pictures and tiles", Info::new(store));
         book.add("sdfarm_commit_seconds", "Duration of a database commit", commits.seconds.clone());
         let longest = "Longest database transaction since the start";
         book.add("sdfarm_commit_longest_seconds", longest, commits.longest_seconds.clone());

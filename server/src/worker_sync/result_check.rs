@@ -7,7 +7,7 @@ use proto::LeaseId;
 use proto::worker_protocol::LeaseOutcome;
 
 use super::SyncError;
-use crate::content_store::{ContentHash, ContentKind, ContentStore};
+use crate::blobs::{BlobStore, ContentHash, ContentKind};
 use crate::delivery_check::check_blob;
 use crate::job_cache::{JobCache, JobLoadError, Reader};
 use crate::queue::{Queue, RejectedResult, ReportedTile, SyncInput};
@@ -40,17 +40,17 @@ struct Delivered {
 #[derive(Debug)]
 pub(crate) struct ResultCheck {
     queue: Queue,
-    content: Arc<ContentStore>,
+    content: Arc<BlobStore>,
     jobs: Arc<JobCache>,
 }
 
 impl ResultCheck {
     /// Checks the results that these stores have, against the jobs of the queue.
-    pub(crate) fn new(queue: Queue, content: Arc<ContentStore>, jobs: Arc<JobCache>) -> Self {
+    pub(crate) fn new(queue: Queue, content: Arc<BlobStore>, jobs: Arc<JobCache>) -> Self {
         Self { queue, content, jobs }
     }
 
-    /// See [`ContentStore::block_sweep`]: what was checked is still there when it is counted.
+    /// See [`BlobStore::block_sweep`]: what was checked is still there when it is counted.
     pub(super) async fn block_sweep(&self) -> impl Drop + '_ {
         self.content.block_sweep().await
     }

@@ -137,7 +137,10 @@ async fn health_reports_workers_and_metrics_have_counts() {
     let farm = Farm::start().await;
     assert_eq!(farm.get("/livez").await.status(), StatusCode::OK);
     let ready: Value = read(farm.get("/readyz").await, StatusCode::OK).await;
-    assert_eq!(ready, json!({"status": "degraded", "database": "ok", "store": "ok", "workers": []}));
+    assert_eq!(
+        ready,
+        json!({"status": "degraded", "database": "ok", "store": "ok", "store_kind": "folder", "workers": []})
+    );
     farm.submit(&small_job(1)).await;
     let worker = farm.worker("one").await;
     worker.claim().await.expect("work");

@@ -1,0 +1,491 @@
+//! Content store: pictures and tile blobs, each named by the BLAKE3 of its content, in a local folder, a bucket of an S3
+//! store, or memory.
+//!
+//! A picture is durable before its row is written: a file is fsynced, and S3 promises it with its answer. A tile blob in
+//! a folder is not, because losing one costs only a re-render. Bytes are compared with their name before they are
+//! stored, and again before they are first served (`blobs/verified.rs`). This module does not interpret the bytes.
+
+mod bucket;
+mod content;
+mod error;
+mod folder;
+mod incoming;
+mod local_copies;
+mod location;
+mod objects;
+mod verified;
+
+use std::io;
+use std::path::Path as FolderPath;
+use std::sync::Arc;
+use std::time::Duration;
+
+use bytes::Bytes;
+use futures_util::future::join_all;
+use futures_util::stream::{BoxStream, Stream, StreamExt};
+use object_store::memory::InMemory;
+use object_store::path::Path;
+use object_store::signer::{SignedUrlOptions, Signer};
+use object_store::{GetOptions, GetRange, GetResult, GetResultPayload, ObjectMeta, ObjectStore, ObjectStoreExt};
+use proto::fail_point::{self, FailPoint};
+use reqwest::Method;
+use tokio::sync::RwLock;
+
+pub use bucket::BucketError;
+pub(crate) use content::{ContentHash, ContentKind};
+pub(crate) use error::{ContentError, OpenStoreError};
+pub(crate) use local_copies::LocalCopies;
+pub(crate) use location::FILE as RECORD_FILE;
+pub use location::{ParseStoreError, StoreLocation};
+pub(crate) use objects::age;
+
+use self::bucket::Settings;
+use self::error::BucketFault;
+use self::folder::Folder;
+use self::incoming::Incoming;
+use self::objects::{Bucket, Objects};
+use self::verified::VerifiedContent;
+use crate::delivery_check::FileEnds;
+
+/// Number of bytes written at a time.
+pub(crate) const WRITE_CHUNK_BYTES: usize = 256 << 10;
+/// Number of bytes of a file read at a time: small enough for thousands of readers that take nothing.
+const READ_CHUNK_BYTES: u64 = 32 << 10;
+/// Files younger than this are never swept, because workers hold reports back for up to 200 ms.
+const MIN_FILE_SWEEP_AGE: Duration = Duration::from_secs(1);
+/// Minimum age at which files that no row ever referred to are swept.
+const FILE_ORPHAN_AGE: Duration = Duration::from_mins(10);
+/// Objects younger than this are never swept: the store's clock is another, and so may be the server that reports them.
+const MIN_OBJECT_SWEEP_AGE: Duration = Duration::from_mins(15);
+/// Number of objects deleted at a time.
+const MAX_CONCURRENT_DELETIONS: usize = 16;
+/// Time in which a bucket must answer that the server is ready.
+const READY_TIMEOUT: Duration = Duration::from_secs(5);
+/// Validity of a presigned address.
+const PRESIGNED_VALIDITY: Duration = Duration::from_mins(5);
+
+/// Condition of stored content.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum FileState {
+    /// It has its size, and its bytes match their hash.
+    Intact,
+    /// It is missing.
+    Missing,
+    /// It has another size or other bytes.
+    Damaged,
+}
+
+/// A kind of store. Memory is a kind of [`Objects`].
+#[derive(Debug)]
+enum Backend {
+    Folder(Folder),
+    Objects(Objects),
+}
+
+/// Minimum ages at which content is deleted.
+#[derive(Clone, Copy, Debug)]
+struct SweepAges {
+    /// Content that a deleted row referred to.
+    unused: Duration,
+    /// Content found in the store that no row refers to.
+    orphan: Duration,
+}
+
+/// Result of sweeping one name.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Swept {
+    /// It was deleted.
+    Deleted,
+    /// It is too recent.
+    TooNew,
+    /// It was missing, or could not be deleted.
+    Not,
+}
+
+/// Pictures and blobs, and the lock that protects content being reported from sweeps.
+#[derive(Debug)]
+pub(crate) struct BlobStore {
+    location: StoreLocation,
+    backend: Backend,
+    ages: SweepAges,
+    sweep_lock: RwLock<()>,
+    verified: VerifiedContent,
+}
+
+impl BlobStore {
+    /// Opens a farm's store and checks that it can be used. A folder's partial files of interrupted writes are removed.
+    pub(crate) async fn open(
+        location: &StoreLocation,
+        data: &FolderPath,
+        object_sweep_age: Option<Duration>,
+    ) -> Result<Self, OpenStoreError> {
+        let store = Self::open_unchecked(location, data, object_sweep_age)?;
+        store.check().await?;
+        Ok(store)
+    }
+
+    /// Checks that a bucket can be used as a store: what it refuses, and what it cannot do, is an error with its fix.
+    pub(crate) async fn check(&self) -> Result<(), BucketError> {
+        match &self.location {
+            StoreLocation::S3 { bucket, .. } => Settings::from_env(&self.location, bucket).check().await,
+            StoreLocation::Folder | StoreLocation::Memory => Ok(()),
+        }
+    }
+
+    /// Opens a farm's store.
+    pub(crate) fn open_unchecked(
+        location: &StoreLocation,
+        data: &FolderPath,
+        object_sweep_age: Option<Duration>,
+    ) -> Result<Self, OpenStoreError> {
+        let bucket = match location {
+            StoreLocation::Folder => {
+                let ages = SweepAges { unused: MIN_FILE_SWEEP_AGE, orphan: FILE_ORPHAN_AGE };
+                return Ok(Self::new(location, Backend::Folder(Folder::open(data)?), ages));
+            }
+            StoreLocation::S3 { bucket, .. } => Bucket::S3(Settings::from_env(location, bucket).open()?),
+            StoreLocation::Memory => Bucket::Memory(Arc::new(InMemory::new())),
+        };
+        Ok(Self::with_bucket(location, bucket, data, object_sweep_age.unwrap_or(MIN_OBJECT_SWEEP_AGE)))
+    }
+
+    fn with_bucket(location: &StoreLocation, bucket: Bucket, spool: &FolderPath, age: Duration) -> Self {
+        let objects = Objects::new(bucket, spool, age);
+        Self::new(location, Backend::Objects(objects), SweepAges { unused: age, orphan: age })
+    }
+
+    fn new(location: &StoreLocation, backend: Backend, ages: SweepAges) -> Self {
+        Self {
+            location: location.clone(),
+            backend,
+            ages,
+            sweep_lock: RwLock::default(),
+            verified: VerifiedContent::default(),
+        }
+    }
+
+    /// Where it is.
+    pub(crate) fn location(&self) -> &StoreLocation {
+        &self.location
+    }
+
+    /// The data folder whose folders pool workers write to directly; `None` if they send everything to the server.
+    pub(crate) fn folder(&self) -> Option<&FolderPath> {
+        match &self.backend {
+            Backend::Folder(folder) => Some(folder.data()),
+            Backend::Objects(_) => None,
+        }
+    }
+
+    /// Delay after which content that was too recent to be swept should be tried again; `None` if that is too long to
+    /// remember it.
+    pub(crate) fn sweep_retry_delay(&self) -> Option<Duration> {
+        self.folder().map(|_| self.ages.unused)
+    }
+
+    /// Age from which content is swept that no row refers to.
+    pub(crate) fn orphan_age(&self) -> Duration {
+        self.ages.orphan
+    }
+
+    fn store(&self, kind: ContentKind) -> &dyn ObjectStore {
+        match &self.backend {
+            Backend::Folder(folder) => folder.store(kind),
+            Backend::Objects(objects) => objects.store(),
+        }
+    }
+
+    fn path(&self, kind: ContentKind, name: &ContentHash) -> Path {
+        self.location.prefix().join(kind.folder()).join(name.as_str())
+    }
+
+    fn failed(&self, action: &'static str, key: String) -> impl Fn(object_store::Error) -> ContentError + use<> {
+        let bucket = match &self.backend {
+            Backend::Folder(_) => None,
+            Backend::Objects(_) => Some(self.location.to_string()),
+        };
+        move |source| {
+            let message = match &bucket {
+                None => format!("the store could not {action} {key}"),
+                Some(bucket) => {
+                    let cure = BucketFault::of(&source).cure();
+                    format!("the store {bucket} could not {action} {key}; {cure}")
+                }
+            };
+            ContentError::Store { message, source: source.into() }
+        }
+    }
+
+    fn failed_on(
+        &self,
+        action: &'static str,
+        kind: ContentKind,
+        name: &ContentHash,
+    ) -> impl Fn(object_store::Error) -> ContentError + use<> {
+        self.failed(action, format!("{}/{}", kind.folder(), name.as_str()))
+    }
+
+    /// Prevents sweeps while the guard is held.
+    pub(crate) async fn block_sweep(&self) -> impl Drop + '_ {
+        self.sweep_lock.read().await
+    }
+
+    /// Stores a stream of bytes if they match the hash `name`; otherwise stores nothing. To store what is stored already
+    /// is a success.
+    pub(crate) async fn put(
+        &self,
+        kind: ContentKind,
+        name: &ContentHash,
+        bytes: impl Stream<Item = io::Result<Bytes>> + Unpin,
+    ) -> Result<(), ContentError> {
+        let failed = self.failed_on("write", kind, name);
+        fail_point::trigger(FailPoint::StorePut).map_err(fail_point_error).map_err(&failed)?;
+        let (incoming, path) = (Incoming::new(kind, name, bytes), self.path(kind, name));
+        match &self.backend {
+            Backend::Folder(folder) => folder.put(kind, &path, incoming, failed).await,
+            Backend::Objects(objects) => {
+                let version = objects.put(name, &path, incoming, failed).await?;
+                self.verified.insert(name, version);
+                Ok(())
+            }
+        }
+    }
+
+    /// Size, first and last bytes of stored content; `None` if it is missing.
+    pub(crate) async fn ends(&self, kind: ContentKind, name: &ContentHash) -> Result<Option<FileEnds>, ContentError> {
+        let path = self.path(kind, name);
+        let read = match &self.backend {
+            Backend::Folder(folder) => match folder.store(kind).get(&path).await {
+                Ok(GetResult { payload: GetResultPayload::File(file, _), .. }) => folder::ends(file).await,
+                Ok(_) => unreachable!("a folder has files"),
+                Err(error) => Err(error),
+            },
+            Backend::Objects(objects) => objects.ends(&path).await,
+        };
+        unless_missing(read).map_err(self.failed_on("read", kind, name))
+    }
+
+    /// Stored content, or a range of it, and the number of its bytes; `None` if it is missing.
+    pub(crate) async fn get(
+        &self,
+        kind: ContentKind,
+        name: &ContentHash,
+        range: Option<std::ops::Range<u64>>,
+    ) -> Result<Option<(u64, BoxStream<'static, object_store::Result<Bytes>>)>, ContentError> {
+        let failed = self.failed_on("read", kind, name);
+        fail_point::trigger(FailPoint::StoreGet).map_err(fail_point_error).map_err(&failed)?;
+        let options = GetOptions { range: range.map(GetRange::Bounded), ..GetOptions::default() };
+        let found = unless_missing(self.store(kind).get_opts(&self.path(kind, name), options).await).map_err(failed)?;
+        Ok(found.map(|found| (found.range.end - found.range.start, stream(found))))
+    }
+
+    /// Address from which any client can read content for five minutes; `None` unless the store is a bucket of S3.
+    pub(crate) async fn presigned(
+        &self,
+        kind: ContentKind,
+        name: &ContentHash,
+        media_type: &str,
+    ) -> Result<Option<String>, ContentError> {
+        let Backend::Objects(objects) = &self.backend else { return Ok(None) };
+        let Some(bucket) = objects.s3() else { return Ok(None) };
+        let options = SignedUrlOptions::default().with_query([("response-content-type", media_type)]);
+        let signed = bucket.signed_url_opts(Method::GET, &self.path(kind, name), PRESIGNED_VALIDITY, &options).await;
+        Ok(Some(signed.map_err(self.failed_on("sign", kind, name))?.into()))
+    }
+
+    /// Condition of content of this recorded size. Its bytes are hashed before its first use, and again when it was
+    /// modified; those of large content while it is used.
+    pub(crate) async fn file_state(
+        &self,
+        kind: ContentKind,
+        name: &ContentHash,
+        size_bytes: u64,
+    ) -> Result<FileState, ContentError> {
+        let failed = self.failed_on("read", kind, name);
+        let found = self.store(kind).get(&self.path(kind, name)).await;
+        match unless_missing(found).map_err(&failed)? {
+            None => Ok(FileState::Missing),
+            Some(found) if found.meta.size != size_bytes => Ok(FileState::Damaged),
+            Some(found) => self.verified.check(name, found).await.map_err(failed),
+        }
+    }
+
+    /// Deletes content if it is not used, however new it is: a result that was about to be reported for the same bytes
+    /// is found missing, and rendered again. Returns whether there was any.
+    pub(crate) async fn delete_if<E: From<ContentError>, F: Future<Output = Result<bool, E>>>(
+        &self,
+        kind: ContentKind,
+        name: &ContentHash,
+        is_unused: impl FnOnce(String) -> F,
+    ) -> Result<bool, E> {
+        let shut = self.sweep_lock.write().await;
+        if !is_unused(name.as_str().to_owned()).await? {
+            return Ok(false);
+        }
+        let deleted = self.delete(kind, name).await;
+        drop(shut);
+        Ok(deleted.map_err(self.failed_on("remove", kind, name))?)
+    }
+
+    /// Deletes content, used or not. Returns whether there was any.
+    pub(crate) async fn delete(&self, kind: ContentKind, name: &ContentHash) -> object_store::Result<bool> {
+        // S3 does not say whether it deleted an object.
+        let is_there = match &self.backend {
+            Backend::Folder(_) => true,
+            Backend::Objects(_) => self.age(kind, name).await?.is_some(),
+        };
+        Ok(is_there && self.remove(kind, name).await?)
+    }
+
+    /// Deletes content; returns whether there was any, or true if the store does not say.
+    async fn remove(&self, kind: ContentKind, name: &ContentHash) -> object_store::Result<bool> {
+        let path = self.path(kind, name);
+        let deleted = match &self.backend {
+            Backend::Folder(folder) => folder.store(kind).delete(&path).await,
+            Backend::Objects(objects) => objects.delete(&path).await,
+        };
+        Ok(unless_missing(deleted)?.is_some())
+    }
+
+    /// Age of content; `None` if it is missing.
+    async fn age(&self, kind: ContentKind, name: &ContentHash) -> object_store::Result<Option<Duration>> {
+        let found = unless_missing(self.store(kind).head(&self.path(kind, name)).await)?;
+        Ok(found.map(|meta| age(&meta)))
+    }
+
+    /// Lists the content of a kind.
+    pub(crate) fn list(&self, kind: ContentKind) -> BoxStream<'static, object_store::Result<ObjectMeta>> {
+        self.store(kind).list(Some(&self.location.prefix().join(kind.folder())))
+    }
+
+    /// Error of [`BlobStore::list`], with its fix.
+    pub(crate) fn list_error(&self, kind: ContentKind, error: object_store::Error) -> ContentError {
+        self.failed("list", format!("{}/", kind.folder()))(error)
+    }
+
+    /// BLAKE3 of stored content, in hex; `None` if it is missing.
+    pub(crate) async fn hash(&self, kind: ContentKind, name: &ContentHash) -> Result<Option<String>, ContentError> {
+        let failed = self.failed_on("read", kind, name);
+        let found = self.store(kind).get(&self.path(kind, name)).await;
+        match unless_missing(found).map_err(&failed)? {
+            Some(found) => Ok(Some(objects::hash(found).await.map_err(failed)?)),
+            None => Ok(None),
+        }
+    }
+
+    /// Total size of the content of a kind.
+    pub(crate) async fn size_bytes(&self, kind: ContentKind) -> object_store::Result<u64> {
+        let mut content = self.list(kind);
+        let mut sum_bytes = 0;
+        while let Some(meta) = content.next().await {
+            sum_bytes += meta?.size;
+        }
+        Ok(sum_bytes)
+    }
+
+    /// Deletes those of `names` that `unneeded` still lists while no report can arrive. Returns the number
+    /// deleted, and the names that are too recent to delete: the same bytes may have been stored again without
+    /// a report yet.
+    pub(crate) async fn sweep<E, F>(
+        &self,
+        kind: ContentKind,
+        names: &[String],
+        unneeded: impl FnOnce(Vec<String>) -> F,
+    ) -> Result<(u64, Vec<String>), E>
+    where
+        F: Future<Output = Result<Vec<String>, E>>,
+    {
+        let shut = self.sweep_lock.write().await;
+        let names = unneeded(names.to_vec()).await?;
+        let names: Vec<_> = names.iter().filter_map(|name| ContentHash::parse(name)).collect();
+        let at_a_time = match &self.backend {
+            Backend::Folder(_) => 1,
+            Backend::Objects(_) => MAX_CONCURRENT_DELETIONS,
+        };
+        let (mut count, mut young) = (0, Vec::new());
+        for names in names.chunks(at_a_time) {
+            let swept = join_all(names.iter().map(|name| self.sweep_one(kind, name))).await;
+            for (swept, name) in swept.into_iter().zip(names) {
+                match swept {
+                    Swept::Deleted => count += 1,
+                    Swept::TooNew => young.push(name.as_str().to_owned()),
+                    Swept::Not => {}
+                }
+            }
+        }
+        drop(shut);
+        Ok((count, young))
+    }
+
+    async fn sweep_one(&self, kind: ContentKind, name: &ContentHash) -> Swept {
+        match self.age(kind, name).await {
+            Ok(Some(age)) if age < self.ages.unused => return Swept::TooNew,
+            // S3 does not say whether it deleted an object.
+            Ok(None) => return Swept::Not,
+            Ok(Some(_)) | Err(_) => {}
+        }
+        fail_point::trigger_infallible(FailPoint::Sweeping);
+        match self.remove(kind, name).await {
+            Ok(true) => Swept::Deleted,
+            Ok(false) => Swept::Not,
+            Err(error) => {
+                tracing::warn!(%error, name = name.as_str(), "could not remove orphaned content");
+                Swept::Not
+            }
+        }
+    }
+
+    /// Deletes the partial files of writes that were interrupted long ago. A bucket's own rules have to delete those of
+    /// uploads: they are not listed with the objects.
+    pub(crate) fn remove_partial_writes(&self) -> io::Result<()> {
+        match &self.backend {
+            Backend::Folder(folder) => folder::remove_partial_writes(folder.data(), FILE_ORPHAN_AGE),
+            Backend::Objects(_) => Ok(()),
+        }
+    }
+
+    /// Verifies that the store can be used: a folder by writing and deleting a few bytes, a bucket by asking for an
+    /// object that is not there, because this is called often and a write costs money.
+    pub(crate) async fn check_usable(&self) -> Result<(), ContentError> {
+        let name = blake3::hash(b"a probe").to_hex();
+        let probe = self.location.prefix().join("probe").join(name.as_str());
+        let (action, answer) = match &self.backend {
+            Backend::Folder(folder) => ("write", folder.check_writable(&probe).await),
+            Backend::Objects(objects) => {
+                let read = tokio::time::timeout(READY_TIMEOUT, objects.store().get(&probe)).await;
+                let late = |_| generic_error(io::ErrorKind::TimedOut.into());
+                ("read", unless_missing(read.map_err(late).flatten()).map(drop))
+            }
+        };
+        answer.map_err(self.failed(action, format!("probe/{name}")))
+    }
+}
+
+/// The found content; `None` if it is missing.
+fn unless_missing<T>(found: object_store::Result<T>) -> object_store::Result<Option<T>> {
+    match found {
+        Ok(found) => Ok(Some(found)),
+        Err(error) if error::is_missing(&error) => Ok(None),
+        Err(error) => Err(error),
+    }
+}
+
+fn stream(found: GetResult) -> BoxStream<'static, object_store::Result<Bytes>> {
+    match found.payload {
+        GetResultPayload::File(file, _) => folder::chunks(file, found.range),
+        GetResultPayload::Stream(bytes) => bytes,
+    }
+}
+
+/// Error of the disk, as one of an object store.
+fn generic_error(error: io::Error) -> object_store::Error {
+    object_store::Error::Generic { store: "file", source: error.into() }
+}
+
+/// Store error caused by a triggered fail point.
+fn fail_point_error(struck: fail_point::FailPointError) -> object_store::Error {
+    object_store::Error::Generic { store: "file", source: struck.into() }
+}
+
+#[cfg(test)]
+mod tests;

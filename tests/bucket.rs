@@ -1,0 +1,147 @@
+//! A farm whose pictures are in a bucket of a real S3 store: rendered, served, checked, backed up and swept.
+
+use std::fs;
+use std::path::Path;
+use std::process::Command;
+
+use serde_json::Value;
+
+use crate::seaweedfs::SeaweedFs;
+use crate::support::{Farm, eventually, finish, rendered_here, root, run, sdfarm, text};
+
+/// Bucket and prefix of the farm.
+const STORE: &str = "s3://renders/farms/one";
+
+fn with_keys(s3: &SeaweedFs, arguments: &[&str]) -> Command {
+    let mut command = sdfarm(arguments);
+    command.envs(s3.environment());
+    command
+}
+
+fn start(s3: &SeaweedFs, folder: &Path, arguments: &[&str]) -> Farm {
+    let arguments = [&["--device", "cpu", "--workers", "1", "--tile", "32", "--store", STORE], arguments].concat();
+    Farm::start_by(with_keys(s3, &["serve"]), folder, &arguments)
+}
+
+/// Runs a command that must succeed.
+fn succeed(s3: &SeaweedFs, arguments: &[&str]) -> String {
+    let output = finish(with_keys(s3, arguments), b"");
+    assert!(output.status.success(), "{arguments:?}: {}{}", text(&output.stdout), text(&output.stderr));
+    text(&output.stdout)
+}
+
+/// The scene of a file as a job of another size.
+fn job(width: u32, height: u32, bits: u32) -> Value {
+    let file = fs::read_to_string(root().join("scenes/csg.json")).expect("there");
+    let mut job: Value = serde_json::from_str(&file).expect("JSON");
+    job["image"] = serde_json::json!({ "width": width, "height": height, "samples": 1, "bits": bits });
+    job
+}
+
+fn word(path: &Path) -> &str {
+    path.to_str().expect("a plain name")
+}
+
+#[test]
+fn pictures_in_a_bucket_are_those_of_the_command_line_and_are_swept() {
+    let Some(s3) = SeaweedFs::start() else { return };
+    s3.make_bucket("renders");
+    let folder = tempfile::tempdir().expect("a folder");
+    let (small, large) = (job(96, 64, 8), job(1280, 800, 16));
+    let farm = start(&s3, folder.path(), &["--object-sweep-seconds", "0"]);
+    let ids = [farm.accept(&small.to_string()), farm.accept(&large.to_string())];
+    let wanted = [rendered_here(&small, 0), rendered_here(&large, 0)];
+    for (id, wanted) in ids.iter().zip(&wanted) {
+        farm.succeeded(id);
+        assert!(farm.picture(id) == *wanted, "the picture has the bytes of `sdfarm render`");
+    }
+    let thumbnail = farm.get(&format!("/v1/jobs/{}/frames/0/thumbnail", ids[1]));
+    assert_eq!((thumbnail.status, thumbnail.header("content-type")), (200, "image/png"), "{}", thumbnail.text());
+    assert_eq!(farm.get("/readyz").json()["store_kind"], "s3");
+    let metrics = farm.get("/metrics").text();
+    assert!(metrics.contains(&format!("sdfarm_store_info{{kind=\"s3\",location=\"{STORE}\"}} 1")), "{metrics}");
+    assert!(farm.terminate().success());
+    assert!(!folder.path().join("data/pictures").exists(), "no picture is in the data folder");
+    assert_eq!(s3.names("renders/farms/one/pictures").len(), 2);
+
+    // Another process serves the same pictures; large ones come from the store itself.
+    let farm = start(&s3, folder.path(), &["--object-sweep-seconds", "0", "--redirect-pictures"]);
+    for (id, wanted) in ids.iter().zip(&wanted) {
+        let answer = farm.get(&format!("/v1/jobs/{id}/image"));
+        assert!(answer.status == 200 && answer.body == *wanted, "{}", answer.status);
+        let is_redirected = answer.header("server").contains("SeaweedFS");
+        assert_eq!(is_redirected, wanted.len() > 1 << 20, "{} bytes", wanted.len());
+    }
+    assert!(wanted[0].len() < 1 << 20 && wanted[1].len() > 1 << 20, "both ways are tested");
+    let range = farm.send("GET", &format!("/v1/jobs/{}/image", ids[1]), &[("range", "bytes=5-14")], Vec::new());
+    assert_eq!((range.status, &range.body[..]), (206, &wanted[1][5..15]));
+    let head = farm.send("HEAD", &format!("/v1/jobs/{}/image", ids[1]), &[], Vec::new());
+    assert_eq!((head.status, head.header("content-length")), (200, &*wanted[1].len().to_string()));
+
+    assert_eq!(farm.send("DELETE", &format!("/v1/jobs/{}", ids[0]), &[], Vec::new()).status, 204);
+    eventually("the picture of the deleted job is swept", || {
+        (s3.names("renders/farms/one/pictures").len() == 1).then_some(())
+    });
+    assert_eq!(s3.names("renders/farms/one/tiles"), Vec::<String>::new(), "tiles of stored frames are swept");
+    assert!(farm.picture(&ids[1]) == wanted[1], "that of the other job is kept");
+    assert!(farm.terminate().success());
+}
+
+#[test]
+fn farm_in_a_bucket_is_checked_backed_up_and_restored() {
+    let Some(s3) = SeaweedFs::start() else { return };
+    s3.make_bucket("renders");
+    let folder = tempfile::tempdir().expect("a folder");
+    let (data, copy, new) = (folder.path().join("data"), folder.path().join("copy"), folder.path().join("new/data"));
+    let farm = start(&s3, folder.path(), &[]);
+    let id = farm.accept(&job(64, 48, 8).to_string());
+    farm.succeeded(&id);
+    let wanted = farm.picture(&id);
+    let told = succeed(&s3, &["backup", word(&copy), "--data", word(&data)]);
+    assert!(told.contains(&format!("1 pictures stay in {STORE}")), "{told}");
+    let listed = fs::read_to_string(copy.join("pictures.txt")).expect("a list");
+    assert_eq!(listed, format!("{} {}\n", blake3::hash(&wanted).to_hex(), wanted.len()));
+    assert!(farm.terminate().success());
+
+    let told = succeed(&s3, &["restore", word(&copy), "--data", word(&new)]);
+    assert!(told.contains(&format!("its pictures are in {STORE}")), "{told}");
+    let told = succeed(&s3, &["doctor", "--deep", "--data", word(&new), "--listen", "127.0.0.1:0"]);
+    assert!(
+        told.contains(&format!("{STORE} can be read and written")) && told.contains("1 pictures are intact"),
+        "{told}"
+    );
+    let farm = start(&s3, &folder.path().join("new"), &[]);
+    assert!(farm.picture(&id) == wanted);
+    assert!(farm.terminate().success());
+
+    // Without the bucket nothing is lost: the doctor says what is wrong, and a server does not start.
+    let elsewhere = with_keys(&s3, &["doctor", "--data", word(&new), "--listen", "127.0.0.1:0"])
+        .env("AWS_SECRET_ACCESS_KEY", "wrong")
+        .output()
+        .expect("it runs");
+    let told = text(&elsewhere.stdout);
+    assert!(told.contains("ERROR    store") && told.contains("set AWS_ACCESS_KEY_ID"), "{told}");
+    let output = run(&["serve", "--listen", "127.0.0.1:0", "--data", word(&new)]);
+    let told = text(&output.stderr);
+    assert_eq!(output.status.code(), Some(1), "{told}");
+    assert!(told.contains(&format!("has its pictures in {STORE}, not in the data folder")), "{told}");
+}
+
+#[test]
+fn wrong_stores_are_refused() {
+    let folder = tempfile::tempdir().expect("a folder");
+    for store in ["renders", "https://s3.example/renders", "s3://UPPER", "s3://abc/../x"] {
+        let output = run(&["serve", "--data", word(folder.path()), "--store", store]);
+        let told = text(&output.stderr);
+        assert_eq!(output.status.code(), Some(2), "{told}");
+        assert!(told.contains("write s3://BUCKET or s3://BUCKET/PREFIX"), "{told}");
+    }
+    let arguments = ["serve", "--listen", "127.0.0.1:0", "--data", word(folder.path()), "--store", STORE];
+    let mut command = sdfarm(&arguments);
+    command.env("AWS_ACCESS_KEY_ID", "key").env("AWS_SECRET_ACCESS_KEY", "secret").env("AWS_ALLOW_HTTP", "true");
+    command.env("AWS_ENDPOINT_URL", "http://127.0.0.1:1");
+    let output = finish(command, b"");
+    let told = text(&output.stderr);
+    assert_eq!(output.status.code(), Some(1), "{told}");
+    assert!(told.contains(STORE) && told.contains("cannot be reached at http://127.0.0.1:1"), "{told}");
+}
