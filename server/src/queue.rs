@@ -10,6 +10,7 @@ mod claim;
 mod cleanup;
 mod deliver;
 mod durations;
+mod effects;
 mod events;
 mod exclusion;
 mod fair_share;
@@ -17,7 +18,9 @@ mod finish;
 mod frames;
 mod idempotency;
 mod job_changes;
+mod job_transitions;
 mod lease;
+mod lease_ends;
 mod open_frame;
 mod pause;
 mod picture;
@@ -35,6 +38,7 @@ mod submit;
 mod sync;
 #[cfg(test)]
 mod tests;
+mod tile_results;
 mod trace_context;
 mod undo;
 mod verification;
@@ -382,6 +386,12 @@ async fn job_id(connection: &mut Connection, job: i64) -> Result<String> {
 /// Checks how many rows a transition changed.
 fn expect_rows(what: &'static str, expected: u64, changed: db::Changed) -> Result<()> {
     let changed = changed.rows_affected();
+    if changed == expected { Ok(()) } else { Err(DatabaseError::Rows { what, expected, changed }) }
+}
+
+/// Like [`expect_rows`], of rows that the statement returned.
+fn expect_rows_in(what: &'static str, expected: usize, changed: usize) -> Result<()> {
+    let (expected, changed) = (expected as u64, changed as u64);
     if changed == expected { Ok(()) } else { Err(DatabaseError::Rows { what, expected, changed }) }
 }
 
