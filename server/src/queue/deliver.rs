@@ -14,8 +14,8 @@ use super::effects::Progress;
 use super::lease::{self, LeaseEnd, LiveLease};
 use super::verification::{self, Candidate};
 use super::{
-    Connection, Result, TransitionContext, Wake, durations, fair_share, job_transitions, lease_ends, picture, row_count,
-    stitch, tile_results,
+    Connection, Result, TransitionContext, Wake, durations, fair_share, job_transitions, lease_ends, picture,
+    row_count, stitch, tile_results,
 };
 
 /// Outcome of a set of results.

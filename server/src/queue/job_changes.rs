@@ -5,8 +5,7 @@ use proto::job::JobState;
 use proto::job::{DeleteDryRun, JobPatch};
 
 use super::{
-    BacklogLimits, Connection, ExceededLimit, Queue, Result, TransitionContext, Wake, cleanup, finish,
-    job_transitions,
+    BacklogLimits, Connection, ExceededLimit, Queue, Result, TransitionContext, Wake, cleanup, finish, job_transitions,
 };
 use crate::db;
 use crate::db::Durability;

@@ -3,9 +3,7 @@
 
 use proto::JobId;
 
-use super::effects::{
-    self, ChangedJob, JobCounters, Progress, RemovedJob, Standing, changed_job_columns, read_source,
-};
+use super::effects::{self, ChangedJob, JobCounters, Progress, RemovedJob, Standing, changed_job_columns, read_source};
 use super::{Connection, NewJob, Result, TransitionContext};
 use crate::db::{self, DatabaseError, Statement};
 

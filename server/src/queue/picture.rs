@@ -97,8 +97,7 @@ async fn store_frame(
     .await?;
     let key = key.ok_or(DatabaseError::Rows { what: "frame: to stored", expected: 1, changed: 0 })?;
     delivered.nondeterministic += cache_picture(connection, picture, &key, moment).await?;
-    let stored =
-        FramePicture { frame: picture.frame, hash: picture.hash.to_owned(), size_bytes: picture.size_bytes };
+    let stored = FramePicture { frame: picture.frame, hash: picture.hash.to_owned(), size_bytes: picture.size_bytes };
     let progress = Progress::of_tiles(tiles).with_picture(stored);
     let progressed = job_transitions::progress(connection, picture.job, progress).await?;
     if !stitched {

@@ -46,10 +46,7 @@ async fn change(connection: &mut Connection, statement: Statement) -> Result<Cha
 }
 
 /// Stores the blobs of leased tiles: the id, hash and size of each.
-pub(super) async fn store_blobs(
-    connection: &mut Connection,
-    results: &[(i64, &str, u64)],
-) -> Result<Vec<ChangedTile>> {
+pub(super) async fn store_blobs(connection: &mut Connection, results: &[(i64, &str, u64)]) -> Result<Vec<ChangedTile>> {
     let statement = db::query(concat!(
         "UPDATE tile SET state = 'done', blob = listed.value ->> 1, blob_bytes = CAST(listed.value ->> 2 AS BIGINT)
          FROM @rows(?) WHERE tile.id = CAST(listed.value ->> 0 AS BIGINT) AND tile.state = 'leased'",
