@@ -1,8 +1,9 @@
 //! The queue: the only place that changes the state of a job, frame, tile, lease or worker.
 //!
-//! One function is one transition is one statement, and each statement's row count is checked. `Queue` is the
-//! entry point: it supplies the time, runs transitions in the writer, and wakes the waiters that a change
-//! concerns. It depends on no HTTP types or files.
+//! One function is one transition is one statement, and each statement's row count is checked. What follows from a
+//! transition (events, deliveries, books) is in `effects`, which it calls in its transaction. `Queue` is the entry
+//! point: it supplies the time, runs transitions in the writer, and wakes the waiters that a change concerns. It depends
+//! on no HTTP types or files.
 
 mod backlog;
 mod batch_size;

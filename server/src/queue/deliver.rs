@@ -10,7 +10,6 @@ use std::collections::{BTreeMap, HashMap};
 use proto::worker_protocol::{LeaseOutcome, LeaseReport};
 use proto::{LeaseId, WorkerId};
 
-use super::effects::Progress;
 use super::lease::{self, LeaseEnd, LiveLease};
 use super::verification::{self, Candidate};
 use super::{
@@ -179,7 +178,7 @@ async fn finish_tiles(
     let ids = tiles.iter().map(|tile| tile.held.tile);
     let mut ring = lease_ends::finish(connection, tiles.iter().map(|tile| &tile.held.lease), ids).await?;
     let results: Vec<_> = tiles.iter().map(|tile| (tile.held.tile, tile.hash, tile.size_bytes)).collect();
-    let progress = Progress::of_tiles(tile_results::store_blobs(connection, &results).await?);
+    let progress = tile_results::store_blobs(connection, &results).await?;
     let number = job_transitions::progress(connection, job, progress).await?.tiles_done;
     record_durations(connection, tiles.iter().map(|tile| &tile.held), number, moment).await?;
     let complete: bool = db::query_scalar(

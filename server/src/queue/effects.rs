@@ -187,15 +187,14 @@ async fn forget_measurements(connection: &mut Connection, job: &ChangedJob) -> R
     Ok(())
 }
 
-/// Counters of a job have changed; `peak_before` is its `rays_peak` before that.
+/// Counters of a job have changed.
 pub(super) async fn job_progressed(
     connection: &mut Connection,
     source: &EventSource,
     progress: Progress,
-    peak_before: i64,
     after: JobCounters,
 ) -> Result<()> {
-    outbox::write(connection, source, &progress.into_events(&source.id, peak_before, after)).await
+    outbox::write(connection, source, &progress.into_events(&source.id, after)).await
 }
 
 /// Leases have ended.

@@ -73,19 +73,13 @@ pub(super) async fn start(connection: &mut Connection, job: i64, moment: Transit
 
 /// Updates a job's counters.
 pub(super) async fn progress(connection: &mut Connection, job: i64, by: Progress) -> Result<Progressed> {
-    let before = db::query(
-        "SELECT number, id, name, submitter, rays_peak,
-                EXISTS (SELECT 1 FROM webhook WHERE webhook.job = job.number) AS has_webhooks
-         FROM job WHERE number = ?",
-    )
-    .bind(job)
-    .fetch_one(&mut *connection)
-    .await?;
     let after = db::query(
         "UPDATE job SET tiles_done = tiles_done + ?1, rays_done = rays_done + ?2, frames_stored = frames_stored + ?3,
                         rays_peak = @max(rays_peak, rays_done + ?2)
          WHERE number = ?4
-         RETURNING tiles_done, tiles_total, rays_peak, rays_total, frames_stored = frames_total AS is_complete",
+         RETURNING number, id, name, submitter, tiles_done, tiles_total, rays_peak, rays_total,
+                   frames_stored = frames_total AS is_complete,
+                   EXISTS (SELECT 1 FROM webhook WHERE webhook.job = job.number) AS has_webhooks",
     )
     .bind(by.tiles)
     .bind(by.rays)
@@ -100,7 +94,7 @@ pub(super) async fn progress(connection: &mut Connection, job: i64, by: Progress
         rays_peak: after.get("rays_peak")?,
         rays_total: after.get("rays_total")?,
     };
-    effects::job_progressed(connection, &read_source(&before)?, by, before.get("rays_peak")?, counters).await?;
+    effects::job_progressed(connection, &read_source(&after)?, by, counters).await?;
     Ok(progressed)
 }
 

@@ -78,16 +78,15 @@ pub(super) async fn open_from_cache(
     opening: &FrameOpening,
     moment: TransitionContext,
 ) -> Result<OpenOutcome> {
-    let fresh: Option<bool> =
-        db::query_scalar("SELECT fresh FROM job WHERE number = ? AND frames_opened = ? AND finished_at_ms IS NULL")
+    let job =
+        db::query("SELECT fresh, rays_peak FROM job WHERE number = ? AND frames_opened = ? AND finished_at_ms IS NULL")
             .bind(opening.job)
             .bind(opening.frame)
             .fetch_optional(&mut *connection)
             .await?;
-    match fresh {
-        None => return Ok(OpenOutcome::Stale),
-        Some(true) => return Ok(OpenOutcome::Open),
-        Some(false) => {}
+    let Some(job) = job else { return Ok(OpenOutcome::Stale) };
+    if job.get("fresh")? {
+        return Ok(OpenOutcome::Open);
     }
     let stored = db::query(
         "INSERT INTO frame (job, number, state, picture_key, tiles_total, tiles_done, picture, size_bytes)
@@ -105,7 +104,8 @@ pub(super) async fn open_from_cache(
         FramePicture { frame: opening.frame, hash: stored.get("picture")?, size_bytes: stored.get("size_bytes")? };
     count_opened(connection, opening).await?;
     let rays: u64 = opening.tiles.iter().map(|rect| rect.pixels() * u64::from(opening.samples)).sum();
-    let progress = Progress::of_cached_frame(picture, row_count(opening.tiles.len()), rays.cast_signed());
+    let (tiles, peak_before) = (row_count(opening.tiles.len()), job.get("rays_peak")?);
+    let progress = Progress::of_cached_frame(picture, tiles, rays.cast_signed(), peak_before);
     if job_transitions::progress(connection, opening.job, progress).await?.is_complete {
         job_transitions::succeed(connection, opening.job, moment).await?;
     }

@@ -7,7 +7,7 @@ use std::collections::BTreeMap;
 use proto::{LeaseId, WorkerId};
 
 use super::deliver::{DeliverResult, count_mismatches, record_durations};
-use super::effects::{FramePicture, Progress};
+use super::effects::FramePicture;
 use super::lease::{self, LeaseEnd, LiveLease};
 use super::verification::{self, Candidate};
 use super::{Connection, Result, TransitionContext, job_transitions, lease_ends, row_count, tile_results};
@@ -83,7 +83,7 @@ async fn store_frame(
     let ids: Vec<i64> = held.iter().map(|held| held.tile).collect();
     let leases = held.iter().map(|held| &held.lease);
     delivered.ring.add(lease_ends::finish(connection, leases, ids.iter().copied()).await?);
-    let tiles = tile_results::finish(connection, &ids).await?;
+    let progress = tile_results::finish(connection, &ids).await?;
     let key: Option<String> = db::query_scalar(
         "UPDATE frame SET state = 'stored', picture = ?1, size_bytes = ?2, tiles_done = tiles_total
          WHERE job = ?3 AND number = ?4 AND state = ?5 RETURNING picture_key",
@@ -98,8 +98,7 @@ async fn store_frame(
     let key = key.ok_or(DatabaseError::Rows { what: "frame: to stored", expected: 1, changed: 0 })?;
     delivered.nondeterministic += cache_picture(connection, picture, &key, moment).await?;
     let stored = FramePicture { frame: picture.frame, hash: picture.hash.to_owned(), size_bytes: picture.size_bytes };
-    let progress = Progress::of_tiles(tiles).with_picture(stored);
-    let progressed = job_transitions::progress(connection, picture.job, progress).await?;
+    let progressed = job_transitions::progress(connection, picture.job, progress.with_picture(stored)).await?;
     if !stitched {
         record_durations(connection, held, progressed.tiles_done, moment).await?;
     }

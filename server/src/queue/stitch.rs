@@ -1,6 +1,5 @@
 //! Stitches: created when a frame's last tile is done, removed if its blobs are damaged.
 
-use super::effects::Progress;
 use super::lease::{self, LeaseEnd, LiveLease};
 use super::{Connection, Result, TransitionContext, Wake, expect_rows, job_transitions, lease_ends, tile_results};
 use crate::db;
@@ -39,20 +38,19 @@ pub(super) async fn redo_tiles(
     if !is_stitching(connection, held).await? {
         return Ok(ring);
     }
-    let tiles = tile_results::reopen_positions(connection, held.job, held.frame, positions).await?;
-    if tiles.is_empty() {
+    let progress = tile_results::reopen_positions(connection, held.job, held.frame, positions).await?;
+    if progress.tiles == 0 {
         return Ok(ring);
     }
     ring.add(Wake::WORK);
     ring.add(lease_ends::revoke(connection, std::iter::once(held.tile)).await?);
     let job = super::job_id(connection, held.job).await?;
-    tracing::warn!(%job, frame = held.frame, tiles = tiles.len(), "blobs damaged; rendering their tiles again");
+    tracing::warn!(%job, frame = held.frame, tiles = -progress.tiles, "blobs damaged; rendering their tiles again");
     let void = db::query("UPDATE tile SET state = 'void' WHERE id = ? AND state IN ('ready', 'leased')")
         .bind(held.tile)
         .execute(&mut *connection)
         .await?;
     expect_rows("tile: stitch void", 1, void)?;
-    let progress = Progress::of_tiles(tiles);
     let open = db::query(
         "UPDATE frame SET state = 'open', tiles_done = tiles_done - ? WHERE job = ? AND number = ? AND state = 'stitching'",
     )

@@ -5,8 +5,7 @@
 use crate::db;
 use std::collections::{BTreeMap, BTreeSet};
 
-use super::effects::Progress;
-use super::{Connection, Result, expect_rows, job_transitions, lease_ends, repair, row_count, tile_results};
+use super::{Connection, Result, expect_rows, job_transitions, lease_ends, repair, tile_results};
 
 /// Undoes all results of a worker under leases that were granted after that of its last confirmed result. Returns the
 /// hashes of the pictures that are forgotten.
@@ -59,8 +58,8 @@ async fn reopen_tiles(
     frame: u32,
     is_stitching: bool,
     tiles: &[i64],
-) -> Result<usize> {
-    let reopened = tile_results::reopen(connection, tiles).await?;
+) -> Result<i64> {
+    let progress = tile_results::reopen(connection, tiles).await?;
     lease_ends::void_results(connection, tiles).await?;
     if is_stitching {
         lease_ends::void_stitch(connection, job, frame).await?;
@@ -72,17 +71,17 @@ async fn reopen_tiles(
         .execute(&mut *connection)
         .await?;
     }
-    let count = reopened.len();
+    let count = -progress.tiles;
     let opened = db::query(
         "UPDATE frame SET state = 'open', tiles_done = tiles_done - ?
          WHERE job = ? AND number = ? AND state IN ('open', 'stitching')",
     )
-    .bind(row_count(count))
+    .bind(count)
     .bind(job)
     .bind(frame)
     .execute(&mut *connection)
     .await?;
     expect_rows("frame: tiles undone", 1, opened)?;
-    job_transitions::progress(connection, job, Progress::of_tiles(reopened)).await?;
+    job_transitions::progress(connection, job, progress).await?;
     Ok(count)
 }

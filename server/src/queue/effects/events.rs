@@ -47,6 +47,8 @@ pub(in crate::queue) struct Progress {
     pub(in crate::queue) rays: i64,
     tile_events: Vec<TileEvent>,
     picture: Option<FramePicture>,
+    /// The job's `rays_peak` before it; `None` if its rays cannot exceed that.
+    peak_before: Option<i64>,
 }
 
 /// Counters of a job after a change.
@@ -63,20 +65,21 @@ pub(in crate::queue) struct JobCounters {
 }
 
 impl Progress {
-    /// Of tiles that became done, or are done no more.
-    pub(in crate::queue) fn of_tiles(changed: Vec<ChangedTile>) -> Self {
+    /// Of tiles that became done, or are done no more, and the job's `rays_peak` before.
+    pub(in crate::queue) fn of_tiles(changed: Vec<ChangedTile>, peak_before: Option<i64>) -> Self {
         let sign = |tile: &ChangedTile| if tile.event.done { 1 } else { -1 };
         Self {
             tiles: changed.iter().map(sign).sum(),
             rays: changed.iter().map(|tile| sign(tile) * tile.rays).sum(),
             tile_events: changed.into_iter().map(|tile| tile.event).collect(),
             picture: None,
+            peak_before,
         }
     }
 
-    /// Of a frame whose picture was in the cache, with this number of tiles and rays.
-    pub(in crate::queue) fn of_cached_frame(picture: FramePicture, tiles: i64, rays: i64) -> Self {
-        Self { tiles, rays, tile_events: Vec::new(), picture: Some(picture) }
+    /// Of a frame whose picture was in the cache, with this number of tiles and rays, and the job's `rays_peak` before.
+    pub(in crate::queue) fn of_cached_frame(picture: FramePicture, tiles: i64, rays: i64, peak_before: i64) -> Self {
+        Self { tiles, rays, tile_events: Vec::new(), picture: Some(picture), peak_before: Some(peak_before) }
     }
 
     /// The same, after which the picture of a frame is stored.
@@ -90,10 +93,10 @@ impl Progress {
     }
 
     /// Its events: those of tiles, of the frame, and of another hundredth of the rays.
-    pub(in crate::queue) fn into_events(self, job: &str, peak_before: i64, after: JobCounters) -> Vec<NewEvent> {
+    pub(in crate::queue) fn into_events(self, job: &str, after: JobCounters) -> Vec<NewEvent> {
         let mut events: Vec<NewEvent> = self.tile_events.iter().map(NewEvent::tile).collect();
         events.extend(self.picture.map(|picture| NewEvent::frame(job, picture)));
-        events.extend(NewEvent::progress(peak_before, after));
+        events.extend(self.peak_before.and_then(|before| NewEvent::progress(before, after)));
         events
     }
 }
@@ -173,9 +176,9 @@ mod tests {
             r#"{"state":"failed","errors":["a \"b\"\n"],"at":"1970-01-01T00:00:00.001Z"}"#
         );
         let event = TileEvent { frame: 0, x: 1, y: 2, width: 3, height: 4, done: false };
-        let undone = Progress::of_tiles(vec![ChangedTile { event, rays: 12 }]);
+        let undone = Progress::of_tiles(vec![ChangedTile { event, rays: 12 }], Some(12));
         assert_eq!((undone.tiles, undone.rays, undone.frames()), (-1, -12, 0));
-        let events = undone.into_events("x", 12, counters(12, 36));
+        let events = undone.into_events("x", counters(12, 36));
         assert_eq!(events.len(), 1);
         assert_eq!(events[0].body, r#"{"frame":0,"x":1,"y":2,"width":3,"height":4,"done":false}"#);
     }

@@ -1,5 +1,7 @@
 //! Writes events and the webhook deliveries that they are due to.
 
+use proto::job::JobState;
+
 use super::events::NewEvent;
 use crate::db;
 use crate::queue::{Connection, Result};
@@ -37,7 +39,7 @@ pub(super) async fn insert(connection: &mut Connection, job: i64, event: &NewEve
     db::query("INSERT INTO outbox (job, kind, state, body) VALUES (?, ?, ?, ?)")
         .bind(job)
         .bind(event.kind)
-        .bind(event.state.map(|state| state.name()))
+        .bind(event.state.map(JobState::name))
         .bind(&event.body)
         .execute(connection)
         .await?;
@@ -45,8 +47,7 @@ pub(super) async fn insert(connection: &mut Connection, job: i64, event: &NewEve
 }
 
 async fn insert_all(connection: &mut Connection, job: i64, events: &[NewEvent]) -> Result<()> {
-    let rows: Vec<_> =
-        events.iter().map(|event| (event.kind, event.state.map(|state| state.name()), &event.body)).collect();
+    let rows: Vec<_> = events.iter().map(|event| (event.kind, event.state.map(JobState::name), &event.body)).collect();
     db::query(
         "INSERT INTO outbox (job, kind, state, body)
          SELECT CAST(?1 AS BIGINT), listed.value ->> 0, listed.value ->> 1, listed.value ->> 2 FROM @rows(?2)",

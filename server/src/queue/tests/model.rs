@@ -104,20 +104,20 @@ impl Model {
         self.outbox.add(id, NewEvent::state(state, error, self.now_ms));
     }
 
-    /// Records progress whose tiles and frame have changed already.
-    fn progress(&mut self, id: JobId, progress: Progress) {
+    /// Records that tiles are done, or done no more, and that a frame is stored; they have changed already.
+    fn progress(&mut self, id: JobId, tiles: Vec<ChangedTile>, picture: Option<FramePicture>) {
         let job = self.jobs.get_mut(&id).expect("the job");
-        let (tiles_done, before) = (job.tiles_done(), job.rays_peak);
-        let plan = new_job(job.frames_total).plan;
-        let rays_done = tiles_done as i64 * i64::from(plan.samples) * TILE_PIXELS;
-        job.rays_peak = before.max(rays_done);
+        let progress = Progress::of_tiles(tiles, Some(job.rays_peak));
+        let progress = if let Some(picture) = picture { progress.with_picture(picture) } else { progress };
+        let (tiles_done, plan) = (job.tiles_done(), new_job(job.frames_total).plan);
+        job.rays_peak = job.rays_peak.max(tiles_done.cast_signed() * TILE_PIXELS);
         let after = JobCounters {
             tiles_done,
             tiles_total: plan.tiles_total(),
             rays_peak: job.rays_peak,
             rays_total: plan.rays_total().cast_signed(),
         };
-        for event in progress.into_events(&id.to_string(), before, after) {
+        for event in progress.into_events(&id.to_string(), after) {
             self.outbox.add(id, event);
         }
     }
@@ -220,7 +220,7 @@ impl Model {
             // All results of a frame count together.
             for ((job, _), mut tiles) in frames {
                 tiles.sort_by_key(|tile| tile.2);
-                self.progress(job, Progress::of_tiles(tiles.into_iter().map(|tile| changed(tile, true)).collect()));
+                self.progress(job, tiles.into_iter().map(|tile| changed(tile, true)).collect(), None);
             }
         }
         for lease in holding {
@@ -266,7 +266,7 @@ impl Model {
                 .collect();
             self.end_where(|lease| (lease.tile.0, lease.tile.1) == (job, number));
             let picture = FramePicture { frame: number, hash: hash.to_owned(), size_bytes: 1 };
-            self.progress(job, Progress::of_tiles(done).with_picture(picture));
+            self.progress(job, done, Some(picture));
             let stored = &self.jobs[&job];
             if stored.frames_stored() == u64::from(stored.frames_total) {
                 self.reach(job, JobState::Succeeded, None);
@@ -320,7 +320,7 @@ impl Model {
         if !undone.is_empty() {
             frame.state = FrameState::Open;
             self.end_where(|other| other.tile == stitch);
-            self.progress(stitch.0, Progress::of_tiles(undone));
+            self.progress(stitch.0, undone, None);
         }
     }
 
