@@ -181,7 +181,7 @@ async fn forget_measurements(connection: &mut Connection, job: &ChangedJob) -> R
         db::query(statement).bind(job.source.job).execute(&mut *connection).await?;
     }
     if job.state == JobState::Failed {
-        // What failed, failed on every worker: if it is tried again, each may try again.
+        // A job that failed, failed on every worker: if it is tried again, each may try again.
         db::query("DELETE FROM strike WHERE job = ?").bind(job.source.job).execute(connection).await?;
     }
     Ok(())

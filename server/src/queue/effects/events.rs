@@ -38,7 +38,7 @@ pub(in crate::queue) struct ChangedTile {
     pub(in crate::queue) rays: i64,
 }
 
-/// What a job's counters change by. Its events and its counters come from the same values.
+/// Change of a job's counters. Its events and its counters come from the same values.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(in crate::queue) struct Progress {
     /// Tiles done.

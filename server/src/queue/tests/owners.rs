@@ -1,4 +1,4 @@
-//! What has effects is changed only where its effects are written: other modules have no such statement.
+//! Rows with effects are changed only where the effects are written: other modules have no such statement.
 
 use std::path::{Path, PathBuf};
 use std::{fs, io};
