@@ -1,8 +1,9 @@
 //! The queue: the only place that changes the state of a job, frame, tile, lease or worker.
 //!
-//! One function is one transition is one statement, and each statement's row count is checked. `Queue` is the
-//! entry point: it supplies the time, runs transitions in the writer, and wakes the waiters that a change
-//! concerns. It depends on no HTTP types or files.
+//! One function is one transition is one statement, and each statement's row count is checked. What follows from a
+//! transition (events, deliveries, books) is in `effects`, which it calls in its transaction. `Queue` is the entry
+//! point: it supplies the time, runs transitions in the writer, and wakes the waiters that a change concerns. It depends
+//! on no HTTP types or files.
 
 mod backlog;
 mod batch_size;
@@ -10,6 +11,7 @@ mod claim;
 mod cleanup;
 mod deliver;
 mod durations;
+mod effects;
 mod events;
 mod exclusion;
 mod fair_share;
@@ -17,7 +19,9 @@ mod finish;
 mod frames;
 mod idempotency;
 mod job_changes;
+mod job_transitions;
 mod lease;
+mod lease_ends;
 mod open_frame;
 mod pause;
 mod picture;
@@ -35,6 +39,7 @@ mod submit;
 mod sync;
 #[cfg(test)]
 mod tests;
+mod tile_results;
 mod trace_context;
 mod undo;
 mod verification;
@@ -382,6 +387,12 @@ async fn job_id(connection: &mut Connection, job: i64) -> Result<String> {
 /// Checks how many rows a transition changed.
 fn expect_rows(what: &'static str, expected: u64, changed: db::Changed) -> Result<()> {
     let changed = changed.rows_affected();
+    if changed == expected { Ok(()) } else { Err(DatabaseError::Rows { what, expected, changed }) }
+}
+
+/// Like [`expect_rows`], of rows that the statement returned.
+fn expect_rows_in(what: &'static str, expected: usize, changed: usize) -> Result<()> {
+    let (expected, changed) = (expected as u64, changed as u64);
     if changed == expected { Ok(()) } else { Err(DatabaseError::Rows { what, expected, changed }) }
 }
 

@@ -35,7 +35,7 @@ impl Fixture {
         id
     }
 
-    /// Inserts many events at once, in the form that the triggers write.
+    /// Inserts many events at once, in the form that the queue writes.
     async fn happen(&self, job: i64, count: usize) {
         self.store
             .write(Durability::Relaxed, move |connection| {

@@ -1,5 +1,4 @@
-//! Unfinished work of each submitter: the counters that quotas are checked against, kept by database
-//! triggers.
+//! Unfinished work of each submitter: the counters that quotas are checked against. `effects` keeps them.
 
 use crate::db;
 use proto::JobId;

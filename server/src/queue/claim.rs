@@ -14,7 +14,7 @@ use super::batch_size::{self, FrameLoad, ReadyTile};
 use super::lease::LOSSES_BEFORE_ISOLATION;
 use super::speeds::{self, JobSpeed, measured_sql};
 use super::straggler::{self, StragglerOutcome};
-use super::{Connection, Result, TransitionContext, expect_rows, fair_share, finish, parse_column};
+use super::{Connection, Result, TransitionContext, expect_rows, fair_share, job_transitions, parse_column};
 use crate::tile_plan::TilePlan;
 
 /// Job with something to claim, by priority and age. A test checks that this query needs no full scan.
@@ -164,7 +164,7 @@ pub(super) async fn claim(
         claim_tiles(connection, &job, frame, &view, claimant, moment).await?
     };
     if job.queued {
-        finish::mark_started(connection, job.number, moment).await?;
+        job_transitions::start(connection, job.number, moment).await?;
     }
     Ok(ClaimOutcome::Run(Batch { job: job.id, frame, tile_seconds: Some(job.tile_seconds), work }))
 }

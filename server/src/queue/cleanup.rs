@@ -6,7 +6,8 @@
 //! first piece on.
 
 use super::{
-    Connection, Queue, Result, TransitionContext, Wake, expect_rows, fair_share, json_list, json_numbers, row_count,
+    Connection, Queue, Result, TransitionContext, Wake, expect_rows, fair_share, job_transitions, json_list,
+    json_numbers, lease_ends, row_count,
 };
 use crate::db;
 use crate::db::{DatabaseError, Durability};
@@ -165,10 +166,7 @@ async fn void_tiles(
     if !leases.is_empty() {
         let leases = json_list(leases);
         fair_share::store_used_time_of(connection, &leases, moment).await?;
-        db::query("UPDATE lease SET ended = 'void' WHERE ended IS NULL AND id IN (SELECT value FROM @texts(?))")
-            .bind(&leases)
-            .execute(&mut *connection)
-            .await?;
+        lease_ends::void(connection, &leases).await?;
     }
     let voided = db::query("UPDATE tile SET state = 'void' WHERE id IN (SELECT value FROM @numbers(?))")
         .bind(&tiles)
@@ -262,8 +260,7 @@ async fn delete_piece(connection: &mut Connection, job: i64, moment: TransitionC
         .execute(&mut *connection)
         .await?;
     if row_count(events.rows_affected() as usize) < left {
-        let deleted = db::query("DELETE FROM job WHERE number = ?").bind(job).execute(connection).await?;
-        expect_rows("job: deleted", 1, deleted)?;
+        job_transitions::delete(connection, job).await?;
     }
     Ok(removed)
 }
@@ -277,13 +274,7 @@ fn distinct(hashes: Vec<Option<String>>) -> Vec<String> {
 
 /// Hides a job and marks it for deletion: its id is no job's id from now on, and nothing of it is leased.
 pub(super) async fn mark_deleted(connection: &mut Connection, job: i64) -> Result<()> {
-    let marked = db::query(
-        "UPDATE job SET id = 'deleted ' || number, paused = 1, cleanup = 'delete' WHERE number = ? AND state <> 'running'",
-    )
-    .bind(job)
-    .execute(&mut *connection)
-    .await?;
-    expect_rows("job: marked for deletion", 1, marked)?;
+    job_transitions::hide(connection, job).await?;
     for statement in ["DELETE FROM webhook WHERE job = ?", "DELETE FROM idempotency WHERE job = ?"] {
         db::query(statement).bind(job).execute(&mut *connection).await?;
     }

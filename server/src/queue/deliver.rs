@@ -13,7 +13,8 @@ use proto::{LeaseId, WorkerId};
 use super::lease::{self, LeaseEnd, LiveLease};
 use super::verification::{self, Candidate};
 use super::{
-    Connection, Result, TransitionContext, Wake, durations, expect_rows, fair_share, finish, picture, row_count, stitch,
+    Connection, Result, TransitionContext, Wake, durations, fair_share, job_transitions, lease_ends, picture,
+    row_count, stitch, tile_results,
 };
 
 /// Outcome of a set of results.
@@ -174,29 +175,11 @@ async fn finish_tiles(
     tiles: &[FinishedTile<'_>],
     moment: TransitionContext,
 ) -> Result<Wake> {
-    let count = tiles.len() as u64;
-    let ended =
-        db::query("UPDATE lease SET ended = 'done' WHERE ended IS NULL AND id IN (SELECT value FROM @texts(?))")
-            .bind(super::json_list(tiles.iter().map(|tile| &tile.held.lease)))
-            .execute(&mut *connection)
-            .await?;
-    expect_rows("lease: live to ended", count, ended)?;
+    let ids = tiles.iter().map(|tile| tile.held.tile);
+    let mut ring = lease_ends::finish(connection, tiles.iter().map(|tile| &tile.held.lease), ids).await?;
     let results: Vec<_> = tiles.iter().map(|tile| (tile.held.tile, tile.hash, tile.size_bytes)).collect();
-    let done = db::query(
-        "UPDATE tile SET state = 'done', blob = listed.value ->> 1, blob_bytes = CAST(listed.value ->> 2 AS BIGINT)
-         FROM @rows(?) WHERE tile.id = CAST(listed.value ->> 0 AS BIGINT) AND tile.state = 'leased'",
-    )
-    .bind(serde_json::json!(results).to_string())
-    .execute(&mut *connection)
-    .await?;
-    expect_rows("tile: leased to done", count, done)?;
-    let mut ring = lease::revoke_duplicates(connection, tiles.iter().map(|tile| tile.held.tile)).await?;
-    let by = finish::ProgressDelta {
-        tiles: row_count(tiles.len()),
-        rays: tiles.iter().map(|tile| tile.held.rays).sum(),
-        frames: 0,
-    };
-    let number = finish::progress(connection, job, by).await?;
+    let progress = tile_results::store_blobs(connection, &results).await?;
+    let number = job_transitions::progress(connection, job, progress).await?.tiles_done;
     record_durations(connection, tiles.iter().map(|tile| &tile.held), number, moment).await?;
     let complete: bool = db::query_scalar(
         "UPDATE frame SET tiles_done = tiles_done + ? WHERE job = ? AND number = ? AND state = 'open'

@@ -1,7 +1,7 @@
 //! A job's events: read in order, replaced by a snapshot if older ones were pruned, and pruned by age and
 //! number.
 //!
-//! Only the triggers of migration 0005 write events, in the transaction of the change.
+//! Only `effects` writes events, in the transaction of the change.
 
 use db::Row;
 use proto::JobId;
@@ -56,7 +56,7 @@ impl Event {
     }
 }
 
-/// Body of a progress event with its fraction rounded; the database's trigger stores every digit.
+/// Body of a progress event with its fraction rounded; the row has every digit.
 fn rounded(body: String) -> String {
     let Ok(event) = serde_json::from_str::<ProgressEvent>(&body) else { return body };
     let event = ProgressEvent { progress: rounding::fraction(event.progress), ..event };

@@ -1,9 +1,9 @@
 //! Fair share between submitters: the worker time that each has been served, so that the least served is next.
 //!
 //! Start-time fair queueing (Goyal, Vin, Cheng, "Start-time Fair Queuing", SIGCOMM 1996): a submitter that
-//! returns starts at the virtual time of the one served last. Triggers record which submitters have ready work.
-//! A batch is charged by an estimate when it is granted. When its leases end, a trigger corrects the charge by the
-//! time that was used (`lease.used_us`).
+//! returns starts at the virtual time of the one served last. `effects` records which submitters have jobs that may be
+//! leased. A batch is charged by an estimate when it is granted. When its leases end, `effects` corrects the charge by
+//! the time that was used (`lease.used_us`).
 
 use crate::db;
 use std::collections::BTreeMap;
@@ -82,7 +82,7 @@ struct UsedLease {
 
 /// Live leases of a list, with the data that their used time depends on.
 const USED_SQL: &str = "SELECT lease.id, lease.worker, tile.job, tile.rays, lease.charged_us,
-        @max(lease.granted_ms, worker.delivered_ms) AS since_ms
+        @@max(lease.granted_ms, worker.delivered_ms) AS since_ms
      FROM @texts(?) @join lease ON lease.id = listed.value
      @join worker ON worker.id = lease.worker @join tile ON tile.id = lease.tile
      WHERE lease.ended IS NULL AND (?2 IS NULL OR lease.worker = ?2)";

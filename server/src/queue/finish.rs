@@ -1,23 +1,11 @@
-//! Progress and end of a job: its counters, success, failure, cancelling, deleting.
+//! End of a job by failure, cancelling or deleting, with the first piece of the cleanup.
 
 use proto::JobId;
 use proto::job::JobState;
 
 use super::cleanup::{self, RemovedContent};
-use super::{Connection, Result, TransitionContext, expect_rows, parse_column};
+use super::{Connection, Result, TransitionContext, expect_rows_in, job_transitions, parse_column};
 use crate::db;
-use crate::db::DatabaseError;
-
-/// Increments of a job's counters.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct ProgressDelta {
-    /// Tiles done.
-    pub(super) tiles: i64,
-    /// Rays done.
-    pub(super) rays: i64,
-    /// Frames stored.
-    pub(super) frames: i64,
-}
 
 /// Outcome of a cancel.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -46,45 +34,6 @@ pub(super) fn job_state(name: &str) -> Result<JobState> {
     parse_column("job.state", name, |name| JobState::ALL.into_iter().find(|state| state.name() == name))
 }
 
-/// Marks a job as running when its first lease is granted.
-pub(super) async fn mark_started(connection: &mut Connection, job: i64, moment: TransitionContext) -> Result<()> {
-    db::query("UPDATE job SET state = 'running', started_at_ms = ? WHERE number = ? AND state = 'queued'")
-        .bind(moment.wall_ms)
-        .bind(job)
-        .execute(connection)
-        .await?;
-    Ok(())
-}
-
-/// Updates a job's counters; returns its number of finished tiles.
-pub(super) async fn progress(connection: &mut Connection, job: i64, by: ProgressDelta) -> Result<i64> {
-    let done: Option<i64> = db::query_scalar(
-        "UPDATE job SET tiles_done = tiles_done + ?1, rays_done = rays_done + ?2, frames_stored = frames_stored + ?3,
-                        rays_peak = @max(rays_peak, rays_done + ?2)
-         WHERE number = ?4 RETURNING tiles_done",
-    )
-    .bind(by.tiles)
-    .bind(by.rays)
-    .bind(by.frames)
-    .bind(job)
-    .fetch_optional(connection)
-    .await?;
-    done.ok_or(DatabaseError::Rows { what: "job: counters", expected: 1, changed: 0 })
-}
-
-/// Marks a job as succeeded if all its frames are stored.
-pub(super) async fn succeed_if_stored(connection: &mut Connection, job: i64, moment: TransitionContext) -> Result<()> {
-    db::query(
-        "UPDATE job SET state = 'succeeded', finished_at_ms = ?1, started_at_ms = coalesce(started_at_ms, ?1)
-         WHERE number = ?2 AND frames_stored = frames_total AND finished_at_ms IS NULL",
-    )
-    .bind(moment.wall_ms)
-    .bind(job)
-    .execute(connection)
-    .await?;
-    Ok(())
-}
-
 /// Fails the job of a dead tile.
 pub(super) async fn fail(
     connection: &mut Connection,
@@ -92,16 +41,8 @@ pub(super) async fn fail(
     message: &str,
     moment: TransitionContext,
 ) -> Result<()> {
-    let failed = db::query(
-        "UPDATE job SET state = 'failed', error = ?, finished_at_ms = ?, tiles_dead = tiles_dead + 1, cleanup = 'void'
-         WHERE number = ? AND finished_at_ms IS NULL",
-    )
-    .bind(message)
-    .bind(moment.wall_ms)
-    .bind(job)
-    .execute(&mut *connection)
-    .await?;
-    expect_rows("job: failed", 1, failed)?;
+    let is_failed = job_transitions::fail(connection, job, message, 1, moment).await?;
+    expect_rows_in("job: failed", 1, usize::from(is_failed))?;
     cleanup::piece(connection, job, moment).await.map(drop)
 }
 
@@ -112,29 +53,13 @@ pub(super) async fn refuse(
     message: &str,
     moment: TransitionContext,
 ) -> Result<()> {
-    db::query(
-        "UPDATE job SET state = 'failed', error = ?, finished_at_ms = ?, cleanup = 'void'
-         WHERE number = ? AND finished_at_ms IS NULL",
-    )
-    .bind(message)
-    .bind(moment.wall_ms)
-    .bind(job)
-    .execute(&mut *connection)
-    .await?;
+    job_transitions::fail(connection, job, message, 0, moment).await?;
     cleanup::piece(connection, job, moment).await.map(drop)
 }
 
 /// Cancels a job that has not finished.
 pub(super) async fn cancel(connection: &mut Connection, id: JobId, moment: TransitionContext) -> Result<CancelOutcome> {
-    let cancelled: Option<i64> = db::query_scalar(
-        "UPDATE job SET state = 'cancelled', finished_at_ms = ?, cleanup = 'void'
-         WHERE id = ? AND finished_at_ms IS NULL RETURNING number",
-    )
-    .bind(moment.wall_ms)
-    .bind(id.to_string())
-    .fetch_optional(&mut *connection)
-    .await?;
-    if let Some(job) = cancelled {
+    if let Some(job) = job_transitions::cancel(connection, id, moment).await? {
         return cleanup::piece(connection, job, moment).await.map(CancelOutcome::Done);
     }
     let state: Option<String> =

@@ -5,7 +5,7 @@ use proto::job::JobState;
 use proto::job::{DeleteDryRun, JobPatch};
 
 use super::{
-    BacklogLimits, Connection, ExceededLimit, Queue, Result, TransitionContext, Wake, cleanup, expect_rows, finish,
+    BacklogLimits, Connection, ExceededLimit, Queue, Result, TransitionContext, Wake, cleanup, finish, job_transitions,
 };
 use crate::db;
 use crate::db::Durability;
@@ -141,25 +141,12 @@ async fn retry(
     if failed.get::<Option<String>>("cleanup")?.is_some() {
         return Ok(RetryStep::CleanUpFirst(job));
     }
-    let retried = db::query(
-        "UPDATE job SET state = 'running', error = NULL, finished_at_ms = NULL, events_kept = 1, cleanup = 'requeue',
-                        retried_at_ms = ?1, started_at_ms = coalesce(started_at_ms, ?1)
-         WHERE number = ?2",
-    )
-    .bind(moment.wall_ms)
-    .bind(job)
-    .execute(&mut *connection)
-    .await?;
-    expect_rows("job: failed to running", 1, retried)?;
+    job_transitions::retry(connection, job, moment).await?;
     cleanup::piece(connection, job, moment).await?;
     Ok(RetryStep::Outcome(RetryOutcome::Changed(ChangeOutcome::Done)))
 }
 
 async fn change(connection: &mut Connection, id: JobId, patch: &JobPatch) -> Result<ChangeOutcome> {
-    let changed = db::query("UPDATE job SET priority = coalesce(?, priority) WHERE id = ? AND finished_at_ms IS NULL")
-        .bind(patch.priority)
-        .bind(id.to_string())
-        .execute(&mut *connection)
-        .await?;
-    if changed.rows_affected() == 1 { Ok(ChangeOutcome::Done) } else { state(connection, id).await }
+    let is_changed = job_transitions::set_priority(connection, id, patch.priority).await?;
+    if is_changed { Ok(ChangeOutcome::Done) } else { state(connection, id).await }
 }

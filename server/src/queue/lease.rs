@@ -7,7 +7,7 @@ use std::time::Duration;
 use db::Row;
 use proto::{LeaseId, WorkerId};
 
-use super::{Connection, Result, TransitionContext, Wake, exclusion, expect_rows, finish, json_list};
+use super::{Connection, Result, TransitionContext, Wake, exclusion, expect_rows, finish, json_list, lease_ends};
 
 /// Number of renderer errors after which a tile is still retried.
 const MAX_ERRORS: i64 = 3;
@@ -105,7 +105,6 @@ pub(super) struct LiveLease {
     pub(super) job: i64,
     pub(super) frame: u32,
     pub(super) stitch: bool,
-    pub(super) rays: i64,
     pub(super) granted_ms: i64,
     counters: Counters,
 }
@@ -114,7 +113,7 @@ pub(super) struct LiveLease {
 macro_rules! held_where {
     ($condition:literal) => {
         concat!(
-            "SELECT lease.id AS lease, lease.worker, tile.id AS tile, tile.job, tile.frame, tile.kind, tile.rays,
+            "SELECT lease.id AS lease, lease.worker, tile.id AS tile, tile.job, tile.frame, tile.kind,
                     lease.granted_ms, tile.errors, tile.crashes, tile.lost, tile.interrupts
              FROM lease JOIN tile ON tile.id = lease.tile JOIN job ON job.number = tile.job
              WHERE lease.ended IS NULL AND job.finished_at_ms IS NULL AND ",
@@ -132,7 +131,6 @@ impl LiveLease {
             job: row.get("job")?,
             frame: row.get("frame")?,
             stitch: row.get::<String>("kind")? == "stitch",
-            rays: row.get("rays")?,
             granted_ms: row.get("granted_ms")?,
             counters: Counters {
                 errors: row.get("errors")?,
@@ -198,7 +196,8 @@ pub(super) async fn end_without_result(
     message: &str,
     moment: TransitionContext,
 ) -> Result<Wake> {
-    end_lease(connection, held, cause.name(), moment).await?;
+    let used_us = (moment.now_ms - held.granted_ms).max(0).saturating_mul(1000);
+    lease_ends::give_up(connection, &held.lease, cause.name(), used_us).await?;
     if cause == LeaseEnd::Failed {
         exclusion::record_error(connection, &held.worker, held.job, moment).await?;
     }
@@ -237,40 +236,6 @@ async fn is_leased(connection: &mut Connection, tile: i64) -> Result<bool> {
         .fetch_optional(connection)
         .await?;
     Ok(live.is_some())
-}
-
-/// Ends the remaining leases of tiles that are done, because their workers were slower; nothing is charged for them.
-pub(super) async fn revoke_duplicates(
-    connection: &mut Connection,
-    tiles: impl IntoIterator<Item = i64>,
-) -> Result<Wake> {
-    let void = db::query(
-        "UPDATE lease SET ended = 'void', used_us = 0
-             WHERE ended IS NULL AND tile IN (SELECT value FROM @numbers(?))",
-    )
-    .bind(super::json_numbers(tiles))
-    .execute(connection)
-    .await?;
-    Ok(if void.rows_affected() > 0 { Wake::UPDATES } else { Wake::default() })
-}
-
-/// Ends one live lease without a result; it is charged at most its estimate.
-async fn end_lease(
-    connection: &mut Connection,
-    held: &LiveLease,
-    ended: &str,
-    moment: TransitionContext,
-) -> Result<()> {
-    let used_us = (moment.now_ms - held.granted_ms).max(0).saturating_mul(1000);
-    let done = db::query(
-        "UPDATE lease SET ended = ?, used_us = @min(charged_us, coalesce(used_us, ?)) WHERE id = ? AND ended IS NULL",
-    )
-    .bind(ended)
-    .bind(used_us)
-    .bind(&held.lease)
-    .execute(connection)
-    .await?;
-    expect_rows("lease: live to ended", 1, done)
 }
 
 async fn requeue(

@@ -3,7 +3,8 @@
 use crate::db;
 use proto::Rect;
 
-use super::{Connection, Result, TransitionContext, expect_rows, finish, row_count};
+use super::effects::{FramePicture, Progress};
+use super::{Connection, Result, TransitionContext, expect_rows, job_transitions, row_count};
 
 /// Data needed to open a frame.
 #[derive(Clone, Debug)]
@@ -80,35 +81,37 @@ pub(super) async fn open_from_cache(
     opening: &FrameOpening,
     moment: TransitionContext,
 ) -> Result<OpenOutcome> {
-    let fresh: Option<bool> =
-        db::query_scalar("SELECT fresh FROM job WHERE number = ? AND frames_opened = ? AND finished_at_ms IS NULL")
+    let job =
+        db::query("SELECT fresh, rays_peak FROM job WHERE number = ? AND frames_opened = ? AND finished_at_ms IS NULL")
             .bind(opening.job)
             .bind(opening.frame)
             .fetch_optional(&mut *connection)
             .await?;
-    match fresh {
-        None => return Ok(OpenOutcome::Stale),
-        Some(true) => return Ok(OpenOutcome::Open),
-        Some(false) => {}
+    let Some(job) = job else { return Ok(OpenOutcome::Stale) };
+    if job.get("fresh")? {
+        return Ok(OpenOutcome::Open);
     }
     let stored = db::query(
         "INSERT INTO frame (job, number, state, picture_key, tiles_total, tiles_done, picture, size_bytes)
-         SELECT ?1, ?2, 'stored', key, ?3, ?3, hash, size_bytes FROM picture WHERE key = ?4",
+         SELECT ?1, ?2, 'stored', key, ?3, ?3, hash, size_bytes FROM picture WHERE key = ?4
+         RETURNING picture, size_bytes",
     )
     .bind(opening.job)
     .bind(opening.frame)
     .bind(row_count(opening.tiles.len()))
     .bind(&opening.picture_key)
-    .execute(&mut *connection)
+    .fetch_optional(&mut *connection)
     .await?;
-    if stored.rows_affected() == 0 {
-        return Ok(OpenOutcome::Open);
-    }
+    let Some(stored) = stored else { return Ok(OpenOutcome::Open) };
+    let picture =
+        FramePicture { frame: opening.frame, hash: stored.get("picture")?, size_bytes: stored.get("size_bytes")? };
     count_opened(connection, opening).await?;
     let rays: u64 = opening.tiles.iter().map(|rect| rect.pixels() * u64::from(opening.samples)).sum();
-    let counters = finish::ProgressDelta { tiles: row_count(opening.tiles.len()), rays: rays.cast_signed(), frames: 1 };
-    finish::progress(connection, opening.job, counters).await?;
-    finish::succeed_if_stored(connection, opening.job, moment).await?;
+    let (tiles, peak_before) = (row_count(opening.tiles.len()), job.get("rays_peak")?);
+    let progress = Progress::of_cached_frame(picture, tiles, rays.cast_signed(), peak_before);
+    if job_transitions::progress(connection, opening.job, progress).await?.is_complete {
+        job_transitions::succeed(connection, opening.job, moment).await?;
+    }
     Ok(OpenOutcome::Stored)
 }
 

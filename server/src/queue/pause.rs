@@ -3,7 +3,7 @@
 use proto::JobId;
 use proto::job::JobState;
 
-use super::{Connection, Queue, Result, Wake, expect_rows, finish};
+use super::{Connection, Queue, Result, Wake, expect_rows, finish, job_transitions};
 use crate::db;
 use crate::db::Durability;
 
@@ -44,12 +44,7 @@ async fn pause_job(
     {
         return Ok(PauseOutcome::TooMany(limit));
     }
-    let changed = db::query("UPDATE job SET paused = ? WHERE id = ? AND finished_at_ms IS NULL")
-        .bind(paused)
-        .bind(id.to_string())
-        .execute(&mut *connection)
-        .await?;
-    if changed.rows_affected() > 0 {
+    if job_transitions::set_paused(connection, id, paused).await? {
         return Ok(PauseOutcome::Done);
     }
     let state: Option<String> =

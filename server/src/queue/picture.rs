@@ -7,9 +7,10 @@ use std::collections::BTreeMap;
 use proto::{LeaseId, WorkerId};
 
 use super::deliver::{DeliverResult, count_mismatches, record_durations};
+use super::effects::FramePicture;
 use super::lease::{self, LeaseEnd, LiveLease};
 use super::verification::{self, Candidate};
-use super::{Connection, Result, TransitionContext, Wake, expect_rows, finish, row_count};
+use super::{Connection, Result, TransitionContext, job_transitions, lease_ends, row_count, tile_results};
 use crate::db;
 use crate::db::DatabaseError;
 
@@ -79,7 +80,10 @@ async fn store_frame(
     moment: TransitionContext,
     delivered: &mut DeliverResult,
 ) -> Result<()> {
-    delivered.ring.add(finish_all(connection, held).await?);
+    let ids: Vec<i64> = held.iter().map(|held| held.tile).collect();
+    let leases = held.iter().map(|held| &held.lease);
+    delivered.ring.add(lease_ends::finish(connection, leases, ids.iter().copied()).await?);
+    let progress = tile_results::finish(connection, &ids).await?;
     let key: Option<String> = db::query_scalar(
         "UPDATE frame SET state = 'stored', picture = ?1, size_bytes = ?2, tiles_done = tiles_total
          WHERE job = ?3 AND number = ?4 AND state = ?5 RETURNING picture_key",
@@ -93,13 +97,14 @@ async fn store_frame(
     .await?;
     let key = key.ok_or(DatabaseError::Rows { what: "frame: to stored", expected: 1, changed: 0 })?;
     delivered.nondeterministic += cache_picture(connection, picture, &key, moment).await?;
-    let (tiles, rays) =
-        if stitched { (0, 0) } else { (row_count(held.len()), held.iter().map(|held| held.rays).sum()) };
-    let number = finish::progress(connection, picture.job, finish::ProgressDelta { tiles, rays, frames: 1 }).await?;
+    let stored = FramePicture { frame: picture.frame, hash: picture.hash.to_owned(), size_bytes: picture.size_bytes };
+    let progressed = job_transitions::progress(connection, picture.job, progress.with_picture(stored)).await?;
     if !stitched {
-        record_durations(connection, held, number, moment).await?;
+        record_durations(connection, held, progressed.tiles_done, moment).await?;
     }
-    finish::succeed_if_stored(connection, picture.job, moment).await?;
+    if progressed.is_complete {
+        job_transitions::succeed(connection, picture.job, moment).await?;
+    }
     if stitched {
         let blobs = db::query("SELECT DISTINCT blob FROM tile WHERE job = ? AND frame = ? AND blob IS NOT NULL")
             .bind(picture.job)
@@ -111,22 +116,6 @@ async fn store_frame(
         }
     }
     Ok(())
-}
-
-async fn finish_all(connection: &mut Connection, held: &[LiveLease]) -> Result<Wake> {
-    let ended =
-        db::query("UPDATE lease SET ended = 'done' WHERE ended IS NULL AND id IN (SELECT value FROM @texts(?))")
-            .bind(super::json_list(held.iter().map(|held| &held.lease)))
-            .execute(&mut *connection)
-            .await?;
-    expect_rows("lease: live to ended", held.len() as u64, ended)?;
-    let done =
-        db::query("UPDATE tile SET state = 'done' WHERE state = 'leased' AND id IN (SELECT value FROM @numbers(?))")
-            .bind(super::json_numbers(held.iter().map(|held| held.tile)))
-            .execute(&mut *connection)
-            .await?;
-    expect_rows("tile: leased to done", held.len() as u64, done)?;
-    lease::revoke_duplicates(connection, held.iter().map(|held| held.tile)).await
 }
 
 /// Picture of a lease's frame, if it is stored.

@@ -1,6 +1,6 @@
 //! Recovery at startup: repairs the state that the last server left, and prunes old rows.
 
-use super::{Connection, Result, exclusion, fair_share, json_numbers, row_count, speeds, verification};
+use super::{Connection, Result, exclusion, fair_share, json_numbers, lease_ends, row_count, speeds, verification};
 use crate::db;
 
 /// Retention of ended leases, to recognize late results.
@@ -24,12 +24,7 @@ pub(super) async fn recover(connection: &mut Connection, now_ms: i64, lease_ms: 
         db::query_scalar("UPDATE meta SET value = value + 1 WHERE name = 'boot_generation' RETURNING value")
             .fetch_one(&mut *connection)
             .await?;
-    let tiles: Vec<i64> = db::query_scalar(
-        "UPDATE lease SET ended = 'interrupted'
-         WHERE ended IS NULL AND worker IN (SELECT id FROM worker WHERE pool = 1) RETURNING tile",
-    )
-    .fetch_all(&mut *connection)
-    .await?;
+    let tiles = lease_ends::interrupt_pool(connection).await?;
     db::query(
         "UPDATE tile SET state = 'ready', interrupts = interrupts + 1
          WHERE state = 'leased' AND id IN (SELECT value FROM @numbers(?))

@@ -4,7 +4,9 @@
 use db::Row;
 
 use super::finish::job_state;
-use super::{Connection, FrameOpening, Queue, Result, Wake, expect_rows, json_list, open_frame, row_count};
+use super::{
+    Connection, FrameOpening, Queue, Result, Wake, expect_rows, job_transitions, json_list, open_frame, row_count,
+};
 use crate::db;
 use crate::db::Durability;
 use crate::tile_plan::TilePlan;
@@ -157,17 +159,7 @@ async fn reopen(connection: &mut Connection, lost: &LostFrame) -> Result<()> {
     .execute(&mut *connection)
     .await?;
     expect_rows("frame: stored to open", 1, opened)?;
-    let running = db::query(
-        "UPDATE job SET state = 'running', finished_at_ms = NULL, frames_stored = frames_stored - 1,
-                        tiles_done = tiles_done - ?, rays_done = rays_done - ?
-         WHERE number = ? AND state IN ('queued', 'running', 'succeeded')",
-    )
-    .bind(lost.tiles)
-    .bind(lost.plan.frame_rays().cast_signed())
-    .bind(lost.job)
-    .execute(&mut *connection)
-    .await?;
-    expect_rows("job: succeeded to running", 1, running)?;
+    job_transitions::reopen(connection, lost.job, lost.tiles, lost.plan.frame_rays().cast_signed()).await?;
     let opening = FrameOpening {
         job: lost.job,
         frame: lost.frame,

@@ -1,7 +1,7 @@
 //! Stitches: created when a frame's last tile is done, removed if its blobs are damaged.
 
 use super::lease::{self, LeaseEnd, LiveLease};
-use super::{Connection, Result, TransitionContext, Wake, expect_rows, finish, row_count};
+use super::{Connection, Result, TransitionContext, Wake, expect_rows, job_transitions, lease_ends, tile_results};
 use crate::db;
 
 /// Makes a frame's stitch ready after its last tile.
@@ -38,40 +38,29 @@ pub(super) async fn redo_tiles(
     if !is_stitching(connection, held).await? {
         return Ok(ring);
     }
-    let rays: Vec<i64> = db::query_scalar(
-        "UPDATE tile SET state = 'ready', blob = NULL, blob_bytes = NULL
-         WHERE job = ? AND frame = ? AND kind = 'render' AND state = 'done'
-           AND position IN (SELECT value FROM @numbers(?)) RETURNING rays",
-    )
-    .bind(held.job)
-    .bind(held.frame)
-    .bind(super::json_numbers(positions.iter().map(|position| i64::from(*position))))
-    .fetch_all(&mut *connection)
-    .await?;
-    if rays.is_empty() {
+    let progress = tile_results::reopen_positions(connection, held.job, held.frame, positions).await?;
+    if progress.tiles == 0 {
         return Ok(ring);
     }
     ring.add(Wake::WORK);
-    ring.add(lease::revoke_duplicates(connection, [held.tile]).await?);
+    ring.add(lease_ends::revoke(connection, std::iter::once(held.tile)).await?);
     let job = super::job_id(connection, held.job).await?;
-    tracing::warn!(%job, frame = held.frame, tiles = rays.len(), "blobs damaged; rendering their tiles again");
+    tracing::warn!(%job, frame = held.frame, tiles = -progress.tiles, "blobs damaged; rendering their tiles again");
     let void = db::query("UPDATE tile SET state = 'void' WHERE id = ? AND state IN ('ready', 'leased')")
         .bind(held.tile)
         .execute(&mut *connection)
         .await?;
     expect_rows("tile: stitch void", 1, void)?;
-    let count = row_count(rays.len());
     let open = db::query(
         "UPDATE frame SET state = 'open', tiles_done = tiles_done - ? WHERE job = ? AND number = ? AND state = 'stitching'",
     )
-    .bind(count)
+    .bind(-progress.tiles)
     .bind(held.job)
     .bind(held.frame)
     .execute(&mut *connection)
     .await?;
     expect_rows("frame: stitching to open", 1, open)?;
-    let back = finish::ProgressDelta { tiles: -count, rays: -rays.iter().sum::<i64>(), frames: 0 };
-    finish::progress(connection, held.job, back).await?;
+    job_transitions::progress(connection, held.job, progress).await?;
     Ok(ring)
 }
 

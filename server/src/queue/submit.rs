@@ -2,7 +2,7 @@
 
 use proto::{JobId, Retention};
 
-use super::{Connection, Result, TransitionContext, retention};
+use super::{Connection, Result, TransitionContext, job_transitions, retention};
 use crate::db;
 use crate::tile_plan::TilePlan;
 
@@ -58,33 +58,7 @@ impl NewJob {
 
 /// Inserts a job's row and its file; returns its number.
 pub(super) async fn submit(connection: &mut Connection, job: &NewJob, moment: TransitionContext) -> Result<i64> {
-    let plan = job.plan;
-    let number: i64 = db::query_scalar(
-        "INSERT INTO job (id, name, submitter, priority, state, fresh, width_px, height_px, samples, pixel_bytes,
-                          edge_px, media_type, frames_total, tiles_total, rays_total, warnings, nodes,
-                          tile_seconds, created_at_ms)
-         VALUES (?, ?, ?, ?, 'queued', ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?) RETURNING number",
-    )
-    .bind(job.id.to_string())
-    .bind(&job.name)
-    .bind(&job.submitter)
-    .bind(job.priority)
-    .bind(job.no_cache)
-    .bind(plan.width_px)
-    .bind(plan.height_px)
-    .bind(plan.samples)
-    .bind(plan.pixel_bytes)
-    .bind(plan.edge_px)
-    .bind(job.media_type)
-    .bind(plan.frames)
-    .bind(i64::try_from(plan.tiles_total()).unwrap_or(i64::MAX))
-    .bind(i64::try_from(plan.rays_total()).unwrap_or(i64::MAX))
-    .bind(super::json_list(&job.warnings))
-    .bind(job.nodes)
-    .bind(job.tile_seconds)
-    .bind(moment.wall_ms)
-    .fetch_one(&mut *connection)
-    .await?;
+    let number = job_transitions::insert(connection, job, moment).await?;
     db::query("INSERT INTO job_file (job, text) VALUES (?, ?)")
         .bind(number)
         .bind(&job.file_text)

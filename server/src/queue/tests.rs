@@ -1,9 +1,11 @@
 //! Properties that the API cannot show: statements use indexes, the queue matches its model under random
 //! operations, and shares are fair.
 
+mod effects;
 mod fair_share;
 mod large_jobs;
 mod model;
+mod owners;
 mod plans;
 mod sequences;
 mod workers;

@@ -5,7 +5,7 @@
 use crate::db;
 use std::collections::{BTreeMap, BTreeSet};
 
-use super::{Connection, Result, expect_rows, finish, json_numbers, repair, row_count};
+use super::{Connection, Result, expect_rows, job_transitions, lease_ends, repair, tile_results};
 
 /// Undoes all results of a worker under leases that were granted after that of its last confirmed result. Returns the
 /// hashes of the pictures that are forgotten.
@@ -58,28 +58,20 @@ async fn reopen_tiles(
     frame: u32,
     is_stitching: bool,
     tiles: &[i64],
-) -> Result<usize> {
-    let rays: Vec<i64> = db::query_scalar(
-        "UPDATE tile SET state = 'ready', blob = NULL, blob_bytes = NULL
-         WHERE state = 'done' AND id IN (SELECT value FROM @numbers(?)) RETURNING rays",
-    )
-    .bind(json_numbers(tiles.iter().copied()))
-    .fetch_all(&mut *connection)
-    .await?;
-    db::query("UPDATE lease SET ended = 'void' WHERE ended = 'done' AND tile IN (SELECT value FROM @numbers(?))")
-        .bind(json_numbers(tiles.iter().copied()))
+) -> Result<i64> {
+    let progress = tile_results::reopen(connection, tiles).await?;
+    lease_ends::void_results(connection, tiles).await?;
+    if is_stitching {
+        lease_ends::void_stitch(connection, job, frame).await?;
+        db::query(
+            "UPDATE tile SET state = 'void' WHERE job = ? AND frame = ? AND position = -1 AND state IN ('ready', 'leased')",
+        )
+        .bind(job)
+        .bind(frame)
         .execute(&mut *connection)
         .await?;
-    if is_stitching {
-        for statement in [
-            "UPDATE lease SET ended = 'void' WHERE ended IS NULL
-             AND tile IN (SELECT id FROM tile WHERE job = ? AND frame = ? AND position = -1)",
-            "UPDATE tile SET state = 'void' WHERE job = ? AND frame = ? AND position = -1 AND state IN ('ready', 'leased')",
-        ] {
-            db::query(statement).bind(job).bind(frame).execute(&mut *connection).await?;
-        }
     }
-    let count = row_count(rays.len());
+    let count = -progress.tiles;
     let opened = db::query(
         "UPDATE frame SET state = 'open', tiles_done = tiles_done - ?
          WHERE job = ? AND number = ? AND state IN ('open', 'stitching')",
@@ -90,7 +82,6 @@ async fn reopen_tiles(
     .execute(&mut *connection)
     .await?;
     expect_rows("frame: tiles undone", 1, opened)?;
-    let back = finish::ProgressDelta { tiles: -count, rays: -rays.iter().sum::<i64>(), frames: 0 };
-    finish::progress(connection, job, back).await?;
-    Ok(rays.len())
+    job_transitions::progress(connection, job, progress).await?;
+    Ok(count)
 }

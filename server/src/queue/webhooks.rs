@@ -1,6 +1,6 @@
 //! Webhook deliveries: reads due ones, records attempts, and prunes old ones.
 //!
-//! The trigger of migration 0006 creates them, in the transaction of the event.
+//! `effects` creates them, in the transaction of the event.
 
 use std::time::Duration;
 

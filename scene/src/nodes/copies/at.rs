@@ -85,6 +85,23 @@ struct PlacementColumns {
     material: Option<Vec<MaterialRef>>,
 }
 
+/// Placements by formulas of the copy's number `i`, from 0 to n − 1, and of the number of copies `n`.
+#[derive(JsonSchema)]
+#[schemars(deny_unknown_fields)]
+#[expect(dead_code, reason = "only the schema needs it: such placements are a list before they are read")]
+struct CountedPlacements {
+    /// Number of copies.
+    count: PlacementCount,
+    /// Offset, in scene units.
+    by: Option<ConstantPoint>,
+    /// Angles in degrees about the fixed x, y and z axes, rotated in this order.
+    degrees: Option<[ConstantDegrees; 3]>,
+    /// Scale factor.
+    scale: Option<ConstantScale>,
+    /// Material where the shape has none of its own: a name from `materials`, or one in place.
+    material: Option<MaterialRef>,
+}
+
 /// Number of copies.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, JsonSchema, Seek)]
 pub struct PlacementCount(#[schemars(range(min = 1, max = MAX_NODES))] u32);
@@ -326,13 +343,14 @@ impl JsonSchema for AtPlacements {
     fn json_schema(generator: &mut SchemaGenerator) -> Schema {
         let placement = generator.subschema_for::<Placement>();
         json_schema!({
-            "description": "Placements of copies, the same in all frames: a list, a grid, a ring, along a line, or by columns.",
+            "description": "Placements of copies, the same in all frames: a list, a grid, a ring, along a line, by columns, or counted.",
             "anyOf": [
                 { "type": "array", "items": placement, "minItems": 1, "maxItems": MAX_NODES },
                 generator.subschema_for::<GridPlacements>(),
                 generator.subschema_for::<RingPlacements>(),
                 generator.subschema_for::<LinePlacements>(),
-                generator.subschema_for::<PlacementColumns>()
+                generator.subschema_for::<PlacementColumns>(),
+                generator.subschema_for::<CountedPlacements>()
             ]
         })
     }

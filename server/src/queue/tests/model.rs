@@ -1,17 +1,25 @@
 //! Model of the queue in memory: jobs, frames, tiles and leases by the rules, without a database. It predicts
-//! responses to workers and users, and checks that grants are legal.
+//! responses to workers and users, and all events and webhook deliveries, and checks that grants are legal.
+
+mod outbox;
 
 use std::collections::BTreeMap;
 
+use proto::event::TileEvent;
 use proto::job::{JobState, JobView};
 use proto::worker_protocol::{Batch, BatchWork, LeaseOutcome, LeaseReport};
 use proto::{JobId, LeaseId, WorkerId};
 
-use super::LEASE_MS;
+use super::{LEASE_MS, new_job};
+use crate::db::Readers;
 use crate::queue::LeaseEnd;
+use crate::queue::effects::{ChangedTile, FramePicture, JobCounters, NewEvent, Progress};
+use outbox::Outbox;
 
 /// Tiles of a frame of the jobs in these tests.
 pub(super) const TILES: u32 = 12;
+/// Pixels of a tile of the jobs in these tests.
+const TILE_PIXELS: i64 = 32 * 32;
 /// Index of the stitch of a frame.
 const STITCH: i64 = -1;
 /// Minimum age of a straggler's lease.
@@ -61,6 +69,8 @@ pub(super) struct Job {
     large: bool,
     frames_total: u32,
     frames: BTreeMap<u32, Frame>,
+    /// Maximum of the rays that were done at one time.
+    rays_peak: i64,
 }
 
 /// Complete state of the model.
@@ -70,13 +80,56 @@ pub(super) struct Model {
     pub(super) farm_paused: bool,
     pub(super) jobs: BTreeMap<JobId, Job>,
     leases: BTreeMap<LeaseId, Lease>,
+    outbox: Outbox,
 }
 
 impl Model {
-    pub(super) fn submit(&mut self, id: JobId, frames_total: u32, large: bool) {
-        let job =
-            Job { state: JobState::Queued, paused: false, dead: false, large, frames_total, frames: BTreeMap::new() };
+    pub(super) fn submit(
+        &mut self,
+        id: JobId,
+        frames_total: u32,
+        large: bool,
+        webhooks: Vec<(String, Vec<&'static str>)>,
+    ) {
+        let (state, frames) = (JobState::Queued, BTreeMap::new());
+        let job = Job { state, paused: false, dead: false, large, frames_total, frames, rays_peak: 0 };
         self.jobs.insert(id, job);
+        self.reach(id, JobState::Queued, None);
+        self.outbox.register(id, webhooks);
+    }
+
+    /// Records that a job has reached a state.
+    fn reach(&mut self, id: JobId, state: JobState, error: Option<String>) {
+        self.jobs.get_mut(&id).expect("the job").state = state;
+        self.outbox.add(id, NewEvent::state(state, error, self.now_ms));
+    }
+
+    /// Records that tiles are done, or done no more, and that a frame is stored; they have changed already.
+    fn progress(&mut self, id: JobId, tiles: Vec<ChangedTile>, picture: Option<FramePicture>) {
+        let job = self.jobs.get_mut(&id).expect("the job");
+        let progress = Progress::of_tiles(tiles, Some(job.rays_peak));
+        let progress = if let Some(picture) = picture { progress.with_picture(picture) } else { progress };
+        let (tiles_done, plan) = (job.tiles_done(), new_job(job.frames_total).plan);
+        job.rays_peak = job.rays_peak.max(tiles_done.cast_signed() * TILE_PIXELS);
+        let after = JobCounters {
+            tiles_done,
+            tiles_total: plan.tiles_total(),
+            rays_peak: job.rays_peak,
+            rays_total: plan.rays_total().cast_signed(),
+        };
+        for event in progress.into_events(&id.to_string(), after) {
+            self.outbox.add(id, event);
+        }
+    }
+
+    /// Compares all events and deliveries with those in the database.
+    pub(super) async fn compare_outbox(&self, readers: &Readers) {
+        self.outbox.compare(readers).await;
+    }
+
+    pub(super) fn delete(&mut self, id: JobId) {
+        self.jobs.remove(&id);
+        self.outbox.forget(id);
     }
 
     /// Records a granted batch, after checking that the grant was legal.
@@ -84,8 +137,7 @@ impl Model {
         assert!(!self.farm_paused, "the farm is paused: {run:?}");
         let job = self.jobs.get_mut(&run.job).expect("the job is there");
         assert!(!job.state.is_final() && !job.paused, "{:?}, paused: {}: {run:?}", job.state, job.paused);
-        job.state = JobState::Running;
-        let large = job.large;
+        let (large, is_first) = (job.large, job.state == JobState::Queued);
         assert!(run.frame < job.frames_total);
         let frame = job.frames.entry(run.frame).or_insert_with(|| Frame {
             state: FrameState::Open,
@@ -119,6 +171,9 @@ impl Model {
             let (granted_ms, expires_ms) = (self.now_ms, self.now_ms + LEASE_MS);
             self.leases.insert(lease, Lease { worker, tile, granted_ms, expires_ms, live: true });
         }
+        if is_first {
+            self.reach(run.job, JobState::Running, None);
+        }
     }
 
     fn live(&self, tile: TileKey) -> impl Iterator<Item = LeaseId> {
@@ -144,20 +199,28 @@ impl Model {
                 pictures.entry(hash).or_default().push(report.lease);
             }
         }
-        for leases in pictures.values() {
+        for (hash, leases) in pictures {
             let (live, dead): (Vec<_>, Vec<_>) = leases.iter().partition(|lease| self.is_held(worker, **lease));
             lost.extend(dead);
-            self.picture(&live);
+            self.picture(&live, hash);
         }
         for blobs in [true, false] {
+            let mut frames: BTreeMap<(JobId, u32), Vec<TileKey>> = BTreeMap::new();
             for LeaseReport { lease, outcome } in results {
                 let is_blob = matches!(outcome, LeaseOutcome::Blob { .. });
                 if matches!(outcome, LeaseOutcome::Picture { .. }) || is_blob != blobs {
                 } else if self.is_held(worker, *lease) {
-                    self.result(*lease, outcome);
+                    if let Some(tile) = self.result(*lease, outcome) {
+                        frames.entry((tile.0, tile.1)).or_default().push(tile);
+                    }
                 } else {
                     lost.push(*lease);
                 }
+            }
+            // All results of a frame count together.
+            for ((job, _), mut tiles) in frames {
+                tiles.sort_by_key(|tile| tile.2);
+                self.progress(job, tiles.into_iter().map(|tile| changed(tile, true)).collect(), None);
             }
         }
         for lease in holding {
@@ -167,7 +230,9 @@ impl Model {
             }
         }
         let heard_ms = self.now_ms - UNHEARD_LEASE_MS;
-        self.give_up_where(LeaseEnd::Released, |lease| lease.worker == worker && lease.granted_ms <= heard_ms, holding);
+        let mut unheard = self.live_where(|lease| lease.worker == worker && lease.granted_ms <= heard_ms);
+        unheard.retain(|lease| !holding.contains(lease));
+        self.give_up_all(&unheard, LeaseEnd::Released, "its worker never received the lease");
         lost
     }
 
@@ -175,7 +240,7 @@ impl Model {
         self.leases.get(&lease).is_some_and(|lease| lease.live && lease.worker == worker)
     }
 
-    fn picture(&mut self, leases: &[LeaseId]) {
+    fn picture(&mut self, leases: &[LeaseId], hash: &str) {
         let mut frames: BTreeMap<(JobId, u32), Vec<LeaseId>> = BTreeMap::new();
         for lease in leases {
             let (job, frame, _) = self.leases[lease].tile;
@@ -186,21 +251,31 @@ impl Model {
             let frame = self.frame((job, number, STITCH));
             if !stitched && (frame.state != FrameState::Open || leases.len() as u32 != TILES) {
                 for lease in leases {
-                    self.give_up(lease, LeaseEnd::Released);
+                    let message = "its worker delivered a picture without leases for all tiles of the frame";
+                    self.give_up(lease, LeaseEnd::Released, message);
                 }
                 continue;
             }
             frame.state = FrameState::Stored;
-            frame.tiles.values_mut().for_each(|tile| tile.done = true);
+            let open = frame.tiles.iter_mut().filter(|(_, tile)| !tile.done);
+            let done: Vec<ChangedTile> = open
+                .map(|(position, tile)| {
+                    tile.done = true;
+                    changed((job, number, *position), true)
+                })
+                .collect();
             self.end_where(|lease| (lease.tile.0, lease.tile.1) == (job, number));
-            let job = self.jobs.get_mut(&job).expect("the job");
-            if job.frames_stored() == u64::from(job.frames_total) {
-                job.state = JobState::Succeeded;
+            let picture = FramePicture { frame: number, hash: hash.to_owned(), size_bytes: 1 };
+            self.progress(job, done, Some(picture));
+            let stored = &self.jobs[&job];
+            if stored.frames_stored() == u64::from(stored.frames_total) {
+                self.reach(job, JobState::Succeeded, None);
             }
         }
     }
 
-    fn result(&mut self, lease: LeaseId, outcome: &LeaseOutcome) {
+    /// Records a result; returns its tile if that is done.
+    fn result(&mut self, lease: LeaseId, outcome: &LeaseOutcome) -> Option<TileKey> {
         let tile = self.leases[&lease].tile;
         match outcome {
             LeaseOutcome::Blob { hash, .. } if tile.2 != STITCH => {
@@ -215,33 +290,41 @@ impl Model {
                     // The stitch does not count toward the frame's pixels.
                     frame.tiles.get_mut(&STITCH).expect("the stitch").done = true;
                 }
+                return Some(tile);
             }
             LeaseOutcome::BadBlobs { tiles } if tile.2 == STITCH => {
-                self.give_up(lease, LeaseEnd::Lost);
-                let frame = self.frame(tile);
-                if frame.state != FrameState::Stitching {
-                    return;
-                }
-                let bad: Vec<i64> = tiles.iter().map(|index| i64::from(*index)).collect();
-                for (_, tile) in frame.tiles.iter_mut().filter(|(position, _)| bad.contains(position)) {
-                    (tile.done, tile.blob) = (false, None);
-                }
-                if frame.tiles.values().any(|tile| !tile.done) {
-                    frame.state = FrameState::Open;
-                    self.end_where(|other| other.tile == tile);
-                }
+                self.give_up(lease, LeaseEnd::Lost, "its blobs were damaged repeatedly");
+                self.redo(tile, tiles);
             }
-            LeaseOutcome::Released => self.give_up(lease, LeaseEnd::Released),
-            LeaseOutcome::Failed { .. }
-            | LeaseOutcome::Blob { .. }
-            | LeaseOutcome::BadBlobs { .. }
-            | LeaseOutcome::Picture { .. } => {
-                self.give_up(lease, LeaseEnd::Failed);
+            LeaseOutcome::Released => self.give_up(lease, LeaseEnd::Released, "its worker released it"),
+            LeaseOutcome::Failed { message } => self.give_up(lease, LeaseEnd::Failed, message),
+            LeaseOutcome::Blob { .. } | LeaseOutcome::BadBlobs { .. } | LeaseOutcome::Picture { .. } => {
+                self.give_up(lease, LeaseEnd::Failed, "its worker sent a result that was not requested");
             }
+        }
+        None
+    }
+
+    /// Opens a frame again whose stitch found damaged blobs.
+    fn redo(&mut self, stitch: TileKey, damaged: &[u32]) {
+        let frame = self.frame(stitch);
+        if frame.state != FrameState::Stitching {
+            return;
+        }
+        let damaged: Vec<i64> = damaged.iter().map(|index| i64::from(*index)).collect();
+        let mut undone = Vec::new();
+        for (position, tile) in frame.tiles.iter_mut().filter(|(position, _)| damaged.contains(position)) {
+            (tile.done, tile.blob) = (false, None);
+            undone.push(changed((stitch.0, stitch.1, *position), false));
+        }
+        if !undone.is_empty() {
+            frame.state = FrameState::Open;
+            self.end_where(|other| other.tile == stitch);
+            self.progress(stitch.0, undone, None);
         }
     }
 
-    fn give_up(&mut self, id: LeaseId, cause: LeaseEnd) {
+    fn give_up(&mut self, id: LeaseId, cause: LeaseEnd, message: &str) {
         let lease = self.leases.get_mut(&id).expect("the lease");
         lease.live = false;
         let key = lease.tile;
@@ -255,14 +338,15 @@ impl Model {
         }
         if !is_leased && (tile.errors >= 3 || tile.crashes >= 3 || tile.lost >= 50) {
             self.jobs.get_mut(&key.0).expect("the job").dead = true;
-            self.end_job(key.0, JobState::Failed);
+            let place = if key.2 == STITCH { "could not be stitched" } else { "could not be rendered" };
+            self.end_job(key.0, JobState::Failed, Some(format!("frame {} {place}: {message}", key.1)));
         }
     }
 
-    fn end_job(&mut self, id: JobId, state: JobState) {
+    fn end_job(&mut self, id: JobId, state: JobState, error: Option<String>) {
         self.end_where(|lease| lease.tile.0 == id);
+        self.reach(id, state, error);
         let job = self.jobs.get_mut(&id).expect("the job");
-        job.state = state;
         for frame in job.frames.values_mut().filter(|frame| frame.state != FrameState::Stored) {
             frame.state = FrameState::Void;
         }
@@ -270,7 +354,7 @@ impl Model {
 
     pub(super) fn cancel(&mut self, id: JobId) {
         if !self.jobs[&id].state.is_final() {
-            self.end_job(id, JobState::Cancelled);
+            self.end_job(id, JobState::Cancelled, None);
         }
     }
 
@@ -279,7 +363,7 @@ impl Model {
         if job.state != JobState::Failed || !job.dead {
             return;
         }
-        (job.state, job.dead) = (JobState::Running, false);
+        job.dead = false;
         for frame in job.frames.values_mut().filter(|frame| frame.state == FrameState::Void) {
             let complete = frame.tiles.iter().all(|(_, tile)| tile.done);
             frame.state = if complete { FrameState::Stitching } else { FrameState::Open };
@@ -289,28 +373,32 @@ impl Model {
                 }
             }
         }
+        self.reach(id, JobState::Running, None);
     }
 
     /// Advances the clock and expires overdue leases.
     pub(super) fn pass(&mut self, ms: i64) {
         self.now_ms += ms;
-        let now_ms = self.now_ms;
-        self.give_up_where(LeaseEnd::Lost, |lease| lease.expires_ms <= now_ms, &[]);
+        let mut overdue = self.live_where(|lease| lease.expires_ms <= self.now_ms);
+        overdue.sort_by_key(|id| self.leases[id].expires_ms);
+        self.give_up_all(&overdue, LeaseEnd::Lost, "its workers vanished repeatedly");
     }
 
     /// Records the exit of a worker's process.
-    pub(super) fn reap(&mut self, worker: WorkerId, cause: LeaseEnd) {
-        self.give_up_where(cause, |lease| lease.worker == worker, &[]);
+    pub(super) fn reap(&mut self, worker: WorkerId, cause: LeaseEnd, message: &str) {
+        self.give_up_all(&self.live_where(|lease| lease.worker == worker), cause, message);
     }
 
-    /// Ends leases, but for some.
-    fn give_up_where(&mut self, cause: LeaseEnd, which: impl Fn(&Lease) -> bool, kept: &[LeaseId]) {
-        let ends = |(id, lease): &(&LeaseId, &Lease)| lease.live && which(lease) && !kept.contains(id);
-        let mut ending: Vec<LeaseId> = self.leases.iter().filter(ends).map(|(id, _)| *id).collect();
-        ending.sort_by_key(|id| (self.leases[id].expires_ms, *id));
-        for id in ending {
-            if self.leases[&id].live {
-                self.give_up(id, cause);
+    /// Live leases, in the order of their grants.
+    fn live_where(&self, which: impl Fn(&Lease) -> bool) -> Vec<LeaseId> {
+        self.leases.iter().filter(|(_, lease)| lease.live && which(lease)).map(|(id, _)| *id).collect()
+    }
+
+    /// Ends leases without a result, but for those that the failure of a job has ended in the meantime.
+    fn give_up_all(&mut self, leases: &[LeaseId], cause: LeaseEnd, message: &str) {
+        for id in leases {
+            if self.leases[id].live {
+                self.give_up(*id, cause, message);
             }
         }
     }
@@ -333,6 +421,14 @@ impl Model {
         let seen = (view.state, view.paused, view.tiles.done, view.frames.done);
         assert_eq!(seen, (job.state, job.paused, job.tiles_done(), job.frames_stored()), "{view:?} {job:?}");
     }
+}
+
+/// A tile that became done, or is done no more.
+fn changed((_, frame, position): TileKey, done: bool) -> ChangedTile {
+    let index = usize::try_from(position).expect("no stitch");
+    let rect = new_job(1).plan.tiles()[index];
+    let event = TileEvent { frame, x: rect.x, y: rect.y, width: rect.width, height: rect.height, done };
+    ChangedTile { event, rays: TILE_PIXELS }
 }
 
 impl Job {

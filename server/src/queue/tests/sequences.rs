@@ -12,7 +12,9 @@ use proto::{JobId, LeaseId, WorkerId};
 
 use super::model::{Model, TILES};
 use super::{Fixture, leases, new_job, turn};
-use crate::queue::{BacklogLimits, DeleteOutcome, FrameOpening, LeaseEnd, NewJob, NextWork, SyncInput};
+use crate::queue::{
+    BacklogLimits, DeleteOutcome, FrameOpening, LeaseEnd, NewJob, NewWebhook, NextWork, SubmitOptions, SyncInput,
+};
 
 /// Number of sequences in every run of the tests.
 const SEQUENCES: u32 = 100;
@@ -83,6 +85,19 @@ fn operation() -> impl Strategy<Value = Operation> {
         1 => Just(Operation::Restart),
         1 => Just(Operation::Tidy),
         2 => Just(Operation::CleanUp),
+    ]
+}
+
+/// Webhooks of some jobs.
+fn webhooks() -> Vec<NewWebhook> {
+    let webhook = |name: &str, events| NewWebhook {
+        url: format!("https://{name}.example/"),
+        target: format!("{name}.example:443"),
+        events,
+    };
+    vec![
+        webhook("frames", vec!["frame.stored", "job.failed"]),
+        webhook("states", vec!["job.queued", "job.running", "job.succeeded", "job.failed", "job.cancelled"]),
     ]
 }
 
@@ -212,7 +227,7 @@ impl Pair {
         let process = self.bench.process(worker.id).await;
         let reaped = self.bench.queue.worker_exited(process, cause, "it ended".to_owned()).await.expect("reaps");
         if reaped.is_some() {
-            self.model.reap(worker.id, cause);
+            self.model.reap(worker.id, cause, "it ended");
         }
     }
 
@@ -225,8 +240,11 @@ impl Pair {
 
     async fn submit(&mut self, new: NewJob, large: bool) {
         let (id, frames) = (new.id, new.plan.frames);
-        self.bench.queue.submit(new).await.expect("accepted");
-        self.model.submit(id, frames, large);
+        let webhooks = if new.submitter == "0" { webhooks() } else { Vec::new() };
+        let told = webhooks.iter().map(|webhook| (webhook.url.clone(), webhook.events.clone())).collect();
+        let options = SubmitOptions { webhooks, ..SubmitOptions::default() };
+        self.bench.queue.submit_with(new, options).await.expect("accepted");
+        self.model.submit(id, frames, large, told);
         self.jobs.push(id);
     }
 
@@ -234,7 +252,7 @@ impl Pair {
         let deleted = self.bench.queue.delete(id).await.expect("a response");
         if let DeleteOutcome::Done(_) = deleted {
             assert_ne!(self.model.jobs.get(&id).expect("known").state, proto::job::JobState::Running);
-            self.model.jobs.remove(&id);
+            self.model.delete(id);
             self.jobs.retain(|job| *job != id);
         }
     }
@@ -298,6 +316,7 @@ impl Pair {
 
     async fn check(&self) {
         self.bench.check().await;
+        self.model.compare_outbox(self.bench.queue.readers()).await;
         for id in &self.jobs {
             self.model.compare(*id, self.bench.queue.job(*id).await.expect("reads").as_ref());
         }

@@ -1,0 +1,96 @@
+//! The only statements that end leases, each with its effects: charges are corrected by the time that was used.
+//!
+//! The tiles of the leases are the callers'.
+
+use super::effects::{self, EndedLease, ended_lease_columns};
+use super::{Connection, Result, Wake, expect_rows_in, json_list, json_numbers};
+use crate::db::{self, Statement};
+
+/// Runs a statement that ends leases.
+async fn end(connection: &mut Connection, statement: Statement) -> Result<Vec<EndedLease>> {
+    let rows = statement.fetch_all(&mut *connection).await?;
+    let ended = rows.iter().map(EndedLease::read).collect::<Result<Vec<_>>>()?;
+    effects::leases_ended(connection, &ended).await?;
+    Ok(ended)
+}
+
+/// Ends leases with a result, and the other leases of their tiles, because their workers were slower: nothing is
+/// charged for those.
+pub(super) async fn finish<'a>(
+    connection: &mut Connection,
+    leases: impl ExactSizeIterator<Item = &'a String>,
+    tiles: impl Iterator<Item = i64>,
+) -> Result<Wake> {
+    let expected = leases.len();
+    let statement = db::query(concat!(
+        "UPDATE lease SET ended = CASE WHEN id IN (SELECT value FROM @texts(?1)) THEN 'done' ELSE 'void' END,
+                          used_us = CASE WHEN id IN (SELECT value FROM @texts(?1)) THEN used_us ELSE 0 END
+         WHERE ended IS NULL AND tile IN (SELECT value FROM @numbers(?2)) RETURNING ",
+        ended_lease_columns!()
+    ));
+    let ended = end(connection, statement.bind(json_list(leases)).bind(json_numbers(tiles))).await?;
+    let done = ended.iter().filter(|lease| lease.is_done).count();
+    expect_rows_in("lease: live to ended", expected, done)?;
+    Ok(if ended.len() > done { Wake::UPDATES } else { Wake::default() })
+}
+
+/// Ends the leases of tiles that need no result any more; nothing is charged for them.
+pub(super) async fn revoke(connection: &mut Connection, tiles: impl Iterator<Item = i64>) -> Result<Wake> {
+    let statement = db::query(concat!(
+        "UPDATE lease SET ended = 'void', used_us = 0
+         WHERE ended IS NULL AND tile IN (SELECT value FROM @numbers(?)) RETURNING ",
+        ended_lease_columns!()
+    ));
+    let ended = end(connection, statement.bind(json_numbers(tiles))).await?;
+    Ok(if ended.is_empty() { Wake::default() } else { Wake::UPDATES })
+}
+
+/// Ends one live lease without a result; it is charged at most its estimate.
+pub(super) async fn give_up(connection: &mut Connection, lease: &str, ended: &str, used_us: i64) -> Result<()> {
+    let statement = db::query(concat!(
+        "UPDATE lease SET ended = ?, used_us = @min(charged_us, coalesce(used_us, ?))
+         WHERE id = ? AND ended IS NULL RETURNING ",
+        ended_lease_columns!()
+    ));
+    let ended = end(connection, statement.bind(ended).bind(used_us).bind(lease)).await?;
+    expect_rows_in("lease: live to ended", 1, ended.len())
+}
+
+/// Ends leases of a job that ended; their used time is stored.
+pub(super) async fn void(connection: &mut Connection, leases: &str) -> Result<()> {
+    let statement = db::query(concat!(
+        "UPDATE lease SET ended = 'void' WHERE ended IS NULL AND id IN (SELECT value FROM @texts(?)) RETURNING ",
+        ended_lease_columns!()
+    ));
+    end(connection, statement.bind(leases)).await.map(drop)
+}
+
+/// Ends all leases of the pool, whose workers exited with the last server; returns their tiles.
+pub(super) async fn interrupt_pool(connection: &mut Connection) -> Result<Vec<i64>> {
+    let statement = db::query(concat!(
+        "UPDATE lease SET ended = 'interrupted'
+         WHERE ended IS NULL AND worker IN (SELECT id FROM worker WHERE pool = 1) RETURNING ",
+        ended_lease_columns!()
+    ));
+    Ok(end(connection, statement).await?.iter().map(|lease| lease.tile).collect())
+}
+
+/// Ends the leases of a frame's stitch, which is made again.
+pub(super) async fn void_stitch(connection: &mut Connection, job: i64, frame: u32) -> Result<()> {
+    let statement = db::query(concat!(
+        "UPDATE lease SET ended = 'void' WHERE ended IS NULL
+         AND tile IN (SELECT id FROM tile WHERE job = ? AND frame = ? AND position = -1) RETURNING ",
+        ended_lease_columns!()
+    ));
+    end(connection, statement.bind(job).bind(frame)).await.map(drop)
+}
+
+/// Voids the leases under which tiles were delivered that are rendered again. They had ended, so that this has no
+/// effects: what was used was used.
+pub(super) async fn void_results(connection: &mut Connection, tiles: &[i64]) -> Result<()> {
+    db::query("UPDATE lease SET ended = 'void' WHERE ended = 'done' AND tile IN (SELECT value FROM @numbers(?))")
+        .bind(json_numbers(tiles.iter().copied()))
+        .execute(connection)
+        .await?;
+    Ok(())
+}
