@@ -29,6 +29,7 @@ mod private_files;
 mod queue;
 mod retention;
 mod signed_links;
+pub mod simulation;
 mod space_reserve;
 mod startup;
 mod telemetry;

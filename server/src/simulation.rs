@@ -1,0 +1,142 @@
+//! Simulates a farm in virtual time: workers follow a model, the queue that leases tiles to them is the real one, on
+//! SQLite, with a clock that the simulation advances. It renders nothing and opens no address.
+//!
+//! Same scenario and seed, same report.
+
+mod farm;
+mod random;
+mod scenario;
+mod worker;
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use serde::Serialize;
+
+use crate::database::DatabaseError;
+use farm::{Ledger, SimulatedFarm};
+pub use scenario::Scenario;
+use worker::tile_work;
+
+/// Error of a simulation.
+#[derive(Debug, thiserror::Error)]
+pub enum SimulationError {
+    /// The folder has no usable database.
+    #[error("could not open a queue in the folder")]
+    Open(#[source] Box<dyn std::error::Error + Send + Sync>),
+    /// A transition of the queue failed.
+    #[error("the queue failed")]
+    Queue(#[source] Box<dyn std::error::Error + Send + Sync>),
+    /// The queue rejected a job.
+    #[error("the queue rejected a job: {0}")]
+    Rejected(String),
+    /// The queue does not know a worker that it registered.
+    #[error("the queue does not know a registered worker")]
+    UnknownWorker,
+    /// The queue granted tiles of a job that was not submitted.
+    #[error("the queue granted tiles of an unknown job")]
+    UnknownJob,
+    /// Frames remain, but no worker gets them.
+    #[error("{frames} frames remain, and no worker gets them")]
+    Stuck {
+        /// Number of frames that remain.
+        frames: u64,
+    },
+}
+
+impl From<DatabaseError> for SimulationError {
+    fn from(error: DatabaseError) -> Self {
+        Self::Queue(Box::new(error))
+    }
+}
+
+/// Figures of a simulated scenario.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct SimulationReport {
+    /// Name of the scenario.
+    pub scenario: &'static str,
+    /// Number of workers.
+    pub workers: usize,
+    /// Number of jobs.
+    pub jobs: usize,
+    /// Time from the start to the last stored picture, in seconds.
+    pub makespan_seconds: f64,
+    /// Work divided by the speed of all workers, in seconds: no schedule takes less.
+    pub lower_bound_seconds: f64,
+    /// Part of all workers' time that they were busy.
+    pub utilization: f64,
+    /// Time from the moment when the first worker had nothing more to do to the last stored picture, in seconds.
+    pub tail_seconds: f64,
+    /// Time served to the submitter served most, divided by that of the one served least, while all had work;
+    /// `None` with one submitter.
+    pub unfairness: Option<f64>,
+    /// Syncs with the queue.
+    pub turns: u64,
+    /// Batches of tiles or stitches.
+    pub batches: usize,
+    /// Batches that were whole frames.
+    pub whole_frames: u64,
+    /// Stitches.
+    pub stitches: u64,
+    /// Batches in which a tile failed.
+    pub failures: u64,
+    /// Batches dropped because another worker was first.
+    pub dropped: u64,
+}
+
+/// Plays a scenario on a new queue in an empty folder.
+pub async fn simulate(folder: &Path, scenario: &Scenario, seed: u64) -> Result<SimulationReport, SimulationError> {
+    let mut farm = SimulatedFarm::new(folder, scenario, seed).await?;
+    let end_us = farm.play().await?;
+    let seconds = |us: u64| us as f64 / 1e6;
+    let busy_us: u64 = farm.workers.iter().map(|worker| worker.busy_us.min(end_us)).sum();
+    let first_dry_us = farm.workers.iter().map(|worker| worker.last_us).min().unwrap_or(0);
+    let worker_count = farm.workers.len();
+    Ok(SimulationReport {
+        scenario: scenario.name(),
+        workers: worker_count,
+        jobs: farm.jobs.len(),
+        makespan_seconds: seconds(end_us),
+        lower_bound_seconds: lower_bound_seconds(&farm),
+        utilization: seconds(busy_us) / (seconds(end_us) * worker_count as f64),
+        tail_seconds: seconds(end_us.saturating_sub(first_dry_us)),
+        unfairness: unfairness(&farm, &farm.ledger),
+        turns: farm.ledger.turns,
+        batches: farm.ledger.served.len(),
+        whole_frames: farm.ledger.whole_frames,
+        stitches: farm.ledger.stitches,
+        failures: farm.ledger.failures,
+        dropped: farm.ledger.dropped,
+    })
+}
+
+fn lower_bound_seconds(farm: &SimulatedFarm) -> f64 {
+    let work: f64 = farm
+        .jobs
+        .iter()
+        .enumerate()
+        .map(|(index, job)| {
+            let tiles = job.plan.tiles();
+            let frame_work = |frame| tiles.iter().map(|rect| tile_work(index, job, frame, *rect)).sum::<f64>();
+            (0..job.plan.frames).map(frame_work).sum::<f64>()
+        })
+        .sum();
+    work / farm.workers.iter().map(worker::SimulatedWorker::speed).sum::<f64>()
+}
+
+/// Greatest divided by least served time of the submitters, up to the end of the first one's last job.
+fn unfairness(farm: &SimulatedFarm, ledger: &Ledger) -> Option<f64> {
+    let mut ends_us = BTreeMap::new();
+    for (job, end_us) in farm.jobs.iter().zip(&ledger.ends_us) {
+        let end: &mut u64 = ends_us.entry(job.submitter).or_default();
+        *end = (*end).max(*end_us);
+    }
+    let until_us = *ends_us.values().min().filter(|_| ends_us.len() > 1)?;
+    let mut served: BTreeMap<&str, u64> = ends_us.keys().map(|submitter| (*submitter, 0)).collect();
+    for time in &ledger.served {
+        *served.entry(farm.jobs[time.job].submitter).or_default() +=
+            time.end_us.min(until_us).saturating_sub(time.start_us);
+    }
+    let (most, least) = (*served.values().max()?, *served.values().min()?);
+    Some(most as f64 / least.max(1) as f64)
+}
