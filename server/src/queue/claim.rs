@@ -11,7 +11,7 @@ use sqlx::query::Query;
 use sqlx::sqlite::{SqliteArguments, SqliteRow};
 use sqlx::{Row, Sqlite};
 
-use super::batch_size::{self, FrameLoad, ReadyTile};
+use super::batch_size::{self, FrameLoad, ReadyTile, WorkerShare};
 use super::lease::LOSSES_BEFORE_ISOLATION;
 use super::speeds::{self, JobSpeed, measured_sql};
 use super::straggler::{self, StragglerOutcome};
@@ -224,14 +224,44 @@ async fn largest_other_capacity(connection: &mut Connection, worker: &str) -> Re
     Ok(if paused { None } else { Some(row.try_get("others_max_nodes")?) })
 }
 
-/// Other ready workers that can render a scene of this size and would share a frame with this worker.
+/// Ready workers that can render a scene of this size: speeds of this worker and of the others.
 struct Peers {
-    /// Number of them without a lease.
-    idle: u64,
-    /// Camera rays per second of the fastest other worker, measured in the job, or else reported.
-    fastest_other: Option<f64>,
     /// Camera rays per second of this worker, if they were measured in the job.
     own: Option<f64>,
+    /// Camera rays per second of the fastest other worker, measured in the job, or else reported.
+    fastest_other: Option<f64>,
+    /// Camera rays per second of the fastest worker measured in the job.
+    fastest_measured: Option<f64>,
+    /// Number of other workers that share the job: they hold tiles of it, or nothing.
+    sharing: i64,
+    /// Number of those measured in the job, and the sum of their speeds.
+    measured: i64,
+    measured_sum: f64,
+    /// Number of the rest that report a speed, and the sum of these.
+    reported: i64,
+    reported_sum: f64,
+}
+
+impl Peers {
+    /// What the batch size depends on: this worker's speed, by its own report (`overall`) if none was measured in the
+    /// job, and its part of the speed of all that share the job. A report may be of much lighter scenes, so it counts
+    /// no more than the fastest speed measured in the job, and others count as the mean of those measured.
+    fn share(&self, overall: Option<f64>) -> WorkerShare {
+        let capped = |speed: f64| speed.min(self.fastest_measured.unwrap_or(f64::INFINITY));
+        let speed = self.own.map(JobSpeed::Measured).or(overall.map(capped).map(JobSpeed::Overall));
+        let own = speed.map_or(fair_share::DEFAULT_RAYS_PER_SECOND, JobSpeed::get);
+        let others = self.sharing as f64 * self.mean_other().unwrap_or(own);
+        WorkerShare { speed, part: own / (own + others), fastest_other: self.fastest_other }
+    }
+
+    /// Mean speed of the others that share the job: of those measured in it, or else as reported; `None` if this worker
+    /// knows best.
+    fn mean_other(&self) -> Option<f64> {
+        if self.measured > 0 {
+            return Some(self.measured_sum / self.measured as f64);
+        }
+        (self.own.is_none() && self.reported > 0).then(|| self.reported_sum / self.reported as f64)
+    }
 }
 
 async fn peers(
@@ -241,15 +271,22 @@ async fn peers(
     moment: TransitionContext,
 ) -> Result<Peers> {
     let row = sqlx::query(concat!(
-        "SELECT count(*) FILTER (WHERE NOT EXISTS (SELECT 1 FROM lease INDEXED BY lease_live_by_worker
-                                                   WHERE lease.worker = worker.id AND lease.ended IS NULL)) AS idle,
-                max(coalesce(",
+        "SELECT max(measured) FILTER (WHERE id = ?3) AS own,
+                max(coalesce(measured, reported)) FILTER (WHERE id <> ?3) AS fastest_other,
+                max(measured) AS fastest_measured,
+                count(*) FILTER (WHERE shares) AS sharing,
+                count(measured) FILTER (WHERE shares) AS measured,
+                total(measured) FILTER (WHERE shares) AS measured_sum,
+                count(reported) FILTER (WHERE shares AND measured IS NULL) AS reported,
+                total(reported) FILTER (WHERE shares AND measured IS NULL) AS reported_sum
+         FROM (SELECT worker.id, rays_per_second AS reported, ",
         measured_sql!(),
-        ", rays_per_second)) FILTER (WHERE id <> ?3) AS fastest_other, max(",
-        measured_sql!(),
-        ") FILTER (WHERE id = ?3) AS own
-         FROM worker LEFT JOIN speed ON speed.job = ?4 AND speed.worker = worker.id AND speed.at_ms > ?5
-         WHERE worker.state <> 'gone' AND worker.state = 'ready' AND coalesce(max_nodes, ?1) >= ?2"
+        " AS measured, worker.id <> ?3 AND coalesce((
+                   SELECT tile.job = ?4 FROM lease INDEXED BY lease_live_by_worker
+                   CROSS JOIN tile ON tile.id = lease.tile
+                   WHERE lease.worker = worker.id AND lease.ended IS NULL LIMIT 1), 1) AS shares
+               FROM worker LEFT JOIN speed ON speed.job = ?4 AND speed.worker = worker.id AND speed.at_ms > ?5
+               WHERE worker.state <> 'gone' AND worker.state = 'ready' AND coalesce(max_nodes, ?1) >= ?2)"
     ))
     .bind(ANY_NODES)
     .bind(job.nodes)
@@ -258,8 +295,16 @@ async fn peers(
     .bind(moment.now_ms - speeds::MAX_AGE_MS)
     .fetch_one(connection)
     .await?;
-    let idle: i64 = row.try_get("idle")?;
-    Ok(Peers { idle: idle.unsigned_abs(), fastest_other: row.try_get("fastest_other")?, own: row.try_get("own")? })
+    Ok(Peers {
+        own: row.try_get("own")?,
+        fastest_other: row.try_get("fastest_other")?,
+        fastest_measured: row.try_get("fastest_measured")?,
+        sharing: row.try_get("sharing")?,
+        measured: row.try_get("measured")?,
+        measured_sum: row.try_get("measured_sum")?,
+        reported: row.try_get("reported")?,
+        reported_sum: row.try_get("reported_sum")?,
+    })
 }
 
 async fn claim_tiles(
@@ -270,17 +315,16 @@ async fn claim_tiles(
     claimant: ClaimRequest,
     moment: TransitionContext,
 ) -> Result<BatchWork> {
-    let Peers { idle, fastest_other, own } = peers(connection, &view.worker, job, moment).await?;
-    let overall = claimant.rays_per_second.map(RaysPerSecond::get);
-    let speed = own.map(JobSpeed::Measured).or(overall.map(JobSpeed::Overall));
+    let peers = peers(connection, &view.worker, job, moment).await?;
+    let share = peers.share(claimant.rays_per_second.map(RaysPerSecond::get));
     let rows =
         view.bind(READY_TILES_SQL).bind(job.number).bind(job.nodes).bind(frame).fetch_all(&mut *connection).await?;
     let whole = frame_load(job);
     let ready = rows.iter().map(read_ready).collect::<Result<Vec<_>>>()?;
-    let length = batch_size::batch_len(&ready, whole, speed.map(JobSpeed::get), idle, fastest_other);
+    let length = batch_size::batch_len(&ready, whole, share);
     let (tiles, mut grants) = new_leases(&rows[..length])?;
     let rays: Vec<u64> = ready[..length].iter().map(|tile| tile.rays).collect();
-    let charges_us = fair_share::estimates_us(&rays, speed.or(fastest_other.map(JobSpeed::Overall)));
+    let charges_us = fair_share::estimates_us(&rays, share.speed.or(share.fastest_other.map(JobSpeed::Overall)));
     for (grant, charged_us) in grants.iter_mut().zip(&charges_us) {
         grant.charged_us = *charged_us;
     }

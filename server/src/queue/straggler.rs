@@ -8,9 +8,10 @@ use proto::bounded::RaysPerSecond;
 use proto::worker_protocol::{Batch, BatchWork};
 use sqlx::Row;
 
+use super::batch_size::{self, WorkerShare};
 use super::claim::{self, ClaimFilter, ClaimRequest, NewLease};
 use super::speeds::{self, JobSpeed};
-use super::{Connection, Result, TransitionContext, batch_size, durations, expect_rows, fair_share, row_count};
+use super::{Connection, Result, TransitionContext, durations, expect_rows, fair_share, row_count};
 
 /// A lease older than this many times the job's median tile duration, or its estimate, is a straggler's.
 const MAX_RATIO: i64 = 3;
@@ -153,7 +154,8 @@ async fn duplicate_leases(
         held.len()
     } else {
         let ready = held.iter().map(claim::read_ready).collect::<Result<Vec<_>>>()?;
-        batch_size::batch_len(&ready, whole, claimant.rays_per_second.map(RaysPerSecond::get), 1, None)
+        let speed = claimant.rays_per_second.map(RaysPerSecond::get).map(JobSpeed::Overall);
+        batch_size::batch_len(&ready, whole, WorkerShare::alone(speed))
     };
     let (tiles, grants) = claim::new_leases(&held[..length])?;
     grant(connection, &grants, view, moment).await?;
