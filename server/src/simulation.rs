@@ -124,15 +124,16 @@ fn lower_bound_seconds(farm: &SimulatedFarm) -> f64 {
     work / farm.workers.iter().map(worker::SimulatedWorker::speed).sum::<f64>()
 }
 
-/// Greatest divided by least served time of the submitters, up to the end of the first one's last job.
+/// Greatest divided by least served time of the submitters, up to the start of the last batch of the first one that
+/// runs out of work.
 fn unfairness(farm: &SimulatedFarm, ledger: &Ledger) -> Option<f64> {
-    let mut ends_us = BTreeMap::new();
-    for (job, end_us) in farm.jobs.iter().zip(&ledger.ends_us) {
-        let end: &mut u64 = ends_us.entry(job.submitter).or_default();
-        *end = (*end).max(*end_us);
+    let mut last_us: BTreeMap<&str, u64> = BTreeMap::new();
+    for time in &ledger.served {
+        let last = last_us.entry(farm.jobs[time.job].submitter).or_default();
+        *last = (*last).max(time.start_us);
     }
-    let until_us = *ends_us.values().min().filter(|_| ends_us.len() > 1)?;
-    let mut served: BTreeMap<&str, u64> = ends_us.keys().map(|submitter| (*submitter, 0)).collect();
+    let until_us = *last_us.values().min().filter(|_| last_us.len() > 1)?;
+    let mut served: BTreeMap<&str, u64> = BTreeMap::new();
     for time in &ledger.served {
         *served.entry(farm.jobs[time.job].submitter).or_default() +=
             time.end_us.min(until_us).saturating_sub(time.start_us);

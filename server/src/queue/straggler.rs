@@ -113,7 +113,12 @@ pub(super) async fn claim(
             Some(known) => *known,
             None => *patience.entry(old.job).or_insert(durations::median_ms(connection, old.job).await?),
         };
-        let left_ms = old.patience_ends_ms(connection, median_ms, moment).await? - moment.now_ms;
+        let mut ends_ms = old.patience_ends_ms(connection, median_ms, moment).await?;
+        if ends_ms <= moment.now_ms && speeds::is_slow(connection, &view.worker, &old.worker, old.job, moment).await? {
+            // A tile has at most two leases, and a faster worker is soon idle; if it is not, any worker may help.
+            ends_ms = old.granted_ms.saturating_add(MAX_EXCLUSIVE_MS);
+        }
+        let left_ms = ends_ms - moment.now_ms;
         if left_ms > 0 {
             again_ms = Some(again_ms.map_or(left_ms, |again_ms| again_ms.min(left_ms)));
             continue;

@@ -9,7 +9,7 @@ use std::time::Duration;
 
 use futures_util::FutureExt;
 use proto::JobId;
-use proto::worker_protocol::{Batch, RegisterRequest};
+use proto::worker_protocol::{Batch, LeaseReport, RegisterRequest};
 
 use super::SimulationError;
 use super::random::Random;
@@ -23,6 +23,8 @@ use crate::queue::{FrameOpening, NewJob, NewWorker, NextWork, Queue, SubmitOptio
 const LEASE_MS: i64 = 24 * 3_600_000;
 /// Idle workers ask again after this time, as in the worker's session.
 const IDLE_US: u64 = 10_000_000;
+/// After this many idle workers in a row got nothing, the others are not woken: they would get nothing either.
+const MAX_REFUSED: u32 = 16;
 /// Part of the batches in which a tile fails.
 const FAILURES: f64 = 0.002;
 /// A scenario that takes longer than this cannot end.
@@ -31,7 +33,7 @@ const MAX_VIRTUAL_US: u64 = 24 * 3_600_000_000;
 /// What happens at a time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum Event {
-    /// A worker's batch of this generation ends, or its pause.
+    /// A worker's batch of this generation ends, or its pause, or its wait for work.
     Turn { worker: usize, generation: u64 },
     /// Idle workers ask for work.
     Wake,
@@ -77,7 +79,8 @@ pub(super) struct SimulatedFarm {
     pub(super) workers: Vec<SimulatedWorker>,
     pub(super) jobs: Vec<JobPlan>,
     by_id: HashMap<JobId, usize>,
-    idle: VecDeque<usize>,
+    /// Workers that got nothing, with the generation in which they asked: they may have asked again since.
+    idle: VecDeque<(usize, u64)>,
     /// Workers that hold a tile: job, frame, index; a stitch has no index.
     holders: HashMap<(usize, u32, Option<u32>), Vec<usize>>,
     stored: HashSet<(usize, u32)>,
@@ -102,7 +105,9 @@ impl SimulatedFarm {
                 process: 0,
             };
             let new = NewWorker { request, pool: false, name: "simulated".to_owned(), owner: "local".to_owned() };
-            workers.push(SimulatedWorker::new(queue.register(new).await?.worker, *plan));
+            let worker = SimulatedWorker::new(queue.register(new).await?.worker, *plan);
+            queue.turn(sync_input(&worker, Vec::new(), false)).await?;
+            workers.push(worker);
         }
         let mut by_id = HashMap::new();
         for (index, plan) in scenario.jobs.iter().enumerate() {
@@ -123,7 +128,7 @@ impl SimulatedFarm {
             now_us: 0,
             events: BinaryHeap::new(),
             event_count: 0,
-            idle: (0..workers.len()).collect(),
+            idle: (0..workers.len()).map(|worker| (worker, 0)).collect(),
             workers,
             jobs: scenario.jobs.clone(),
             by_id,
@@ -161,14 +166,19 @@ impl SimulatedFarm {
         self.events.push(Reverse((at_us, self.event_count, event)));
     }
 
-    /// Lets idle workers ask, the one that has waited longest first, until two in a row get nothing: one may be kept
-    /// from a tile that it failed.
+    /// Lets idle workers ask, the one that has waited longest first, until several in a row get nothing.
     async fn wake_idle(&mut self) -> Result<(), SimulationError> {
         let mut refused = 0;
         for _ in 0..self.idle.len() {
-            let Some(worker) = self.idle.pop_front().filter(|_| refused < 2) else { break };
+            let Some((worker, generation)) = self.idle.pop_front() else { break };
+            if self.workers[worker].generation != generation {
+                continue;
+            }
             self.turn(worker).await?;
             refused = if self.workers[worker].run.is_some() { 0 } else { refused + 1 };
+            if refused == MAX_REFUSED {
+                break;
+            }
         }
         Ok(())
     }
@@ -176,18 +186,9 @@ impl SimulatedFarm {
     /// Reports a worker's batch, if it has one, and requests the next.
     async fn turn(&mut self, worker: usize) -> Result<(), SimulationError> {
         let run = self.workers[worker].end(self.now_us);
+        self.workers[worker].generation += 1;
         let reports = run.as_ref().map(Run::reports).unwrap_or_default();
-        let mut input = SyncInput {
-            worker: self.workers[worker].id,
-            owner: "local".to_owned(),
-            rays_per_second: self.workers[worker].reported(),
-            held_leases: Vec::new(),
-            reports,
-            rejected: Vec::new(),
-            wants_work: true,
-            shutting_down: false,
-            opening: None,
-        };
+        let mut input = sync_input(&self.workers[worker], reports, true);
         let queue = self.queue.clone();
         let mut woken = Box::pin(queue.wake_signals().work.notified());
         woken.as_mut().enable();
@@ -208,9 +209,10 @@ impl SimulatedFarm {
         match next {
             NextWork::Run(batch) => self.start(worker, batch)?,
             NextWork::Nothing(retry_ms) => {
-                self.idle.push_back(worker);
+                let generation = self.workers[worker].generation;
+                self.idle.push_back((worker, generation));
                 let wait_us = retry_ms.map_or(IDLE_US, |ms| (ms.max(1).unsigned_abs() * 1000).min(IDLE_US));
-                self.schedule(self.now_us + wait_us, Event::Wake);
+                self.schedule(self.now_us + wait_us, Event::Turn { worker, generation });
             }
             NextWork::OpenFrame { .. } => {}
         }
@@ -279,6 +281,20 @@ impl SimulatedFarm {
             let generation = self.workers[worker].generation;
             self.schedule(self.now_us + 1000, Event::Turn { worker, generation });
         }
+    }
+}
+
+fn sync_input(worker: &SimulatedWorker, reports: Vec<LeaseReport>, wants_work: bool) -> SyncInput {
+    SyncInput {
+        worker: worker.id,
+        owner: "local".to_owned(),
+        rays_per_second: worker.reported(),
+        held_leases: Vec::new(),
+        reports,
+        rejected: Vec::new(),
+        wants_work,
+        shutting_down: false,
+        opening: None,
     }
 }
 
