@@ -1,5 +1,5 @@
 //! Simulates a farm in virtual time: workers follow a model, the queue that leases tiles to them is the real one, on
-//! SQLite, with a clock that the simulation advances. It renders nothing and opens no address.
+//! a database of its own, with a clock that the simulation advances. It renders nothing and opens no address.
 //!
 //! Same scenario and seed, same report.
 
@@ -140,4 +140,35 @@ fn unfairness(farm: &SimulatedFarm, ledger: &Ledger) -> Option<f64> {
     }
     let (most, least) = (*served.values().max()?, *served.values().min()?);
     Some(most as f64 / least.max(1) as f64)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    async fn report(name: &str, seed: u64) -> SimulationReport {
+        let folder = tempfile::tempdir_in("/dev/shm").or_else(|_| tempfile::tempdir()).expect("a temporary folder");
+        let scenarios = Scenario::all(20, seed);
+        let scenario = scenarios.iter().find(|scenario| scenario.name() == name).expect("a scenario");
+        simulate(folder.path(), scenario, seed).await.expect("ends")
+    }
+
+    #[tokio::test]
+    async fn equal_seeds_have_equal_reports_and_no_schedule_beats_the_bound() {
+        for name in ["heavy-frame-2-gpus-8-cpus", "heavy-animation-2-gpus-8-cpus"] {
+            let once = report(name, 3).await;
+            assert_eq!(once, report(name, 3).await);
+            assert!(once.makespan_seconds >= once.lower_bound_seconds, "{once:?}");
+            assert!((0.0..=1.0).contains(&once.utilization), "{once:?}");
+            assert_ne!(once, report(name, 4).await, "the noise depends on the seed");
+        }
+    }
+
+    #[tokio::test]
+    async fn idle_gpus_share_a_heavy_frame() {
+        let one = report("heavy-frame-1-gpu", 1).await;
+        assert_eq!((one.batches, one.stitches), (1, 0), "a worker alone delivers the picture itself");
+        let two = report("heavy-frame-2-gpus", 1).await;
+        assert!(two.makespan_seconds < 0.6 * one.makespan_seconds, "{one:?} {two:?}");
+    }
 }

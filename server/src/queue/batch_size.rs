@@ -124,13 +124,14 @@ mod tests {
         FrameLoad { tiles, rays: tiles * MEGA, size_bytes: tiles * (16 << 20), rays_unopened: 0 }
     }
 
-    fn measured(rays_per_second: f64) -> Option<JobSpeed> {
-        Some(JobSpeed::Measured(rays_per_second))
+    /// A worker that shares the job with no other, and whose speed in it was measured.
+    fn alone(rays_per_second: f64) -> WorkerShare {
+        WorkerShare::alone(Some(JobSpeed::Measured(rays_per_second)))
     }
 
     /// A worker whose speed was measured, and that shares the job with others.
     fn sharing(rays_per_second: f64, part: f64) -> WorkerShare {
-        WorkerShare { part, ..WorkerShare::alone(measured(rays_per_second)) }
+        WorkerShare { part, ..alone(rays_per_second) }
     }
 
     #[test]
@@ -144,8 +145,7 @@ mod tests {
     #[test]
     fn a_batch_takes_about_a_second() {
         for (rays_per_second, length) in [(5.5 * MEGA as f64, 5), (1.0, 1), (1e12, 100)] {
-            let alone = WorkerShare::alone(measured(rays_per_second));
-            assert_eq!(batch_len(&tiles(100), frame(100), alone), length);
+            assert_eq!(batch_len(&tiles(100), frame(100), alone(rays_per_second)), length);
             let reported = WorkerShare::alone(Some(JobSpeed::Overall(rays_per_second)));
             assert_eq!(batch_len(&tiles(100), frame(100), reported), length, "nobody waits for its tiles");
         }
@@ -154,7 +154,7 @@ mod tests {
     #[test]
     fn a_slow_worker_gets_less_than_a_fast_one() {
         let (slow, fast) = (20.0 * MEGA as f64, 400.0 * MEGA as f64);
-        let against = |speed, other| WorkerShare { fastest_other: Some(other), ..WorkerShare::alone(measured(speed)) };
+        let against = |speed, other| WorkerShare { fastest_other: Some(other), ..alone(speed) };
         // The fast worker would take 0.25 s for all tiles.
         assert_eq!(batch_len(&tiles(100), frame(100), against(slow, fast)), 5);
         assert_eq!(batch_len(&tiles(100), frame(100), against(fast, slow)), 100);

@@ -251,7 +251,7 @@ impl Peers {
         let speed = self.own.map(JobSpeed::Measured).or(overall.map(capped).map(JobSpeed::Overall));
         let own = speed.map_or(fair_share::DEFAULT_RAYS_PER_SECOND, JobSpeed::get);
         let others = self.sharing as f64 * self.mean_other().unwrap_or(own);
-        WorkerShare { speed, part: own / (own + others), fastest_other: self.fastest_other }
+        WorkerShare { speed, part: own / (own + others), fastest_other: self.fastest_other.map(capped) }
     }
 
     /// Mean speed of the others that share the job: of those measured in it, or else as reported; `None` if this worker

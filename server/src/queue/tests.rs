@@ -6,6 +6,7 @@ mod large_jobs;
 mod model;
 mod plans;
 mod sequences;
+mod sharing;
 mod workers;
 
 use proto::bounded::RaysPerSecond;

@@ -1,4 +1,4 @@
-//! Reproducible random numbers: SplitMix64 (Steele, Lea, Flood, "Fast splittable pseudorandom number generators",
+//! Reproducible random numbers: `SplitMix64` (Steele, Lea, Flood, "Fast splittable pseudorandom number generators",
 //! OOPSLA 2014).
 
 /// Increment of the state: 2⁶⁴ divided by the golden ratio.

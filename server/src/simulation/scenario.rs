@@ -109,11 +109,11 @@ fn three_submitters() -> Vec<JobPlan> {
     std::iter::once(job("film", 30.0, 16, 120)).chain(stills).chain(lights).collect()
 }
 
-/// Jobs of four submitters: more than ten thousand frames, a third of them heavy.
+/// Jobs of four submitters: four thousand frames, a sixth of them heavy.
 fn many_jobs() -> Vec<JobPlan> {
     let submitters = ["first", "second", "third", "fourth"];
     let kinds = [(HEAVY, 32, 20), (10.0, 16, 40), (30.0, 4, 60)];
-    (0..300)
+    (0..100)
         .map(|index| {
             let (cost, samples, frames) = kinds[index % kinds.len()];
             job(submitters[index % submitters.len()], cost, samples, frames)
