@@ -47,8 +47,10 @@ pub(super) struct FrameLoad {
 pub(super) struct WorkerShare {
     /// Its speed.
     pub(super) speed: Option<JobSpeed>,
-    /// Its part of the speed of all workers that share the job, above 0 to 1.
-    pub(super) part: f64,
+    /// Number of other workers that share the job.
+    pub(super) others: u64,
+    /// Their mean camera rays per second.
+    pub(super) mean_other: f64,
     /// Camera rays per second of the fastest other worker, even if that renders another job now.
     pub(super) fastest_other: Option<f64>,
 }
@@ -56,12 +58,21 @@ pub(super) struct WorkerShare {
 impl WorkerShare {
     /// A worker that shares the job with no other.
     pub(super) fn alone(speed: Option<JobSpeed>) -> Self {
-        Self { speed, part: 1.0, fastest_other: None }
+        Self { speed, others: 0, mean_other: 0.0, fastest_other: None }
+    }
+
+    /// Rays of its part of what is left.
+    fn part(self, left: u64) -> u64 {
+        if self.others == 0 {
+            return left;
+        }
+        let own = self.speed.map_or(self.mean_other, JobSpeed::get);
+        (left as f64 * own / (own + self.mean_other * self.others as f64) / SHARED_ROUNDS) as u64
     }
 
     /// Whether its speed in the job is unknown and other workers wait, so that a batch may be far longer than it seems.
     fn is_trial(self) -> bool {
-        self.part < 1.0 && !matches!(self.speed, Some(JobSpeed::Measured(_)))
+        self.others > 0 && !matches!(self.speed, Some(JobSpeed::Measured(_)))
     }
 
     /// Target duration of its batch, and the one up to which a batch is not worth splitting.
@@ -80,7 +91,7 @@ pub(super) fn batch_len(ready: &[ReadyTile], frame: FrameLoad, worker: WorkerSha
         return ready.len().min(1);
     }
     let sharable = ready.iter().take_while(|tile| !tile.is_isolated).count();
-    let left = ready.iter().map(|tile| tile.rays).sum::<u64>() + frame.rays_unopened;
+    let left = rays_left(ready, frame);
     let by_other = worker.fastest_other.map_or(f64::INFINITY, |rate| (left as f64 / rate).max(MIN_BATCH.as_secs_f64()));
     let [target, least] = worker.durations().map(|duration| duration.as_secs_f64());
     let rate = worker.speed.map(JobSpeed::get);
@@ -89,8 +100,7 @@ pub(super) fn batch_len(ready: &[ReadyTile], frame: FrameLoad, worker: WorkerSha
     if frame.rays <= SMALL_FRAME_RAYS.min(budget.unwrap_or(SMALL_FRAME_RAYS)).max(min_rays) {
         return sharable;
     }
-    let part = if worker.part < 1.0 { (left as f64 * worker.part / SHARED_ROUNDS) as u64 } else { left };
-    let share = if worker.is_trial() { part } else { part.max(min_rays) };
+    let share = if worker.is_trial() { worker.part(left) } else { worker.part(left).max(min_rays) };
     let affordable = budget.map_or(1, |budget| {
         let (limit, mut rays) = (budget.min(share), 0);
         ready
@@ -102,6 +112,18 @@ pub(super) fn batch_len(ready: &[ReadyTile], frame: FrameLoad, worker: WorkerSha
             .count()
     });
     affordable.clamp(1, sharable)
+}
+
+/// Camera rays that are left of the job, as far as this frame's claim knows.
+fn rays_left(ready: &[ReadyTile], frame: FrameLoad) -> u64 {
+    ready.iter().map(|tile| tile.rays).sum::<u64>() + frame.rays_unopened
+}
+
+/// Number of sharing workers from which on a worker gets only one tile.
+pub(super) fn sharing_limit(ready: &[ReadyTile], frame: FrameLoad, worker: WorkerShare) -> u64 {
+    let own = worker.speed.map_or(worker.mean_other, JobSpeed::get);
+    let tile_rays = ready.first().map_or(1, |tile| tile.rays.max(1)) as f64;
+    (rays_left(ready, frame) as f64 / tile_rays * own / worker.mean_other.max(1.0)) as u64 + 1
 }
 
 /// Whether a batch of this many tiles is the whole frame, and small enough for its worker to encode the
@@ -129,14 +151,14 @@ mod tests {
         WorkerShare::alone(Some(JobSpeed::Measured(rays_per_second)))
     }
 
-    /// A worker whose speed was measured, and that shares the job with others.
-    fn sharing(rays_per_second: f64, part: f64) -> WorkerShare {
-        WorkerShare { part, ..alone(rays_per_second) }
+    /// A worker whose speed was measured, and that shares the job with equal ones.
+    fn sharing(rays_per_second: f64, others: u64) -> WorkerShare {
+        WorkerShare { others, mean_other: rays_per_second, ..alone(rays_per_second) }
     }
 
     #[test]
     fn a_worker_without_speed_gets_small_frames_or_one_tile() {
-        let unknown = WorkerShare { part: 0.25, ..WorkerShare::alone(None) };
+        let unknown = WorkerShare { others: 3, mean_other: 1.0, ..WorkerShare::alone(None) };
         assert_eq!(batch_len(&tiles(4), frame(4), unknown), 4);
         assert_eq!(batch_len(&tiles(9), frame(9), unknown), 1);
         assert_eq!(batch_len(&tiles(9), frame(9), WorkerShare::alone(None)), 1);
@@ -169,29 +191,47 @@ mod tests {
     #[test]
     fn workers_that_share_a_frame_take_half_of_their_parts_of_what_is_left() {
         let speed = 100.0 * MEGA as f64;
-        assert_eq!(batch_len(&tiles(80), frame(80), sharing(speed, 0.25)), 10);
-        assert_eq!(batch_len(&tiles(70), frame(80), sharing(speed, 0.25)), 8);
-        assert_eq!(batch_len(&tiles(2), frame(80), sharing(speed, 0.25)), 2, "less than 50 ms are not split");
+        assert_eq!(batch_len(&tiles(80), frame(80), sharing(speed, 3)), 10);
+        assert_eq!(batch_len(&tiles(70), frame(80), sharing(speed, 3)), 8);
+        assert_eq!(batch_len(&tiles(2), frame(80), sharing(speed, 3)), 2, "less than 50 ms are not split");
         assert_eq!(
-            batch_len(&tiles(9), frame(9), sharing(1e12, 0.25)),
+            batch_len(&tiles(9), frame(9), sharing(1e12, 3)),
             9,
             "the frame is finished before another worker could start"
         );
         let animation = FrameLoad { rays_unopened: 1000 * MEGA, ..frame(80) };
-        assert_eq!(batch_len(&tiles(80), animation, sharing(speed, 0.25)), 80, "others get other frames");
+        assert_eq!(batch_len(&tiles(80), animation, sharing(speed, 3)), 80, "others get other frames");
     }
 
     #[test]
     fn a_report_of_light_scenes_does_not_claim_a_heavy_frame() {
-        let reported = |part| WorkerShare { part, ..WorkerShare::alone(Some(JobSpeed::Overall(2600.0 * MEGA as f64))) };
+        let reported = |speed: f64, others| WorkerShare {
+            others,
+            mean_other: speed,
+            ..WorkerShare::alone(Some(JobSpeed::Overall(speed)))
+        };
+        let light = 2600.0 * MEGA as f64;
         // A batch of 60 tiles would take 23 ms of a light scene.
-        assert_eq!(batch_len(&tiles(60), frame(60), reported(0.5)), 15);
-        assert_eq!(batch_len(&tiles(60), frame(60), reported(0.125)), 3);
-        assert_eq!(batch_len(&tiles(60), frame(60), reported(1.0)), 60, "no other worker could help");
-        assert_eq!(batch_len(&tiles(8), frame(8), reported(0.5)), 8, "a light frame stays whole");
-        let slow = WorkerShare { part: 0.5, ..WorkerShare::alone(Some(JobSpeed::Overall(16.0 * MEGA as f64))) };
+        assert_eq!(batch_len(&tiles(60), frame(60), reported(light, 1)), 15);
+        assert_eq!(batch_len(&tiles(60), frame(60), reported(light, 7)), 3);
+        assert_eq!(batch_len(&tiles(60), frame(60), reported(light, 0)), 60, "no other worker could help");
+        assert_eq!(batch_len(&tiles(8), frame(8), reported(light, 1)), 8, "a light frame stays whole");
         let animation = FrameLoad { rays_unopened: 1000 * MEGA, ..frame(60) };
-        assert_eq!(batch_len(&tiles(60), animation, slow), 2, "an eighth of a second, as a trial");
+        assert_eq!(
+            batch_len(&tiles(60), animation, reported(16.0 * MEGA as f64, 1)),
+            2,
+            "an eighth of a second, as a trial"
+        );
+    }
+
+    #[test]
+    fn more_workers_than_the_limit_change_nothing() {
+        let worker = sharing(30.0 * MEGA as f64, 0);
+        let limit = sharing_limit(&tiles(60), frame(60), worker);
+        assert!(limit <= 61, "{limit}");
+        for others in [limit, limit + 1, 10_000] {
+            assert_eq!(batch_len(&tiles(60), frame(60), WorkerShare { others, ..worker }), 1);
+        }
     }
 
     #[test]

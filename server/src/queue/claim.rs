@@ -232,35 +232,28 @@ struct Peers {
     fastest_other: Option<f64>,
     /// Camera rays per second of the fastest worker measured in the job.
     fastest_measured: Option<f64>,
-    /// Number of other workers that share the job: they hold tiles of it, or nothing.
-    sharing: i64,
-    /// Number of those measured in the job, and the sum of their speeds.
-    measured: i64,
-    measured_sum: f64,
-    /// Number of the rest that report a speed, and the sum of these.
-    reported: i64,
-    reported_sum: f64,
+    /// Mean camera rays per second of the others measured in the job.
+    mean_measured: Option<f64>,
+    /// Mean camera rays per second that the others report.
+    mean_reported: Option<f64>,
+    /// Number of the others.
+    others: i64,
 }
 
 impl Peers {
     /// What the batch size depends on: this worker's speed, by its own report (`overall`) if none was measured in the
-    /// job, and its part of the speed of all that share the job. A report may be of much lighter scenes, so it counts
-    /// no more than the fastest speed measured in the job, and others count as the mean of those measured.
+    /// job, and that of the others. A report may be of much lighter scenes, so it counts no more than the fastest speed
+    /// measured in the job, and others count as the mean of those measured, if there are any.
     fn share(&self, overall: Option<f64>) -> WorkerShare {
         let capped = |speed: f64| speed.min(self.fastest_measured.unwrap_or(f64::INFINITY));
         let speed = self.own.map(JobSpeed::Measured).or(overall.map(capped).map(JobSpeed::Overall));
-        let own = speed.map_or(fair_share::DEFAULT_RAYS_PER_SECOND, JobSpeed::get);
-        let others = self.sharing as f64 * self.mean_other().unwrap_or(own);
-        WorkerShare { speed, part: own / (own + others), fastest_other: self.fastest_other.map(capped) }
-    }
-
-    /// Mean speed of the others that share the job: of those measured in it, or else as reported; `None` if this worker
-    /// knows best.
-    fn mean_other(&self) -> Option<f64> {
-        if self.measured > 0 {
-            return Some(self.measured_sum / self.measured as f64);
+        let mean_other = self.mean_measured.or(self.own).or(self.mean_reported);
+        WorkerShare {
+            speed,
+            mean_other: mean_other.or(overall).unwrap_or(fair_share::DEFAULT_RAYS_PER_SECOND),
+            others: self.others.unsigned_abs(),
+            fastest_other: self.fastest_other.map(capped),
         }
-        (self.own.is_none() && self.reported > 0).then(|| self.reported_sum / self.reported as f64)
     }
 }
 
@@ -274,17 +267,12 @@ async fn peers(
         "SELECT max(measured) FILTER (WHERE id = ?3) AS own,
                 max(coalesce(measured, reported)) FILTER (WHERE id <> ?3) AS fastest_other,
                 max(measured) AS fastest_measured,
-                count(*) FILTER (WHERE shares) AS sharing,
-                count(measured) FILTER (WHERE shares) AS measured,
-                total(measured) FILTER (WHERE shares) AS measured_sum,
-                count(reported) FILTER (WHERE shares AND measured IS NULL) AS reported,
-                total(reported) FILTER (WHERE shares AND measured IS NULL) AS reported_sum
+                avg(measured) FILTER (WHERE id <> ?3) AS mean_measured,
+                avg(reported) FILTER (WHERE id <> ?3) AS mean_reported,
+                count(*) FILTER (WHERE id <> ?3) AS others
          FROM (SELECT worker.id, rays_per_second AS reported, ",
         measured_sql!(),
-        " AS measured, worker.id <> ?3 AND coalesce((
-                   SELECT tile.job = ?4 FROM lease INDEXED BY lease_live_by_worker
-                   CROSS JOIN tile ON tile.id = lease.tile
-                   WHERE lease.worker = worker.id AND lease.ended IS NULL LIMIT 1), 1) AS shares
+        " AS measured
                FROM worker LEFT JOIN speed ON speed.job = ?4 AND speed.worker = worker.id AND speed.at_ms > ?5
                WHERE worker.state <> 'gone' AND worker.state = 'ready' AND coalesce(max_nodes, ?1) >= ?2)"
     ))
@@ -299,12 +287,32 @@ async fn peers(
         own: row.try_get("own")?,
         fastest_other: row.try_get("fastest_other")?,
         fastest_measured: row.try_get("fastest_measured")?,
-        sharing: row.try_get("sharing")?,
-        measured: row.try_get("measured")?,
-        measured_sum: row.try_get("measured_sum")?,
-        reported: row.try_get("reported")?,
-        reported_sum: row.try_get("reported_sum")?,
+        mean_measured: row.try_get("mean_measured")?,
+        mean_reported: row.try_get("mean_reported")?,
+        others: row.try_get("others")?,
     })
+}
+
+/// Number of other ready workers that share the job, because they hold tiles of it, or nothing; at most `limit`, so that
+/// of many workers few are read.
+async fn sharing_workers(connection: &mut Connection, worker: &str, job: &ClaimableJob, limit: u64) -> Result<u64> {
+    let count: i64 = sqlx::query_scalar(
+        "SELECT count(*) FROM (
+             SELECT 1 FROM worker
+             WHERE worker.state <> 'gone' AND worker.state = 'ready' AND coalesce(max_nodes, ?1) >= ?2 AND id <> ?3
+               AND coalesce((SELECT tile.job = ?4 FROM lease INDEXED BY lease_live_by_worker
+                   CROSS JOIN tile ON tile.id = lease.tile
+                   WHERE lease.worker = worker.id AND lease.ended IS NULL LIMIT 1), 1)
+             LIMIT ?5)",
+    )
+    .bind(ANY_NODES)
+    .bind(job.nodes)
+    .bind(worker)
+    .bind(job.number)
+    .bind(i64::try_from(limit).unwrap_or(i64::MAX))
+    .fetch_one(connection)
+    .await?;
+    Ok(count.unsigned_abs())
 }
 
 async fn claim_tiles(
@@ -321,7 +329,13 @@ async fn claim_tiles(
         view.bind(READY_TILES_SQL).bind(job.number).bind(job.nodes).bind(frame).fetch_all(&mut *connection).await?;
     let whole = frame_load(job);
     let ready = rows.iter().map(read_ready).collect::<Result<Vec<_>>>()?;
-    let length = batch_size::batch_len(&ready, whole, share);
+    let mut length = batch_size::batch_len(&ready, whole, share);
+    if length < batch_size::batch_len(&ready, whole, WorkerShare { others: 0, ..share }) {
+        // Only now it matters how many of the others share the job.
+        let limit = batch_size::sharing_limit(&ready, whole, share);
+        let others = sharing_workers(connection, &view.worker, job, limit).await?;
+        length = batch_size::batch_len(&ready, whole, WorkerShare { others, ..share });
+    }
     let (tiles, mut grants) = new_leases(&rows[..length])?;
     let rays: Vec<u64> = ready[..length].iter().map(|tile| tile.rays).collect();
     let charges_us = fair_share::estimates_us(&rays, share.speed.or(share.fastest_other.map(JobSpeed::Overall)));
