@@ -302,7 +302,7 @@ async fn sharing_workers(connection: &mut Connection, worker: &str, job: &Claima
              WHERE worker.state <> 'gone' AND worker.state = 'ready' AND coalesce(max_nodes, ?1) >= ?2 AND id <> ?3
                AND coalesce((SELECT tile.job = ?4 FROM lease INDEXED BY lease_live_by_worker
                    CROSS JOIN tile ON tile.id = lease.tile
-                   WHERE lease.worker = worker.id AND lease.ended IS NULL LIMIT 1), 1)
+                   WHERE lease.worker = worker.id AND lease.ended IS NULL LIMIT 1), TRUE)
              LIMIT ?5)",
     )
     .bind(ANY_NODES)
