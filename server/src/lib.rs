@@ -37,6 +37,7 @@ mod retention;
 mod seaweedfs;
 mod shutdown;
 mod signed_links;
+pub mod simulation;
 #[cfg(test)]
 #[path = "../../tests/skip.rs"]
 mod skip;

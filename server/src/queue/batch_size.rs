@@ -2,6 +2,8 @@
 
 use std::time::Duration;
 
+use super::speeds::JobSpeed;
+
 /// A worker without a measured speed gets frames up to this many rays complete.
 const SMALL_FRAME_RAYS: u64 = 1 << 22;
 /// Target duration of a batch.
@@ -9,6 +11,12 @@ const TARGET_BATCH: Duration = Duration::from_secs(1);
 /// Batches up to this long go to any worker, and frames up to this long are not split, because the delay is not
 /// worth another claim.
 const MIN_BATCH: Duration = Duration::from_millis(50);
+/// The same for a worker whose speed in the job is not known yet while others share it: the job may be a hundred times
+/// as heavy as the scenes that its report comes from.
+const TRIAL_BATCH: Duration = Duration::from_millis(125);
+const MIN_TRIAL_BATCH: Duration = Duration::from_millis(5);
+/// A worker gets its part of what is left divided by this.
+const SHARED_ROUNDS: f64 = 2.0;
 /// Maximum pixel data for which one worker gets a complete frame.
 const MAX_WHOLE_FRAME_BYTES: u64 = 256 << 20;
 
@@ -34,38 +42,88 @@ pub(super) struct FrameLoad {
     pub(super) rays_unopened: u64,
 }
 
-/// Number of `ready` tiles, from the first, that a worker gets. The batch takes the worker no longer than the
-/// fastest other worker would need for all remaining work of the job.
-pub(super) fn batch_len(
-    ready: &[ReadyTile],
-    frame: FrameLoad,
-    rays_per_second: Option<f64>,
-    idle_workers: u64,
-    fastest_other: Option<f64>,
-) -> usize {
+/// Worker that gets a batch, compared with the others that can render the job.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct WorkerShare {
+    /// Its speed.
+    pub(super) speed: Option<JobSpeed>,
+    /// Number of other workers that share the job.
+    pub(super) others: u64,
+    /// Their mean camera rays per second.
+    pub(super) mean_other: f64,
+    /// Camera rays per second of the fastest other worker, even if that renders another job now.
+    pub(super) fastest_other: Option<f64>,
+}
+
+impl WorkerShare {
+    /// A worker that shares the job with no other.
+    pub(super) fn alone(speed: Option<JobSpeed>) -> Self {
+        Self { speed, others: 0, mean_other: 0.0, fastest_other: None }
+    }
+
+    /// Rays of its part of what is left.
+    fn part(self, left: u64) -> u64 {
+        if self.others == 0 {
+            return left;
+        }
+        let own = self.speed.map_or(self.mean_other, JobSpeed::get);
+        (left as f64 * own / (own + self.mean_other * self.others as f64) / SHARED_ROUNDS) as u64
+    }
+
+    /// Whether its speed in the job is unknown and other workers wait, so that a batch may be far longer than it seems.
+    fn is_trial(self) -> bool {
+        self.others > 0 && !matches!(self.speed, Some(JobSpeed::Measured(_)))
+    }
+
+    /// Target duration of its batch, and the one up to which a batch is not worth splitting.
+    fn durations(self) -> [Duration; 2] {
+        if self.is_trial() { [TRIAL_BATCH, MIN_TRIAL_BATCH] } else { [TARGET_BATCH, MIN_BATCH] }
+    }
+}
+
+/// Number of `ready` tiles, from the first, that a worker gets.
+///
+/// Workers that share a job each take half of their part of what is left (Hummel, Schonberg, Flynn, "Factoring",
+/// Communications of the ACM 35(8), 1992), so that they finish together although tiles differ and speeds are guesses.
+/// The batch takes the worker no longer than the fastest other worker would need for all remaining work of the job.
+pub(super) fn batch_len(ready: &[ReadyTile], frame: FrameLoad, worker: WorkerShare) -> usize {
     if ready.first().is_none_or(|tile| tile.is_isolated) {
         return ready.len().min(1);
     }
     let sharable = ready.iter().take_while(|tile| !tile.is_isolated).count();
-    let left = ready.iter().map(|tile| tile.rays).sum::<u64>() + frame.rays_unopened;
-    let by_other = fastest_other.map_or(f64::INFINITY, |rate| (left as f64 / rate).max(MIN_BATCH.as_secs_f64()));
-    let budget = rays_per_second.map(|rate| (rate * TARGET_BATCH.as_secs_f64().min(by_other)) as u64);
-    let min_rays = rays_per_second.map_or(0, |rate| (rate * MIN_BATCH.as_secs_f64()) as u64);
+    let left = rays_left(ready, frame);
+    let by_other = worker.fastest_other.map_or(f64::INFINITY, |rate| (left as f64 / rate).max(MIN_BATCH.as_secs_f64()));
+    let [target, least] = worker.durations().map(|duration| duration.as_secs_f64());
+    let rate = worker.speed.map(JobSpeed::get);
+    let budget = rate.map(|rate| (rate * target.min(by_other)) as u64);
+    let min_rays = rate.map_or(0, |rate| (rate * least) as u64);
     if frame.rays <= SMALL_FRAME_RAYS.min(budget.unwrap_or(SMALL_FRAME_RAYS)).max(min_rays) {
         return sharable;
     }
-    let fair = ready.len().div_ceil(idle_workers.max(1) as usize);
+    let share = if worker.is_trial() { worker.part(left) } else { worker.part(left).max(min_rays) };
     let affordable = budget.map_or(1, |budget| {
-        let mut rays = 0;
+        let (limit, mut rays) = (budget.min(share), 0);
         ready
             .iter()
             .take_while(|tile| {
                 rays += tile.rays;
-                rays <= budget
+                rays <= limit
             })
             .count()
     });
-    affordable.min(fair).clamp(1, sharable)
+    affordable.clamp(1, sharable)
+}
+
+/// Camera rays that are left of the job, as far as this frame's claim knows.
+fn rays_left(ready: &[ReadyTile], frame: FrameLoad) -> u64 {
+    ready.iter().map(|tile| tile.rays).sum::<u64>() + frame.rays_unopened
+}
+
+/// Number of sharing workers from which on a worker gets only one tile.
+pub(super) fn sharing_limit(ready: &[ReadyTile], frame: FrameLoad, worker: WorkerShare) -> u64 {
+    let own = worker.speed.map_or(worker.mean_other, JobSpeed::get);
+    let tile_rays = ready.first().map_or(1, |tile| tile.rays.max(1)) as f64;
+    (rays_left(ready, frame) as f64 / tile_rays * own / worker.mean_other.max(1.0)) as u64 + 1
 }
 
 /// Whether a batch of this many tiles is the whole frame, and small enough for its worker to encode the
@@ -88,50 +146,100 @@ mod tests {
         FrameLoad { tiles, rays: tiles * MEGA, size_bytes: tiles * (16 << 20), rays_unopened: 0 }
     }
 
+    /// A worker that shares the job with no other, and whose speed in it was measured.
+    fn alone(rays_per_second: f64) -> WorkerShare {
+        WorkerShare::alone(Some(JobSpeed::Measured(rays_per_second)))
+    }
+
+    /// A worker whose speed was measured, and that shares the job with equal ones.
+    fn sharing(rays_per_second: f64, others: u64) -> WorkerShare {
+        WorkerShare { others, mean_other: rays_per_second, ..alone(rays_per_second) }
+    }
+
     #[test]
     fn a_worker_without_speed_gets_small_frames_or_one_tile() {
-        assert_eq!(batch_len(&tiles(4), frame(4), None, 3, None), 4);
-        assert_eq!(batch_len(&tiles(9), frame(9), None, 1, None), 1);
+        let unknown = WorkerShare { others: 3, mean_other: 1.0, ..WorkerShare::alone(None) };
+        assert_eq!(batch_len(&tiles(4), frame(4), unknown), 4);
+        assert_eq!(batch_len(&tiles(9), frame(9), unknown), 1);
+        assert_eq!(batch_len(&tiles(9), frame(9), WorkerShare::alone(None)), 1);
     }
 
     #[test]
     fn a_batch_takes_about_a_second() {
-        assert_eq!(batch_len(&tiles(100), frame(100), Some(5.5 * MEGA as f64), 1, None), 5);
-        assert_eq!(batch_len(&tiles(100), frame(100), Some(1.0), 1, None), 1);
-        assert_eq!(batch_len(&tiles(100), frame(100), Some(1e12), 1, None), 100);
+        for (rays_per_second, length) in [(5.5 * MEGA as f64, 5), (1.0, 1), (1e12, 100)] {
+            assert_eq!(batch_len(&tiles(100), frame(100), alone(rays_per_second)), length);
+            let reported = WorkerShare::alone(Some(JobSpeed::Overall(rays_per_second)));
+            assert_eq!(batch_len(&tiles(100), frame(100), reported), length, "nobody waits for its tiles");
+        }
     }
 
     #[test]
     fn a_slow_worker_gets_less_than_a_fast_one() {
         let (slow, fast) = (20.0 * MEGA as f64, 400.0 * MEGA as f64);
+        let against = |speed, other| WorkerShare { fastest_other: Some(other), ..alone(speed) };
         // The fast worker would take 0.25 s for all tiles.
-        assert_eq!(batch_len(&tiles(100), frame(100), Some(slow), 1, Some(fast)), 5);
-        assert_eq!(batch_len(&tiles(100), frame(100), Some(fast), 1, Some(slow)), 100);
-        assert_eq!(batch_len(&tiles(100), frame(100), Some(fast), 1, Some(fast)), 100);
+        assert_eq!(batch_len(&tiles(100), frame(100), against(slow, fast)), 5);
+        assert_eq!(batch_len(&tiles(100), frame(100), against(fast, slow)), 100);
+        assert_eq!(batch_len(&tiles(100), frame(100), against(fast, fast)), 100);
         // For an animation it gets as much as it would alone, until little is left.
         let animation = FrameLoad { rays_unopened: 1000 * MEGA, ..frame(100) };
-        assert_eq!(batch_len(&tiles(100), animation, Some(slow), 1, Some(fast)), 20);
+        assert_eq!(batch_len(&tiles(100), animation, against(slow, fast)), 20);
         // A short batch is always granted.
-        assert_eq!(batch_len(&tiles(8), frame(100), Some(slow), 1, Some(fast)), 1);
+        assert_eq!(batch_len(&tiles(8), frame(100), against(slow, fast)), 1);
     }
 
     #[test]
-    fn idle_workers_share_a_frame() {
-        assert_eq!(batch_len(&tiles(9), frame(9), Some(100.0 * MEGA as f64), 3, None), 3);
-        assert_eq!(batch_len(&tiles(2), frame(9), Some(100.0 * MEGA as f64), 3, None), 1);
+    fn workers_that_share_a_frame_take_half_of_their_parts_of_what_is_left() {
+        let speed = 100.0 * MEGA as f64;
+        assert_eq!(batch_len(&tiles(80), frame(80), sharing(speed, 3)), 10);
+        assert_eq!(batch_len(&tiles(70), frame(80), sharing(speed, 3)), 8);
+        assert_eq!(batch_len(&tiles(2), frame(80), sharing(speed, 3)), 2, "less than 50 ms are not split");
         assert_eq!(
-            batch_len(&tiles(9), frame(9), Some(1e12), 3, None),
+            batch_len(&tiles(9), frame(9), sharing(1e12, 3)),
             9,
             "the frame is finished before another worker could start"
         );
+        let animation = FrameLoad { rays_unopened: 1000 * MEGA, ..frame(80) };
+        assert_eq!(batch_len(&tiles(80), animation, sharing(speed, 3)), 80, "others get other frames");
+    }
+
+    #[test]
+    fn a_report_of_light_scenes_does_not_claim_a_heavy_frame() {
+        let reported = |speed: f64, others| WorkerShare {
+            others,
+            mean_other: speed,
+            ..WorkerShare::alone(Some(JobSpeed::Overall(speed)))
+        };
+        let light = 2600.0 * MEGA as f64;
+        // A batch of 60 tiles would take 23 ms of a light scene.
+        assert_eq!(batch_len(&tiles(60), frame(60), reported(light, 1)), 15);
+        assert_eq!(batch_len(&tiles(60), frame(60), reported(light, 7)), 3);
+        assert_eq!(batch_len(&tiles(60), frame(60), reported(light, 0)), 60, "no other worker could help");
+        assert_eq!(batch_len(&tiles(8), frame(8), reported(light, 1)), 8, "a light frame stays whole");
+        let animation = FrameLoad { rays_unopened: 1000 * MEGA, ..frame(60) };
+        assert_eq!(
+            batch_len(&tiles(60), animation, reported(16.0 * MEGA as f64, 1)),
+            2,
+            "an eighth of a second, as a trial"
+        );
+    }
+
+    #[test]
+    fn more_workers_than_the_limit_change_nothing() {
+        let worker = sharing(30.0 * MEGA as f64, 0);
+        let limit = sharing_limit(&tiles(60), frame(60), worker);
+        assert!(limit <= 61, "{limit}");
+        for others in [limit, limit + 1, 10_000] {
+            assert_eq!(batch_len(&tiles(60), frame(60), WorkerShare { others, ..worker }), 1);
+        }
     }
 
     #[test]
     fn a_tile_lost_twice_is_leased_alone() {
         let mut ready = tiles(4);
         ready[2].is_isolated = true;
-        assert_eq!(batch_len(&ready, frame(4), None, 1, None), 2);
-        assert_eq!(batch_len(&ready[2..], frame(4), None, 1, None), 1);
+        assert_eq!(batch_len(&ready, frame(4), WorkerShare::alone(None)), 2);
+        assert_eq!(batch_len(&ready[2..], frame(4), WorkerShare::alone(None)), 1);
     }
 
     #[test]

@@ -10,7 +10,7 @@ use proto::bounded::RaysPerSecond;
 use proto::worker_protocol::{Batch, BatchWork, LeasedTile, StitchInput};
 use proto::{JobId, LeaseId, Rect, WorkerId};
 
-use super::batch_size::{self, FrameLoad, ReadyTile};
+use super::batch_size::{self, FrameLoad, ReadyTile, WorkerShare};
 use super::lease::LOSSES_BEFORE_ISOLATION;
 use super::speeds::{self, JobSpeed, measured_sql};
 use super::straggler::{self, StragglerOutcome};
@@ -223,14 +223,37 @@ async fn largest_other_capacity(connection: &mut Connection, worker: &str) -> Re
     Ok(if paused { None } else { Some(row.get("others_max_nodes")?) })
 }
 
-/// Other ready workers that can render a scene of this size and would share a frame with this worker.
+/// Ready workers that can render a scene of this size: speeds of this worker and of the others.
 struct Peers {
-    /// Number of them without a lease.
-    idle: u64,
-    /// Camera rays per second of the fastest other worker, measured in the job, or else reported.
-    fastest_other: Option<f64>,
     /// Camera rays per second of this worker, if they were measured in the job.
     own: Option<f64>,
+    /// Camera rays per second of the fastest other worker, measured in the job, or else reported.
+    fastest_other: Option<f64>,
+    /// Camera rays per second of the fastest worker measured in the job.
+    fastest_measured: Option<f64>,
+    /// Mean camera rays per second of the others measured in the job.
+    mean_measured: Option<f64>,
+    /// Mean camera rays per second that the others report.
+    mean_reported: Option<f64>,
+    /// Number of the others.
+    others: i64,
+}
+
+impl Peers {
+    /// What the batch size depends on: this worker's speed, by its own report (`overall`) if none was measured in the
+    /// job, and that of the others. A report may be of much lighter scenes, so it counts no more than the fastest speed
+    /// measured in the job, and others count as the mean of those measured, if there are any.
+    fn share(&self, overall: Option<f64>) -> WorkerShare {
+        let capped = |speed: f64| speed.min(self.fastest_measured.unwrap_or(f64::INFINITY));
+        let speed = self.own.map(JobSpeed::Measured).or(overall.map(capped).map(JobSpeed::Overall));
+        let mean_other = self.mean_measured.or(self.own).or(self.mean_reported);
+        WorkerShare {
+            speed,
+            mean_other: mean_other.or(overall).unwrap_or(fair_share::DEFAULT_RAYS_PER_SECOND),
+            others: self.others.unsigned_abs(),
+            fastest_other: self.fastest_other.map(capped),
+        }
+    }
 }
 
 async fn peers(
@@ -240,15 +263,17 @@ async fn peers(
     moment: TransitionContext,
 ) -> Result<Peers> {
     let row = db::query(concat!(
-        "SELECT count(*) FILTER (WHERE NOT EXISTS (SELECT 1 FROM lease @index(lease_live_by_worker)
-                                                   WHERE lease.worker = worker.id AND lease.ended IS NULL)) AS idle,
-                max(coalesce(",
+        "SELECT max(measured) FILTER (WHERE id = ?3) AS own,
+                max(coalesce(measured, reported)) FILTER (WHERE id <> ?3) AS fastest_other,
+                max(measured) AS fastest_measured,
+                avg(measured) FILTER (WHERE id <> ?3) AS mean_measured,
+                avg(reported) FILTER (WHERE id <> ?3) AS mean_reported,
+                count(*) FILTER (WHERE id <> ?3) AS others
+         FROM (SELECT worker.id, rays_per_second AS reported, ",
         measured_sql!(),
-        ", rays_per_second)) FILTER (WHERE id <> ?3) AS fastest_other, max(",
-        measured_sql!(),
-        ") FILTER (WHERE id = ?3) AS own
-         FROM worker LEFT JOIN speed ON speed.job = ?4 AND speed.worker = worker.id AND speed.at_ms > ?5
-         WHERE worker.state <> 'gone' AND worker.state = 'ready' AND coalesce(max_nodes, ?1) >= ?2"
+        " AS measured
+               FROM worker LEFT JOIN speed ON speed.job = ?4 AND speed.worker = worker.id AND speed.at_ms > ?5
+               WHERE worker.state <> 'gone' AND worker.state = 'ready' AND coalesce(max_nodes, ?1) >= ?2) AS peers"
     ))
     .bind(ANY_NODES)
     .bind(job.nodes)
@@ -257,8 +282,36 @@ async fn peers(
     .bind(moment.now_ms - speeds::MAX_AGE_MS)
     .fetch_one(connection)
     .await?;
-    let idle: i64 = row.get("idle")?;
-    Ok(Peers { idle: idle.unsigned_abs(), fastest_other: row.get("fastest_other")?, own: row.get("own")? })
+    Ok(Peers {
+        own: row.get("own")?,
+        fastest_other: row.get("fastest_other")?,
+        fastest_measured: row.get("fastest_measured")?,
+        mean_measured: row.get("mean_measured")?,
+        mean_reported: row.get("mean_reported")?,
+        others: row.get("others")?,
+    })
+}
+
+/// Number of other ready workers that share the job, because they hold tiles of it, or nothing; at most `limit`, so that
+/// of many workers few are read.
+async fn sharing_workers(connection: &mut Connection, worker: &str, job: &ClaimableJob, limit: u64) -> Result<u64> {
+    let count: i64 = db::query_scalar(
+        "SELECT count(*) FROM (
+             SELECT 1 FROM worker
+             WHERE worker.state <> 'gone' AND worker.state = 'ready' AND coalesce(max_nodes, ?1) >= ?2 AND id <> ?3
+               AND coalesce((SELECT tile.job = ?4 FROM lease @index(lease_live_by_worker)
+                   @join tile ON tile.id = lease.tile
+                   WHERE lease.worker = worker.id AND lease.ended IS NULL LIMIT 1), 1 = 1)
+             LIMIT ?5)",
+    )
+    .bind(ANY_NODES)
+    .bind(job.nodes)
+    .bind(worker)
+    .bind(job.number)
+    .bind(i64::try_from(limit).unwrap_or(i64::MAX))
+    .fetch_one(connection)
+    .await?;
+    Ok(count.unsigned_abs())
 }
 
 async fn claim_tiles(
@@ -269,17 +322,22 @@ async fn claim_tiles(
     claimant: ClaimRequest,
     moment: TransitionContext,
 ) -> Result<BatchWork> {
-    let Peers { idle, fastest_other, own } = peers(connection, &view.worker, job, moment).await?;
-    let overall = claimant.rays_per_second.map(RaysPerSecond::get);
-    let speed = own.map(JobSpeed::Measured).or(overall.map(JobSpeed::Overall));
+    let peers = peers(connection, &view.worker, job, moment).await?;
+    let share = peers.share(claimant.rays_per_second.map(RaysPerSecond::get));
     let rows =
         view.bind(READY_TILES_SQL).bind(job.number).bind(job.nodes).bind(frame).fetch_all(&mut *connection).await?;
     let whole = frame_load(job);
     let ready = rows.iter().map(read_ready).collect::<Result<Vec<_>>>()?;
-    let length = batch_size::batch_len(&ready, whole, speed.map(JobSpeed::get), idle, fastest_other);
+    let mut length = batch_size::batch_len(&ready, whole, share);
+    if length < batch_size::batch_len(&ready, whole, WorkerShare { others: 0, ..share }) {
+        // Only now it matters how many of the others share the job.
+        let limit = batch_size::sharing_limit(&ready, whole, share);
+        let others = sharing_workers(connection, &view.worker, job, limit).await?;
+        length = batch_size::batch_len(&ready, whole, WorkerShare { others, ..share });
+    }
     let (tiles, mut grants) = new_leases(&rows[..length])?;
     let rays: Vec<u64> = ready[..length].iter().map(|tile| tile.rays).collect();
-    let charges_us = fair_share::estimates_us(&rays, speed.or(fastest_other.map(JobSpeed::Overall)));
+    let charges_us = fair_share::estimates_us(&rays, share.speed.or(share.fastest_other.map(JobSpeed::Overall)));
     for (grant, charged_us) in grants.iter_mut().zip(&charges_us) {
         grant.charged_us = *charged_us;
     }

@@ -206,7 +206,7 @@ pub(super) async fn end_without_result(
         store_counters(connection, held, counters).await?;
         return Ok(Wake::default());
     }
-    match counters.decide(cause, jitter()) {
+    match counters.decide(cause, spread(held.tile)) {
         RetryDecision::Retry { delay_ms } => {
             let not_before_ms = if delay_ms == 0 { 0 } else { moment.now_ms + delay_ms };
             let avoids = match cause {
@@ -342,7 +342,13 @@ pub(super) async fn rescue(connection: &mut Connection, moment: TransitionContex
     Ok((count, ring))
 }
 
-/// Random number from 0 to 1, so that tiles that failed together are not retried together.
+/// Number from 0 to 1 that differs between neighboring tiles, so that those that failed together are not retried
+/// together: the fractional parts of multiples of the golden ratio.
+fn spread(tile: i64) -> f64 {
+    (tile as f64 * 0.618_033_988_749_895).fract().abs()
+}
+
+/// Random number from 0 to 1, so that what failed together is not retried together.
 pub(crate) fn jitter() -> f64 {
     f64::from(uuid::Uuid::new_v4().as_fields().0) / f64::from(u32::MAX)
 }
@@ -394,6 +400,13 @@ mod tests {
         );
         assert_eq!(delay(failed(2), LeaseEnd::Released, 1.0), 0);
         assert_eq!(delay(Counters { interrupts: 1000, ..Counters::default() }, LeaseEnd::Released, 1.0), 0);
+    }
+
+    #[test]
+    fn neighboring_tiles_are_spread() {
+        let spreads: Vec<f64> = (1..=8).map(spread).collect();
+        assert!(spreads.iter().all(|spread| (0.0..=1.0).contains(spread)), "{spreads:?}");
+        assert!(spreads.windows(2).all(|pair| (pair[0] - pair[1]).abs() > 0.3), "{spreads:?}");
     }
 
     #[test]

@@ -10,6 +10,8 @@ use crate::db;
 const DECAY_SECONDS: f64 = 16.0;
 /// A measurement older than this is not used.
 pub(super) const MAX_AGE_MS: i64 = 600_000;
+/// A worker is slow if another one is this many times as fast.
+const SLOW_RATIO: f64 = 4.0;
 /// A shorter time is not measured: the server's clock has milliseconds.
 const MIN_SECONDS: f64 = 0.001;
 /// Maximum number of rays in a measurement.
@@ -101,6 +103,34 @@ pub(super) async fn of_holder(
     let measured = row.get::<Option<f64>>("own")?.or(row.get("fastest")?);
     let overall: Option<f64> = row.get("overall")?;
     Ok(measured.map(JobSpeed::Measured).or(overall.map(JobSpeed::Overall)))
+}
+
+/// Whether a worker is far slower in a job than another ready one that was measured in it, or not measured itself; the
+/// holder of a straggler does not count as the other one.
+pub(super) async fn is_slow(
+    connection: &mut Connection,
+    worker: &str,
+    holder: &str,
+    job: i64,
+    moment: TransitionContext,
+) -> Result<bool> {
+    let row = db::query(concat!(
+        "SELECT max(",
+        measured_sql!(),
+        ") FILTER (WHERE speed.worker = ?2) AS own, max(",
+        measured_sql!(),
+        ") FILTER (WHERE speed.worker NOT IN (?2, ?3)) AS other
+         FROM speed @join worker ON worker.id = speed.worker
+         WHERE speed.job = ?1 AND at_ms > ?4 AND worker.state = 'ready'"
+    ))
+    .bind(job)
+    .bind(worker)
+    .bind(holder)
+    .bind(moment.now_ms - MAX_AGE_MS)
+    .fetch_one(connection)
+    .await?;
+    let (own, other): (Option<f64>, Option<f64>) = (row.get("own")?, row.get("other")?);
+    Ok(other.is_some_and(|other| own.is_none_or(|own| own * SLOW_RATIO < other)))
 }
 
 /// Restarts the ages at startup, because the server's clock starts at zero.

@@ -8,9 +8,10 @@ use proto::LeaseId;
 use proto::bounded::RaysPerSecond;
 use proto::worker_protocol::{Batch, BatchWork};
 
+use super::batch_size::{self, WorkerShare};
 use super::claim::{self, ClaimFilter, ClaimRequest, NewLease};
 use super::speeds::{self, JobSpeed};
-use super::{Connection, Result, TransitionContext, batch_size, durations, expect_rows, fair_share, row_count};
+use super::{Connection, Result, TransitionContext, durations, expect_rows, fair_share, row_count};
 
 /// A lease older than this many times the job's median tile duration, or its estimate, is a straggler's.
 const MAX_RATIO: i64 = 3;
@@ -112,7 +113,12 @@ pub(super) async fn claim(
             Some(known) => *known,
             None => *patience.entry(old.job).or_insert(durations::median_ms(connection, old.job).await?),
         };
-        let left_ms = old.patience_ends_ms(connection, median_ms, moment).await? - moment.now_ms;
+        let mut ends_ms = old.patience_ends_ms(connection, median_ms, moment).await?;
+        if ends_ms <= moment.now_ms && speeds::is_slow(connection, &view.worker, &old.worker, old.job, moment).await? {
+            // A tile has at most two leases, and a faster worker is soon idle; if it is not, any worker may help.
+            ends_ms = old.granted_ms.saturating_add(MAX_EXCLUSIVE_MS);
+        }
+        let left_ms = ends_ms - moment.now_ms;
         if left_ms > 0 {
             again_ms = Some(again_ms.map_or(left_ms, |again_ms| again_ms.min(left_ms)));
             continue;
@@ -153,7 +159,8 @@ async fn duplicate_leases(
         held.len()
     } else {
         let ready = held.iter().map(claim::read_ready).collect::<Result<Vec<_>>>()?;
-        batch_size::batch_len(&ready, whole, claimant.rays_per_second.map(RaysPerSecond::get), 1, None)
+        let speed = claimant.rays_per_second.map(RaysPerSecond::get).map(JobSpeed::Overall);
+        batch_size::batch_len(&ready, whole, WorkerShare::alone(speed))
     };
     let (tiles, grants) = claim::new_leases(&held[..length])?;
     grant(connection, &grants, view, moment).await?;

@@ -8,6 +8,7 @@ mod model;
 mod owners;
 mod plans;
 mod sequences;
+mod sharing;
 mod workers;
 
 use proto::bounded::RaysPerSecond;

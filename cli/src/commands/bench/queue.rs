@@ -1,10 +1,12 @@
 //! `sdfarm bench queue`: measures the throughput and response times of a server's queue.
 //!
 //! The server is real and called over HTTP; its workers only simulate rendering, except the one that a cancel stops.
+//! With `--simulate`, only the queue is real: workers and time are simulated.
 
 mod fake_worker;
 mod latency;
 mod load;
+mod simulate;
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -38,6 +40,18 @@ pub(crate) struct Arguments {
     /// Number of jobs to measure each latency with.
     #[arg(long, value_name = "N", env = "SDFARM_RUNS", default_value_t = 200, value_parser = clap::value_parser!(u32).range(1..=10_000))]
     runs: u32,
+    /// Simulate farms in virtual time instead, with the real queue, and measure how well workers are used.
+    #[arg(long, env = "SDFARM_SIMULATE", value_parser = clap::builder::FalseyValueParser::new(), action = clap::ArgAction::SetTrue)]
+    simulate: bool,
+    /// Simulate only the scenarios whose names contain this text.
+    #[arg(long, value_name = "TEXT", env = "SDFARM_SCENARIO", default_value = "", requires = "simulate")]
+    scenario: String,
+    /// Number of workers of the simulated scenario `many-jobs`.
+    #[arg(long, value_name = "N", env = "SDFARM_SIMULATED_WORKERS", default_value_t = 1_000, value_parser = clap::value_parser!(u32).range(1..=10_000))]
+    simulated_workers: u32,
+    /// Seed of the simulated noise, failures and speeds.
+    #[arg(long, value_name = "N", env = "SDFARM_SEED", default_value_t = 1)]
+    seed: u64,
     /// Print the results as JSON.
     #[arg(long, env = "SDFARM_JSON", value_parser = clap::builder::FalseyValueParser::new(), action = clap::ArgAction::SetTrue)]
     json: bool,
@@ -113,6 +127,9 @@ impl BenchFarm {
 
 /// Runs the measurements and prints them.
 pub(crate) async fn run(arguments: &Arguments) -> anyhow::Result<()> {
+    if arguments.simulate {
+        return simulate::run(arguments).await;
+    }
     let seconds = Duration::from_secs(arguments.seconds);
     let farm = Arc::new(BenchFarm::start(0, Some(load::TILE_PX)).await?);
     print_note(&format!("submitting {} jobs of 100 tiles", arguments.jobs));
