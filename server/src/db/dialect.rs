@@ -36,8 +36,8 @@ pub(super) fn written(text: &'static str, dialect: Dialect) -> &'static str {
     if let Some(translated) = TRANSLATED.read().expect("no holder panics").get(&(text, dialect)) {
         return translated;
     }
-    let mut all = TRANSLATED.write().expect("no holder panics");
-    all.entry((text, dialect)).or_insert_with(|| translate(text, dialect).leak())
+    let translated = translate(text, dialect);
+    TRANSLATED.write().expect("no holder panics").entry((text, dialect)).or_insert_with(|| translated.leak())
 }
 
 /// Translates a text.

@@ -99,6 +99,7 @@ struct CountedPlacements {
     /// Scale factor.
     scale: Option<ConstantScale>,
     /// Material where the shape has none of its own: a name from `materials`, or one in place.
+    #[schemars(extend("examples" = [{ "diffuse": { "kd": "#d9481c" } }]))]
     material: Option<MaterialRef>,
 }
 
