@@ -82,7 +82,7 @@ struct UsedLease {
 
 /// Live leases of a list, with the data that their used time depends on.
 const USED_SQL: &str = "SELECT lease.id, lease.worker, tile.job, tile.rays, lease.charged_us,
-        @@max(lease.granted_ms, worker.delivered_ms) AS since_ms
+        @max(lease.granted_ms, worker.delivered_ms) AS since_ms
      FROM @texts(?) @join lease ON lease.id = listed.value
      @join worker ON worker.id = lease.worker @join tile ON tile.id = lease.tile
      WHERE lease.ended IS NULL AND (?2 IS NULL OR lease.worker = ?2)";
