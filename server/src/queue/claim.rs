@@ -240,7 +240,7 @@ struct Peers {
 }
 
 impl Peers {
-    /// What the batch size depends on: this worker's speed, by its own report (`overall`) if none was measured in the
+    /// Speeds that the batch size depends on: this worker's, by its own report (`overall`) if none was measured in the
     /// job, and that of the others. A report may be of much lighter scenes, so it counts no more than the fastest speed
     /// measured in the job, and others count as the mean of those measured, if there are any.
     fn share(&self, overall: Option<f64>) -> WorkerShare {
@@ -302,7 +302,7 @@ async fn sharing_workers(connection: &mut Connection, worker: &str, job: &Claima
                AND coalesce((SELECT tile.job = ?4 FROM lease @index(lease_live_by_worker)
                    @join tile ON tile.id = lease.tile
                    WHERE lease.worker = worker.id AND lease.ended IS NULL LIMIT 1), 1 = 1)
-             LIMIT ?5)",
+             LIMIT ?5) AS sharing",
     )
     .bind(ANY_NODES)
     .bind(job.nodes)

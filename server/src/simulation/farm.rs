@@ -30,7 +30,7 @@ const FAILURES: f64 = 0.002;
 /// A scenario that takes longer than this cannot end.
 const MAX_VIRTUAL_US: u64 = 24 * 3_600_000_000;
 
-/// What happens at a time.
+/// An event at a time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum Event {
     /// A worker's batch of this generation ends, or its pause, or its wait for work.

@@ -91,12 +91,16 @@ struct PlacementColumns {
 #[expect(dead_code, reason = "only the schema needs it: such placements are a list before they are read")]
 struct CountedPlacements {
     /// Number of copies.
+    #[schemars(extend("examples" = [12]))]
     count: PlacementCount,
     /// Offset, in scene units.
+    #[schemars(extend("default" = [0, 0, 0]))]
     by: Option<ConstantPoint>,
     /// Angles in degrees about the fixed x, y and z axes, rotated in this order.
+    #[schemars(extend("default" = [0, 0, 0]))]
     degrees: Option<[ConstantDegrees; 3]>,
     /// Scale factor.
+    #[schemars(extend("default" = 1))]
     scale: Option<ConstantScale>,
     /// Material where the shape has none of its own: a name from `materials`, or one in place.
     #[schemars(extend("examples" = [{ "diffuse": { "kd": "#d9481c" } }]))]
