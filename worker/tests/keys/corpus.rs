@@ -236,6 +236,10 @@ fn shapes() -> Vec<Value> {
             "by": [[-0.7, 0, 0], [0.7, 0.2, 0.3]], "degrees": [[0, 20, 10], [40, 0, 0]], "scale": [1, 1.3],
             "material": [{ "diffuse": { "kd": [0.8, 0.2, 0.1] } }, { "flat": { "color": [0.1, 0.5, 0.2] } }]
         } } }),
+        json!({ "copies": { "child": { "box": { "size": [0.5, 0.8, 0.6] } }, "at": {
+            "count": 3, "by": [{ "expr": "0.8 * i - 0.5" }, 0.2, 0.1], "degrees": [20, 40, 10], "scale": 1.3,
+            "material": { "diffuse": { "kd": [0.8, 0.2, 0.1] } }
+        } } }),
     ]
 }
 
