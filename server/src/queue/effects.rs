@@ -10,7 +10,7 @@ mod outbox;
 
 use proto::job::JobState;
 
-use super::{Connection, NewJob, Result, parse_column};
+use super::{Connection, NewJob, Result, finish};
 use crate::db::{self, Row};
 
 pub(super) use events::{ChangedTile, FramePicture, JobCounters, NewEvent, Progress};
@@ -63,12 +63,9 @@ pub(super) use changed_job_columns;
 impl ChangedJob {
     /// Reads a row with [`changed_job_columns`].
     pub(super) fn read(row: &Row) -> Result<Self> {
-        let state: String = row.get("state")?;
         Ok(Self {
             source: read_source(row)?,
-            state: parse_column("job.state", &state, |name| {
-                JobState::ALL.into_iter().find(|state| state.name() == name)
-            })?,
+            state: finish::job_state(&row.get::<String>("state")?)?,
             standing: Standing {
                 priority: row.get("priority")?,
                 is_paused: row.get("paused")?,
