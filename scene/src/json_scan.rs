@@ -1,11 +1,12 @@
 //! Scan of a JSON text: its nesting depth, long and duplicate members, and the positions of the values of JSON pointers.
 //!
-//! It does not check syntax: it stops at a syntax error, and the parser reports it.
+//! It does not check syntax: it stops at a syntax error, and the parser reports it. It does not enter an array or object
+//! that nests deeper than a job may, because millions of open ones would take gigabytes.
 
 use std::borrow::Cow;
 use std::collections::{HashMap, HashSet};
 
-use crate::limits::MAX_KEY_BYTES;
+use crate::limits::{MAX_JSON_DEPTH, MAX_KEY_BYTES};
 
 /// Error found by the scan.
 #[derive(Debug, PartialEq, Eq)]
@@ -273,6 +274,10 @@ fn walk<'a>(text: &'a str, mut visit: impl FnMut(&mut Vec<OpenContainer<'a>>, Js
                 if !visit(&mut levels, JsonToken::Value { offset: at }) {
                     return;
                 }
+                if levels.len() > MAX_JSON_DEPTH {
+                    at = container_end(bytes, at);
+                    continue;
+                }
                 levels.push(if opening == b'[' {
                     OpenContainer::Array { index: 0 }
                 } else {
@@ -311,9 +316,40 @@ fn string_end(bytes: &[u8], start: usize) -> Option<usize> {
     }
 }
 
+/// The offset after the array or object that begins at an offset; the end of the text if it does not end.
+pub(crate) fn container_end(bytes: &[u8], start: usize) -> usize {
+    let (mut depth, mut at) = (0_usize, start);
+    while let Some(byte) = bytes.get(at) {
+        match byte {
+            b'"' => {
+                let Some(end) = string_end(bytes, at) else { break };
+                at = end;
+                continue;
+            }
+            b'[' | b'{' => depth += 1,
+            b']' | b'}' => depth -= 1,
+            _ => {}
+        }
+        at += 1;
+        if depth == 0 {
+            return at;
+        }
+    }
+    bytes.len()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn finds_values_after_one_that_nests_too_deep() {
+        let deep = format!("{}\"]\"{}", "[".repeat(300), "]".repeat(300));
+        let text = format!(r#"{{"a": {deep}, "b": {{"c": 1}}}}"#);
+        assert_eq!(locate_value(&text, "/b/c"), text.rfind('1'));
+        // The first 257 arrays, the object and the values after it are counted.
+        assert!(has_more_values_than(&text, 259) && !has_more_values_than(&text, 260));
+    }
 
     #[test]
     fn finds_values_by_pointer() {

@@ -1,7 +1,7 @@
 //! A JSON text as a tree with the position of each value, in which parts can be replaced. The text itself is not
 //! changed, so an error found after a repair still has its position in the user's text.
 
-use crate::json_scan::escape;
+use crate::json_scan::{container_end, escape};
 use crate::limits::MAX_JSON_DEPTH;
 
 /// A value of the text.
@@ -94,7 +94,7 @@ impl Reader<'_> {
         let start = self.at;
         let body = match self.bytes.get(self.at) {
             Some(b'[' | b'{') if self.path.len() >= MAX_JSON_DEPTH => {
-                self.pass();
+                self.at = container_end(self.bytes, self.at);
                 if self.misfits.len() < self.limit {
                     self.misfits.push(TreeError::TooDeep { path: self.path.clone(), start });
                 }
@@ -114,26 +114,6 @@ impl Reader<'_> {
             }
         };
         Value { start, end: self.at, body }
-    }
-
-    /// Skips a list or an object, whatever its nesting depth.
-    fn pass(&mut self) {
-        let mut depth = 0_usize;
-        while let Some(byte) = self.bytes.get(self.at) {
-            match byte {
-                b'"' => {
-                    self.string();
-                    continue;
-                }
-                b'[' | b'{' => depth += 1,
-                b']' | b'}' => depth -= 1,
-                _ => {}
-            }
-            self.at += 1;
-            if depth == 0 {
-                return;
-            }
-        }
     }
 
     /// Whether the list or object ends here; if so, moves past its bracket.
