@@ -8,6 +8,7 @@ use proto::Secret;
 use proto::pool::MAX_POOL_WORKERS;
 
 use crate::blobs::StoreLocation;
+use crate::db::PostgresAddress;
 use crate::webhooks::AddressRange;
 
 /// Default maximum of unfinished jobs.
@@ -53,6 +54,8 @@ pub struct Config {
     pub listen: SocketAddr,
     /// Folder of the database and, unless they are in a store, the pictures; created if missing.
     pub data: PathBuf,
+    /// Database on a PostgreSQL server; `None` is a file in the data folder.
+    pub database: Option<PostgresAddress>,
     /// Where pictures and tiles are stored.
     pub store: StoreLocation,
     /// Whether clients are sent to the store for stored pictures of more than 1 MiB, if it is a bucket of S3.
@@ -133,6 +136,7 @@ impl Default for Config {
         Self {
             listen: SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), 8080),
             data: PathBuf::from("sdfarm-data"),
+            database: None,
             store: StoreLocation::Folder,
             redirect_pictures: false,
             object_sweep_age: None,

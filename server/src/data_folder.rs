@@ -19,7 +19,7 @@ pub use backup::{Backup, back_up};
 pub use doctor::{Depth, Finding, Repair, Severity, run_checks};
 pub use restore::{Restored, restore};
 
-use crate::db::{DatabaseError, OpenError};
+use crate::db::{DatabaseError, OpenError, PostgresAddress};
 use crate::lock::LockError;
 use crate::private_files::ExposedFile;
 
@@ -29,6 +29,17 @@ pub enum DataFolderError {
     /// The folder has no database.
     #[error("there is no farm in {0}: pass a farm's data folder with --data")]
     NoDatabase(PathBuf),
+    /// The folder's database is on a PostgreSQL server.
+    #[error(
+        "the database of the farm in {folder} is {address}: back it up with pg_dump, restore it with pg_restore, and \
+         back the pictures up by copying {folder} or the bucket after it"
+    )]
+    InPostgres {
+        /// The data folder.
+        folder: PathBuf,
+        /// Address of the database.
+        address: Box<PostgresAddress>,
+    },
     /// A folder or file could not be read or written.
     #[error("could not {action} {path}: free space on its disk, or correct its permissions")]
     File {

@@ -7,14 +7,16 @@ mod connection;
 mod dialect;
 mod external;
 mod first_write;
-#[cfg(test)]
+mod location;
 pub(crate) mod postgres;
 mod query;
 mod row;
+mod transaction;
 mod value;
 mod wal;
 mod writer;
 
+use std::borrow::Cow;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
@@ -26,10 +28,13 @@ use sqlx::sqlite::{SqliteConnectOptions, SqliteJournalMode, SqlitePoolOptions, S
 
 pub(crate) use connection::{Connection, Readers, Target};
 pub(crate) use first_write::{FirstWrite, with_first_write};
+pub(crate) use location::DatabaseLocation;
+pub use location::{ParseDatabaseError, PostgresAddress};
 #[cfg(test)]
 pub(crate) use query::made_query;
 pub(crate) use query::{Changed, Statement, query, query_scalar};
 pub(crate) use row::Row;
+use transaction::WritingConnection;
 use wal::Wal;
 pub(crate) use writer::{CommitTimes, Durability};
 use writer::{Urgency, Writer};
@@ -78,6 +83,9 @@ pub enum DatabaseError {
     /// The server is shutting down.
     #[error("the database is closed")]
     Closed,
+    /// Another server of this database has begun while this one could not reach it.
+    #[error("another server uses the database")]
+    Taken,
 }
 
 impl From<sqlx::Error> for DatabaseError {
@@ -89,19 +97,38 @@ impl From<sqlx::Error> for DatabaseError {
 impl DatabaseError {
     /// Whether the disk, or the quota, is full.
     pub(crate) fn is_full(&self) -> bool {
-        self.code() == Some(13)
+        self.code().is_some_and(|code| code == "53100" || sqlite_result(&code) == Some(13))
+    }
+
+    /// Whether the database cannot be reached now; it may be later.
+    pub(crate) fn is_unreachable(&self) -> bool {
+        match self {
+            Self::Sql(error) => postgres::is_lost(error),
+            Self::Taken => true,
+            Self::Rows { .. } | Self::Value { .. } | Self::Closed => false,
+        }
     }
 
     /// Whether the file is not, or no longer, an intact database.
     pub(crate) fn is_corruption(&self) -> bool {
-        matches!(self.code(), Some(11 | 26))
+        self.code().is_some_and(|code| code.starts_with("XX00") || matches!(sqlite_result(&code), Some(11 | 26)))
     }
 
-    /// The engine's primary result code.
-    fn code(&self) -> Option<i32> {
-        let Self::Sql(error) = self else { return None };
-        error.as_database_error()?.code()?.parse::<i32>().ok().map(|code| code & 0xff)
+    /// Its SQLSTATE, if PostgreSQL sent it.
+    pub(crate) fn sqlstate(&self) -> Option<String> {
+        self.code().filter(|code| code.len() == 5).map(Cow::into_owned)
     }
+
+    /// Result code of `SQLite`, or the SQLSTATE of PostgreSQL, which has five characters.
+    fn code(&self) -> Option<Cow<'_, str>> {
+        let Self::Sql(error) = self else { return None };
+        error.as_database_error()?.code()
+    }
+}
+
+/// Primary result code of `SQLite`.
+fn sqlite_result(code: &str) -> Option<i32> {
+    code.parse::<i32>().ok().filter(|_| code.len() < 5).map(|code| code & 0xff)
 }
 
 /// Error when opening the database.
@@ -116,6 +143,15 @@ pub(crate) enum OpenError {
     /// It is damaged.
     #[error("it is damaged: {0}")]
     Damaged(String),
+    /// The PostgreSQL server has this version.
+    #[error("its server is PostgreSQL {0}")]
+    OldServer(i32),
+    /// It is a replica.
+    #[error("it is a replica, which cannot be written to")]
+    Replica,
+    /// Another server of the farm uses it.
+    #[error("another server uses it")]
+    InUse,
 }
 
 /// Handle to the database.
@@ -134,6 +170,15 @@ impl Database {
 
     /// Opens or creates the database of a data folder and applies pending migrations.
     pub(crate) async fn open(data: &Path) -> Result<Self, OpenError> {
+        #[cfg(test)]
+        if let Some(address) = crate::postgres_server::database_of(data) {
+            return Self::open_postgres(&address.parse().expect("an address")).await;
+        }
+        Self::open_file(data).await
+    }
+
+    /// Opens or creates the file of a data folder, also in tests on PostgreSQL.
+    pub(crate) async fn open_file(data: &Path) -> Result<Self, OpenError> {
         Self::open_with(data, SqliteConnectOptions::new().disable_statement_logging()).await
     }
 
@@ -173,11 +218,25 @@ impl Database {
             .connect_with(options.read_only(true).create_if_missing(false))
             .await?;
         let commits = CommitTimes::default();
-        Ok(Self {
-            writer: Writer::start(Connection(connection), commits.clone(), Wal::new(&file, wal::LIMIT_BYTES)),
-            readers: Readers(readers),
-            commits,
-        })
+        let connection = WritingConnection::sqlite(connection, Wal::new(&file, wal::LIMIT_BYTES));
+        Ok(Self { writer: Writer::start(connection, commits.clone()), readers: Readers::Sqlite(readers), commits })
+    }
+
+    /// Opens or creates a database and applies pending migrations.
+    pub(crate) async fn open_at(location: &DatabaseLocation) -> Result<Self, OpenError> {
+        match &location.postgres {
+            Some(address) => Self::open_postgres(address).await,
+            None => Self::open(&location.data).await,
+        }
+    }
+
+    /// Opens a database on a PostgreSQL server and applies pending migrations.
+    pub(crate) async fn open_postgres(address: &PostgresAddress) -> Result<Self, OpenError> {
+        let (connection, session, readers) = postgres::open(address).await?;
+        let commits = CommitTimes::default();
+        let connection = WritingConnection::postgres(connection, session);
+        let writer = Writer::start(connection, commits.clone());
+        Ok(Self { writer, readers: Readers::Postgres(readers), commits })
     }
 
     /// Runs `operation` in a transaction of the writer and returns when it is committed. The first one of a task

@@ -28,6 +28,9 @@ mod maintenance;
 mod orphans;
 mod pictures;
 mod pool;
+#[cfg(test)]
+#[path = "../../tests/postgres.rs"]
+mod postgres_server;
 mod preview_helper;
 mod private_files;
 mod queue;
@@ -64,7 +67,7 @@ pub use config::{
 pub use data_folder::{
     Backup, DataFolderError, Depth, Finding, Repair, Restored, Severity, back_up, restore, run_checks,
 };
-pub use db::DatabaseError;
+pub use db::{DatabaseError, ParseDatabaseError, PostgresAddress};
 pub use integrity::{DoneTile, IntegrityError, IntegrityReport, check_integrity};
 pub use private_files::ExposedFile;
 pub use startup::StartError;

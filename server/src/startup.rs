@@ -3,6 +3,7 @@
 //!
 //! It opens everything that can fail; `services` connects it.
 
+mod database;
 mod services;
 
 use std::io;
@@ -15,7 +16,7 @@ use crate::audit_log::AuditLog;
 use crate::blobs::{BlobStore, BucketError, ContentKind, OpenStoreError, StoreLocation};
 use crate::clock::Clock;
 use crate::config::Config;
-use crate::db::{Database, DatabaseError, OpenError};
+use crate::db::{Database, DatabaseError};
 use crate::http::ApiState;
 use crate::listen::{ListenError, Listeners};
 use crate::lock::{FolderLock, LockError};
@@ -80,14 +81,27 @@ pub enum StartError {
         holder: String,
     },
     /// The database cannot be used.
-    #[error("the database {file} cannot be used: {reason}; {cure}")]
+    #[error("the database {database} cannot be used: {reason}; {cure}")]
     Database {
-        /// The file.
-        file: PathBuf,
+        /// The file, or the address.
+        database: String,
         /// Reason.
         reason: String,
         /// Fix.
         cure: &'static str,
+    },
+    /// The farm's database is another one.
+    #[error(
+        "the farm in {folder} has its database in {recorded}, not in {given}: start it with the database it has \
+         (--database postgres://USER@HOST/NAME, none for the file in the data folder), or pass another folder with --data"
+    )]
+    OtherDatabase {
+        /// The data folder.
+        folder: PathBuf,
+        /// Database that the folder records.
+        recorded: String,
+        /// Database in the configuration.
+        given: String,
     },
     /// The certificate cannot be used.
     #[error("cannot set up TLS: {0}; pass PEM files with --tls-cert and --tls-key")]
@@ -115,11 +129,6 @@ impl From<ListenError> for StartError {
         }
     }
 }
-
-const RESTORE_FIX: &str = "restore it from a backup, or move it away to start with an empty farm";
-const MAKE_ROOM_FIX: &str = "free space on its disk";
-const MAKE_WRITABLE_FIX: &str = "make it and its folder writable, or pass another folder with --data";
-const UPGRADE_FIX: &str = "it may be from a newer release: run that one";
 
 /// A server that has locked its data folder, opened its database and bound its address.
 #[derive(Debug)]
@@ -160,17 +169,15 @@ pub(crate) async fn start(config: Config, clock: Clock) -> Result<Started, Start
     let links = LinkSigner::open(&config.data).map_err(folder)?;
     let preview_helper = PreviewHelper::open(&config.data, &config.worker_program).map_err(folder)?;
     let listeners = Listeners::open(&config).await?;
-    let file = Database::file(&config.data);
-    let database = Arc::new(Database::open(&config.data).await.map_err(|error| database_error(file.clone(), error))?);
-    let api_keys = ApiKeys::open(Arc::clone(&database), clock.clone())
-        .await
-        .map_err(|error| explain_store(file.clone(), &error))?;
+    let explain = database::explainer(&config);
+    let database = Arc::new(database::open(&config).await?);
+    let api_keys = ApiKeys::open(Arc::clone(&database), clock.clone()).await.map_err(&explain)?;
     if !listeners.address().ip().is_loopback() && !config.insecure && api_keys.live() == 0 {
         database.close().await;
         return Err(StartError::NoKeysBeyondLoopback(config.listen));
     }
     let audit_log = AuditLog::new(Arc::clone(&database), clock.clone());
-    let queue = open_queue(&config, Arc::clone(&database), clock).await.map_err(|error| explain_store(file, &error))?;
+    let queue = open_queue(&config, Arc::clone(&database), clock).await.map_err(&explain)?;
     let webhook_addresses = Arc::new(AddressPolicy::new(&config.allowed_webhook_ranges));
     let signer = webhook_signer(&config)?;
     let foundation = Foundation {
@@ -230,29 +237,4 @@ fn webhook_signer(config: &Config) -> Result<Signer, StartError> {
         None => webhook_secret(&config.data)?,
     };
     Ok(Signer::new(&secret)?)
-}
-
-fn database_error(file: PathBuf, error: OpenError) -> StartError {
-    match error {
-        OpenError::Sql(error) => explain_store(file, &error.into()),
-        OpenError::Migrate(error) => StartError::Database { file, reason: error.to_string(), cure: UPGRADE_FIX },
-        OpenError::Damaged(verdict) => {
-            StartError::Database { file, reason: format!("it is damaged ({verdict})"), cure: RESTORE_FIX }
-        }
-    }
-}
-
-fn explain_store(file: PathBuf, error: &DatabaseError) -> StartError {
-    let reason = match error {
-        DatabaseError::Sql(error) => error.to_string(),
-        DatabaseError::Rows { .. } | DatabaseError::Value { .. } | DatabaseError::Closed => error.to_string(),
-    };
-    let cure = if error.is_full() {
-        MAKE_ROOM_FIX
-    } else if error.is_corruption() {
-        RESTORE_FIX
-    } else {
-        MAKE_WRITABLE_FIX
-    };
-    StartError::Database { file, reason, cure }
 }

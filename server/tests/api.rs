@@ -1,5 +1,7 @@
 //! Tests of the server over HTTP, with workers that only pretend to render.
 
+#[path = "../../tests/postgres.rs"]
+mod postgres_server;
 #[path = "../../tests/skip.rs"]
 mod skip;
 

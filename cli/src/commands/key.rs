@@ -8,7 +8,7 @@ use std::time::Duration;
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use clap::{Args, Subcommand};
 use proto::api_key::{ApiKeyState, ApiKeyView, NewApiKey, Scope};
-use server::{OfflineApiKeys, OfflineApiKeysError};
+use server::{OfflineApiKeys, OfflineApiKeysError, PostgresAddress};
 
 use crate::error::UsageError;
 use crate::terminal::{print_line, print_note};
@@ -36,6 +36,9 @@ struct Folder {
     /// Folder of the server's database and pictures.
     #[arg(long, value_name = "FOLDER", env = "SDFARM_DATA", default_value = "./sdfarm-data")]
     data: PathBuf,
+    /// Database on a PostgreSQL server [default: the one that the server last used with the folder].
+    #[arg(long, value_name = "postgres://USER@HOST/NAME", env = "SDFARM_DATABASE", hide_env_values = true)]
+    database: Option<PostgresAddress>,
 }
 
 #[derive(Debug, Args)]
@@ -115,7 +118,7 @@ pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
 }
 
 async fn create(new: New) -> anyhow::Result<()> {
-    let mut folder = OfflineApiKeys::open_or_create(&new.folder.data).await?;
+    let mut folder = OfflineApiKeys::open_or_create(&new.folder.data, new.folder.database).await?;
     let order = NewApiKey {
         name: new.name,
         scopes: new.scope,
@@ -132,7 +135,7 @@ async fn create(new: New) -> anyhow::Result<()> {
 }
 
 async fn list(list: List) -> anyhow::Result<()> {
-    let mut folder = OfflineApiKeys::open(&list.folder.data).await?;
+    let mut folder = OfflineApiKeys::open(&list.folder.data, list.folder.database).await?;
     let keys = folder.list().await?;
     folder.close().await?;
     if list.json {
@@ -145,7 +148,7 @@ async fn list(list: List) -> anyhow::Result<()> {
 }
 
 async fn revoke(revoke: Revoke) -> anyhow::Result<()> {
-    let mut folder = OfflineApiKeys::open(&revoke.folder.data).await?;
+    let mut folder = OfflineApiKeys::open(&revoke.folder.data, revoke.folder.database).await?;
     let keys = folder.revoke(&revoke.which).await?;
     folder.close().await?;
     keys.iter().try_for_each(|key| print_line(&line(key)))

@@ -10,7 +10,8 @@ use proto::pool::MAX_POOL_WORKERS;
 use proto::{Retention, Secret};
 use server::{
     AddressRange, Config, MAX_CONNECTIONS, MAX_JOBS_PER_NAME, MAX_PAUSED_PER_NAME, MAX_QUEUED_JOBS, MAX_RAYS_PER_NAME,
-    MAX_REQUESTS_PER_CALLER, MAX_TILE_SECONDS, Server, StoreLocation, TlsFiles, VERIFY_NEW_MINUTES, VERIFY_PERCENT,
+    MAX_REQUESTS_PER_CALLER, MAX_TILE_SECONDS, PostgresAddress, Server, StoreLocation, TlsFiles, VERIFY_NEW_MINUTES,
+    VERIFY_PERCENT,
 };
 use tokio_util::sync::CancellationToken;
 use worker::{CpuRenderer, RenderError, Simd};
@@ -36,6 +37,9 @@ pub(crate) struct Arguments {
     /// Folder of the database and, without --store, the pictures; created if missing.
     #[arg(long, value_name = "FOLDER", env = "SDFARM_DATA", default_value = "./sdfarm-data")]
     data: PathBuf,
+    /// Database on a PostgreSQL server, 15 or newer; a password may also be in PGPASSWORD or ~/.pgpass [default: a file in the data folder].
+    #[arg(long, value_name = "postgres://USER@HOST/NAME", env = "SDFARM_DATABASE", hide_env_values = true)]
+    database: Option<PostgresAddress>,
     /// Bucket of an S3 store for pictures and tiles; keys, region and endpoint come from the usual AWS variables [default: the data folder].
     #[arg(long, value_name = "s3://BUCKET/PREFIX", env = "SDFARM_STORE")]
     store: Option<StoreLocation>,
@@ -130,6 +134,7 @@ impl Arguments {
         Ok(Config {
             listen: self.listen,
             data: self.data,
+            database: self.database,
             store: self.store.unwrap_or_default(),
             redirect_pictures: self.redirect_pictures,
             object_sweep_age: self.object_sweep_seconds.map(Duration::from_secs),

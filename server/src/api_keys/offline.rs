@@ -13,7 +13,7 @@ use super::{ApiKeyError, rows, secret};
 use crate::audit_log::{self, AuditRecord, EntryKind};
 use crate::clock::Clock;
 use crate::db;
-use crate::db::{Database, DatabaseError, OpenError};
+use crate::db::{Database, DatabaseError, DatabaseLocation, OpenError, PostgresAddress};
 use crate::lock::{FolderLock, LockError};
 use crate::private_files;
 
@@ -39,7 +39,19 @@ pub enum OfflineApiKeysError {
 }
 
 const USE_OTHER_FOLDER_FIX: &str = "pass the server's data folder with --data";
+const CORRECT_ADDRESS_FIX: &str = "give the server's database with --database";
 const SAME_RELEASE: &str = "run the same release of sdfarm as the running server";
+
+fn wrong(folder: &Path, reason: String, cure: &'static str) -> OfflineApiKeysError {
+    OfflineApiKeysError::Folder { folder: folder.to_owned(), reason, cure }
+}
+
+fn locate(folder: &Path, database: Option<PostgresAddress>) -> Result<DatabaseLocation, OfflineApiKeysError> {
+    if database.is_some() {
+        return Ok(DatabaseLocation { data: folder.to_owned(), postgres: database });
+    }
+    DatabaseLocation::of_folder(folder).map_err(|error| wrong(folder, error.to_string(), USE_OTHER_FOLDER_FIX))
+}
 
 /// Access to the keys of a data folder.
 #[derive(Debug)]
@@ -51,35 +63,41 @@ pub struct OfflineApiKeys {
 }
 
 impl OfflineApiKeys {
-    /// Opens the keys of a folder that a server has used before.
-    pub async fn open(folder: &Path) -> Result<Self, OfflineApiKeysError> {
-        let wrong = |reason: String, cure| OfflineApiKeysError::Folder { folder: folder.to_owned(), reason, cure };
-        if !Database::file(folder).is_file() {
-            return Err(wrong("it has no farm".to_owned(), USE_OTHER_FOLDER_FIX));
+    /// Opens the keys of a farm that a server has used before. Its database is the one that the data folder records, or
+    /// the file in it, unless an address is given.
+    pub async fn open(folder: &Path, database: Option<PostgresAddress>) -> Result<Self, OfflineApiKeysError> {
+        let location = locate(folder, database.clone())?;
+        if location.postgres.is_none() && !Database::file(folder).is_file() {
+            return Err(wrong(folder, "it has no farm".to_owned(), USE_OTHER_FOLDER_FIX));
         }
-        Self::open_or_create(folder).await
+        Self::open_or_create(folder, database).await
     }
 
-    /// Opens a data folder, creating it if missing, so that keys can be created before the first start of
-    /// a server.
-    pub async fn open_or_create(folder: &Path) -> Result<Self, OfflineApiKeysError> {
-        let wrong = |reason: String, cure| OfflineApiKeysError::Folder { folder: folder.to_owned(), reason, cure };
-        private_files::create_folder(folder).map_err(|error| wrong(error.to_string(), USE_OTHER_FOLDER_FIX))?;
+    /// Opens the keys of a farm, creating its data folder and its database's tables if missing, so that keys can be created
+    /// before the first start of a server.
+    pub async fn open_or_create(folder: &Path, database: Option<PostgresAddress>) -> Result<Self, OfflineApiKeysError> {
+        let location = locate(folder, database)?;
+        let fix = if location.postgres.is_some() { CORRECT_ADDRESS_FIX } else { USE_OTHER_FOLDER_FIX };
+        private_files::create_folder(folder).map_err(|error| wrong(folder, error.to_string(), USE_OTHER_FOLDER_FIX))?;
         let lock = match FolderLock::acquire(folder) {
             Ok(lock) => {
-                private_files::restrict(folder).map_err(|error| wrong(error.to_string(), USE_OTHER_FOLDER_FIX))?;
-                let store =
-                    Database::open(folder).await.map_err(|error| wrong(explain(&error), USE_OTHER_FOLDER_FIX))?;
-                store.close().await;
+                private_files::restrict(folder)
+                    .map_err(|error| wrong(folder, error.to_string(), USE_OTHER_FOLDER_FIX))?;
+                match Database::open_at(&location).await {
+                    Ok(database) => database.close().await,
+                    // A server with another data folder uses the database.
+                    Err(OpenError::InUse) => {}
+                    Err(error) => return Err(wrong(folder, explain(&error), fix)),
+                }
                 Some(lock)
             }
             Err(LockError::InUse(_)) => None,
-            Err(LockError::Io(error)) => return Err(wrong(error.to_string(), USE_OTHER_FOLDER_FIX)),
+            Err(LockError::Io(error)) => return Err(wrong(folder, error.to_string(), USE_OTHER_FOLDER_FIX)),
         };
-        let mut connection = Database::connect_external(folder, LOCK_TIMEOUT)
+        let mut connection = Connection::beside_server(&location, LOCK_TIMEOUT)
             .await
-            .map_err(|error| wrong(error.to_string(), USE_OTHER_FOLDER_FIX))?;
-        rows::all(&mut connection).await.map_err(|error| wrong(cause(&error), SAME_RELEASE))?;
+            .map_err(|error| wrong(folder, error.to_string(), fix))?;
+        rows::all(&mut connection).await.map_err(|error| wrong(folder, cause(&error), SAME_RELEASE))?;
         Ok(Self { connection, folder: folder.to_owned(), _lock: lock })
     }
 

@@ -37,14 +37,19 @@ fn live(keys: &ApiKeys, secret: &str) -> Arc<ApiKey> {
 #[tokio::test]
 async fn a_farm_has_at_most_1000_keys_without_the_revoked_ones() {
     let (keys, _, _folder) = empty().await;
-    let numbers = serde_json::json!((1..=1000).collect::<Vec<_>>()).to_string();
     let insert = "INSERT INTO key (id, name, digest, may_submit, may_read, may_work, may_administer, created_at_ms,
-                      revoked_at_ms)
-                  SELECT 'key_' || value, 'name_' || value, randomblob(32), 0, 0, 0, 1, 0, iif(value = 1, 5, NULL)
-                  FROM json_each(?)";
+                      revoked_at_ms) VALUES (?, ?, ?, 0, 0, 0, 1, 0, ?)";
     keys.store
         .write(Durability::Relaxed, move |connection| {
-            Box::pin(async move { db::query(insert).bind(numbers).execute(connection).await })
+            Box::pin(async move {
+                for number in 1..=1000_i64 {
+                    let digest = blake3::hash(&number.to_le_bytes());
+                    let insert = db::query(insert).bind(format!("key_{number}")).bind(format!("name_{number}"));
+                    let insert = insert.bind(&digest.as_bytes()[..]).bind((number == 1).then_some(5_i64));
+                    insert.execute(&mut *connection).await?;
+                }
+                Ok(())
+            })
         })
         .await
         .expect("inserted");

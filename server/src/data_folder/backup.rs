@@ -91,7 +91,7 @@ fn prepare(data: &Path, folder: &Path) -> Result<Option<Manifest>, DataFolderErr
 
 async fn picture_refs(copy: &Path) -> Result<Vec<PictureRef>, DataFolderError> {
     let mut connection = database::open_file(copy).await?;
-    let faults = database::integrity_errors(&mut connection).await.map_err(DataFolderError::database(copy))?;
+    let faults = connection.integrity_errors().await.map_err(DataFolderError::database(copy))?;
     if let Some(reason) = faults.into_iter().next() {
         return Err(DataFolderError::Damaged { path: copy.to_owned(), reason });
     }

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use super::DataFolderError;
-use crate::db::{self, Connection, Database, DatabaseError};
+use crate::db::{self, Connection, Database, DatabaseError, DatabaseLocation};
 
 /// Picture in the database.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -16,6 +16,10 @@ pub(super) struct PictureRef {
 
 /// Opens the database of a data folder for reading, also next to a running server.
 pub(super) async fn open(data: &Path) -> Result<Connection, DataFolderError> {
+    let location = DatabaseLocation::of_folder(data).map_err(DataFolderError::file("read", data))?;
+    if let Some(address) = location.postgres {
+        return Err(DataFolderError::InPostgres { folder: data.to_owned(), address: Box::new(address) });
+    }
     let file = Database::file(data);
     if !file.is_file() {
         return Err(DataFolderError::NoDatabase(data.to_owned()));
@@ -26,17 +30,6 @@ pub(super) async fn open(data: &Path) -> Result<Connection, DataFolderError> {
 /// Opens any database file for reading.
 pub(super) async fn open_file(file: &Path) -> Result<Connection, DataFolderError> {
     Connection::read_file(file).await.map_err(DataFolderError::database(file))
-}
-
-/// Lines found by `integrity_check` and `foreign_key_check`; empty if the database is intact.
-pub(super) async fn integrity_errors(connection: &mut Connection) -> Result<Vec<String>, DatabaseError> {
-    let mut faults: Vec<String> = db::query_scalar("PRAGMA integrity_check(20)").fetch_all(&mut *connection).await?;
-    faults.retain(|line| line != "ok");
-    for row in db::query("PRAGMA foreign_key_check").fetch_all(connection).await?.iter().take(20) {
-        let (table, parent): (String, String) = (row.get("table")?, row.get("parent")?);
-        faults.push(format!("a row of {table} refers to a missing row of {parent}"));
-    }
-    Ok(faults)
 }
 
 /// Every picture in the database.

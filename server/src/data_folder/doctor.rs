@@ -127,7 +127,7 @@ pub async fn run_checks(data: &Path, depth: Depth, repair: Repair) -> Result<Vec
 
 async fn check_database(data: &Path, connection: &mut Connection, findings: &mut Vec<Finding>) -> bool {
     let file = Database::file(data);
-    match database::integrity_errors(connection).await {
+    match connection.integrity_errors().await {
         Ok(faults) if faults.is_empty() => {
             let text = format!("{} is intact: {} bytes", file.display(), host::file_bytes(&file));
             findings.push(Finding::ok("database", text));

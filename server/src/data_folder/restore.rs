@@ -36,7 +36,7 @@ pub async fn restore(folder: &Path, data: &Path) -> Result<Restored, DataFolderE
     }
     let mut connection = database::open_file(&copy).await?;
     if let Some(fault) =
-        database::integrity_errors(&mut connection).await.map_err(DataFolderError::database(&copy))?.into_iter().next()
+        connection.integrity_errors().await.map_err(DataFolderError::database(&copy))?.into_iter().next()
     {
         return Err(damaged(fault));
     }

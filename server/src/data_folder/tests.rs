@@ -74,7 +74,7 @@ async fn a_first_release_farm_is_migrated_with_its_data() {
     let schema = before.iter().find(|finding| finding.subject == "schema").expect("a finding");
     assert!(schema.severity != Severity::Error && schema.message.contains("pending"), "{schema:?}");
 
-    let store = Database::open(folder.path()).await.expect("upgrades");
+    let store = Database::open_file(folder.path()).await.expect("upgrades");
     let (clock, _hand) = crate::clock::Clock::manual();
     let (queue, recovered) = crate::queue::Queue::open(store.into(), clock, 1000).await.expect("opens");
     assert_eq!((recovered.generation, recovered.jobs, recovered.leases), (5, 1, 1));
@@ -99,7 +99,7 @@ async fn a_first_release_farm_is_migrated_with_its_data() {
 #[tokio::test]
 async fn data_of_a_newer_release_is_rejected_with_the_reason() {
     let folder = tempfile::tempdir().expect("a temporary folder");
-    Database::open(folder.path()).await.expect("makes").close().await;
+    Database::open_file(folder.path()).await.expect("makes").close().await;
     let options = sqlx::sqlite::SqliteConnectOptions::new().filename(Database::file(folder.path()));
     let mut connection = sqlx::sqlite::SqliteConnection::connect_with(&options).await.expect("opens");
     sqlx::query("INSERT INTO _sqlx_migrations VALUES (9999, 'later', CURRENT_TIMESTAMP, TRUE, x'00', 1)")
@@ -136,7 +136,7 @@ async fn a_farm_with_absurd_shares_is_mended_by_its_migration() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     old_farm(folder.path(), EARLIER.len(), ABSURD_BOOKS).await;
     assert_eq!(books(folder.path()).await, (i64::MAX, Some(1e-3)));
-    Database::open(folder.path()).await.expect("migrates").close().await;
+    Database::open_file(folder.path()).await.expect("migrates").close().await;
     assert_eq!(books(folder.path()).await, (0, None));
 }
 
@@ -144,7 +144,7 @@ async fn a_farm_with_absurd_shares_is_mended_by_its_migration() {
 async fn doctor_finds_and_mends_absurd_shares() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     old_farm(folder.path(), EARLIER.len(), "").await;
-    Database::open(folder.path()).await.expect("migrates").close().await;
+    Database::open_file(folder.path()).await.expect("migrates").close().await;
     let books_of = async |repair| {
         let findings = run_checks(folder.path(), Depth::Names, repair).await.expect("looks");
         findings.into_iter().find(|finding| finding.subject == "books").expect("a finding")

@@ -1,196 +1,174 @@
-//! PostgreSQL in tests: a cluster of its own in a temporary folder, the tables of `migrations/postgres`, and the statements
-//! that a test has run.
+//! A farm's database on a PostgreSQL server, version 15 or newer: opened, migrated, and connected to again after the
+//! server, or the network, has failed.
 
-use std::cell::RefCell;
-use std::collections::{BTreeMap, BTreeSet};
-use std::os::unix::fs::chown;
-use std::os::unix::process::CommandExt;
-use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Stdio};
+#[cfg(test)]
+pub(crate) mod tests;
+
 use std::time::Duration;
 
-use sqlx::postgres::{PgConnectOptions, PgConnection, PgTypeInfo, Postgres};
-use sqlx::{
-    AssertSqlSafe, Column as _, ConnectOptions, Executor, Row as _, SqlSafeStr, Statement as _, Type, TypeInfo,
-};
-use tempfile::TempDir;
+use sqlx::ConnectOptions;
+use sqlx::postgres::{PgConnectOptions, PgConnection, PgPool, PgPoolOptions};
+use tokio::time::Instant;
 
-use super::dialect::{Dialect, translate};
-use super::value::Value;
-use super::{Database, Statement, query};
-use crate::skip::skip;
+use super::{DatabaseError, OpenError, PostgresAddress};
 
-static MIGRATIONS: sqlx::migrate::Migrator = sqlx::migrate!("../migrations/postgres");
+/// Begins a transaction of an occasional writer, which waits for the farm's other writers.
+///
+/// READ COMMITTED lets every statement see what was committed before the lock was granted.
+pub(super) const BEGIN: &str = "BEGIN ISOLATION LEVEL READ COMMITTED; SELECT pg_advisory_xact_lock(1396983361, 1)";
+/// Begins a transaction that only reads, and sees one state.
+pub(super) const BEGIN_SNAPSHOT: &str = "BEGIN ISOLATION LEVEL REPEATABLE READ READ ONLY";
+/// Begins a transaction of the farm's server, with the number that tells later whether it was committed, and its first
+/// operation's savepoint.
+pub(super) const BEGIN_GROUP: &str =
+    "BEGIN ISOLATION LEVEL READ COMMITTED; SELECT pg_advisory_xact_lock(1396983361, 1);
+     SELECT CAST(pg_current_xact_id() AS TEXT); SAVEPOINT operation";
+/// The same for operations that need not survive a power cut.
+pub(super) const BEGIN_RELAXED_GROUP: &str =
+    "BEGIN ISOLATION LEVEL READ COMMITTED; SET LOCAL synchronous_commit = off; SELECT pg_advisory_xact_lock(1396983361, 1);
+     SELECT CAST(pg_current_xact_id() AS TEXT); SAVEPOINT operation";
 
-/// Types that a row's columns may have.
-const COLUMN_TYPES: [&str; 6] = ["INT8", "INT4", "BOOL", "FLOAT8", "TEXT", "BYTEA"];
-/// Time for a cluster to start.
-const START_TIMEOUT: Duration = Duration::from_mins(1);
+/// Number of reading connections.
+const READER_CONNECTIONS: u32 = 8;
+/// Statements that a connection keeps prepared: all of the program's.
+const PREPARED_STATEMENTS: usize = 512;
+/// Oldest version, as `server_version_num` gives it.
+const OLDEST_VERSION: i32 = 150_000;
+/// A server that has failed is asked again for this long; then operations fail.
+const PATIENCE: Duration = Duration::from_secs(30);
+const PAUSE: Duration = Duration::from_millis(100);
+/// Time for a connection to be made.
+const CONNECT_TIMEOUT: Duration = Duration::from_secs(5);
 
-thread_local! {
-    /// Statements that this test has run, with the types of their parameters. A test's runtime has one thread.
-    static SEEN: RefCell<BTreeMap<&'static str, Vec<PgTypeInfo>>> = RefCell::default();
+pub(super) static MIGRATIONS: sqlx::migrate::Migrator = sqlx::migrate!("../migrations/postgres");
+
+/// The connection of the farm's server that writes. It holds the farm's lock, so that a database has one server.
+#[derive(Debug)]
+pub(super) struct Session {
+    options: PgConnectOptions,
+    /// Number of the current transaction.
+    transaction: Option<String>,
 }
 
-/// Records a statement.
-pub(super) fn record(statement: &Statement) {
-    let Some((text, values)) = statement.parts() else { return };
-    let of_sqlite = ["PRAGMA", "BEGIN", "COMMIT", "ROLLBACK", "SAVEPOINT", "RELEASE"];
-    if of_sqlite.iter().any(|word| text.starts_with(word)) {
-        return;
+/// Opens a database and applies pending migrations.
+pub(super) async fn open(address: &PostgresAddress) -> Result<(PgConnection, Session, PgPool), OpenError> {
+    let options = address.options().clone().statement_cache_capacity(PREPARED_STATEMENTS);
+    let mut connection = connect(&options).await?;
+    let version: i32 = sqlx::query_scalar("SELECT CAST(current_setting('server_version_num') AS INTEGER)")
+        .fetch_one(&mut connection)
+        .await?;
+    if version < OLDEST_VERSION {
+        return Err(OpenError::OldServer(version / 10_000));
     }
-    let kinds = values.iter().map(|value| match value {
-        Value::Integer(_) => <i64 as Type<Postgres>>::type_info(),
-        Value::Real(_) => <f64 as Type<Postgres>>::type_info(),
-        Value::Text(_) => <str as Type<Postgres>>::type_info(),
-        Value::Bytes(_) => <Vec<u8> as Type<Postgres>>::type_info(),
-    });
-    SEEN.with_borrow_mut(|seen| {
-        seen.entry(text).or_insert_with(|| kinds.collect());
-    });
-}
-
-/// A running cluster; it is stopped and removed when it is dropped.
-struct Cluster {
-    server: Child,
-    folder: TempDir,
-}
-
-impl Cluster {
-    /// Starts one with an empty farm, or skips the test if PostgreSQL is not installed.
-    async fn start() -> Option<(Self, PgConnection)> {
-        let Some(programs) = programs() else {
-            skip("postgres", "PostgreSQL's initdb is not installed, so no statement is prepared for it");
-            return None;
-        };
-        let folder = tempfile::tempdir().expect("a temporary folder");
-        let user = unprivileged_user();
-        if let Some(user) = user {
-            chown(folder.path(), Some(user), None).expect("its owner can be changed");
-        }
-        let data = folder.path().join("data");
-        let made = command(&programs.join("initdb"), user)
-            .args(["--auth=trust", "--username=sdfarm", "--encoding=UTF8", "--locale=C", "--no-sync", "--pgdata"])
-            .arg(&data)
-            .output()
-            .expect("initdb runs");
-        assert!(made.status.success(), "{}", String::from_utf8_lossy(&made.stderr));
-        let server = command(&programs.join("postgres"), user)
-            .args(["-c", "listen_addresses=", "-c", "fsync=off", "-k"])
-            .arg(folder.path())
-            .arg("-D")
-            .arg(&data)
-            .stderr(Stdio::null())
-            .spawn()
-            .expect("postgres runs");
-        let cluster = Self { server, folder };
-        let mut connection = cluster.connect().await;
-        MIGRATIONS.run(&mut connection).await.expect("the tables can be made");
-        Some((cluster, connection))
+    if sqlx::query_scalar("SELECT pg_is_in_recovery()").fetch_one(&mut connection).await? {
+        return Err(OpenError::Replica);
     }
+    if !lock_farm(&mut connection).await? {
+        return Err(OpenError::InUse);
+    }
+    MIGRATIONS.run(&mut connection).await?;
+    let readers = PgPoolOptions::new()
+        .max_connections(READER_CONNECTIONS)
+        .acquire_timeout(PATIENCE)
+        .connect_lazy_with(options.clone());
+    Ok((connection, Session { options, transaction: None }, readers))
+}
 
-    async fn connect(&self) -> PgConnection {
-        let options = PgConnectOptions::new().socket(self.folder.path()).username("sdfarm").database("postgres");
-        let options = options.disable_statement_logging();
-        let attempts = async {
-            loop {
-                match options.connect().await {
-                    Ok(connection) => return connection,
-                    Err(_) => tokio::time::sleep(Duration::from_millis(50)).await,
-                }
+/// Connects for an occasional write beside the farm's server; changes no tables.
+pub(super) async fn connect_external(address: &PostgresAddress) -> Result<PgConnection, DatabaseError> {
+    Ok(connect(address.options()).await?)
+}
+
+async fn connect(options: &PgConnectOptions) -> Result<PgConnection, sqlx::Error> {
+    let connecting = tokio::time::timeout(CONNECT_TIMEOUT, options.connect());
+    connecting.await.unwrap_or_else(|_| Err(sqlx::Error::Io(std::io::ErrorKind::TimedOut.into())))
+}
+
+/// Takes the lock of the farm's server for as long as the connection lives; false if another one has it.
+async fn lock_farm(connection: &mut PgConnection) -> Result<bool, sqlx::Error> {
+    sqlx::query_scalar("SELECT pg_try_advisory_lock(1396983361, 2)").fetch_one(connection).await
+}
+
+impl Session {
+    /// Begins a transaction, on a new connection if the old one has ended.
+    pub(super) async fn begin(
+        &mut self,
+        connection: &mut PgConnection,
+        text: &'static str,
+    ) -> Result<(), DatabaseError> {
+        self.transaction = None;
+        let begun = match sqlx::raw_sql(text).fetch_all(&mut *connection).await {
+            Err(error) if is_lost(&error) => {
+                self.reconnect(connection).await?;
+                sqlx::raw_sql(text).fetch_all(connection).await
             }
+            begun => begun,
         };
-        tokio::time::timeout(START_TIMEOUT, attempts).await.expect("the cluster starts")
+        let rows = begun?;
+        let number = rows.last().ok_or(sqlx::Error::RowNotFound)?;
+        self.transaction = Some(sqlx::Row::try_get(number, 0)?);
+        Ok(())
     }
-}
 
-impl Drop for Cluster {
-    fn drop(&mut self) {
-        drop(self.server.kill());
-        drop(self.server.wait());
-    }
-}
-
-/// Folder of PostgreSQL's programs, which distributions keep off the path.
-fn programs() -> Option<PathBuf> {
-    let versions = std::fs::read_dir("/usr/lib/postgresql").ok()?;
-    let mut folders: Vec<PathBuf> = versions.flatten().map(|entry| entry.path().join("bin")).collect();
-    folders.retain(|folder| folder.join("initdb").is_file());
-    folders.sort();
-    folders.pop()
-}
-
-/// User for a cluster if this process is root, as whom PostgreSQL refuses to run.
-fn unprivileged_user() -> Option<u32> {
-    if !rustix::process::geteuid().is_root() {
-        return None;
-    }
-    let users = std::fs::read_to_string("/etc/passwd").expect("there are users");
-    let id = |name: &str| {
-        let user = users.lines().find(|line| line.split(':').next() == Some(name))?;
-        user.split(':').nth(2)?.parse().ok()
-    };
-    Some(id("postgres").or_else(|| id("nobody")).expect("the system has the user nobody"))
-}
-
-fn command(program: &Path, user: Option<u32>) -> Command {
-    let mut command = Command::new(program);
-    command.env_clear().current_dir("/").stdin(Stdio::null()).stdout(Stdio::null());
-    if let Some(user) = user {
-        command.uid(user);
-    }
-    command
-}
-
-/// Prepares for PostgreSQL every statement that this test has run; returns how many, or `None` if it is not installed.
-pub(crate) async fn prepare_all() -> Option<usize> {
-    let (cluster, mut connection) = Cluster::start().await?;
-    let seen = SEEN.take();
-    let mut failed = Vec::new();
-    for (text, parameters) in &seen {
-        let translated = translate(text, Dialect::Postgres);
-        match connection.prepare_with(AssertSqlSafe(translated.clone()).into_sql_str(), parameters).await {
-            Err(error) => failed.push(format!("{error} in {translated}")),
-            Ok(statement) => failed.extend(
-                (statement.columns().iter())
-                    .filter(|column| !COLUMN_TYPES.contains(&column.type_info().name()))
-                    .map(|column| format!("{} is {} in {translated}", column.name(), column.type_info())),
-            ),
+    /// Commits. If the connection ends meanwhile, the database is asked whether it has committed.
+    pub(super) async fn commit(&mut self, connection: &mut PgConnection) -> Result<(), DatabaseError> {
+        // In a transaction that has failed, COMMIT alone would roll back and report success.
+        match sqlx::raw_sql("RELEASE operation; COMMIT").execute(&mut *connection).await {
+            Err(error) if is_lost(&error) => {
+                self.reconnect(connection).await?;
+                if self.has_committed(connection).await? { Ok(()) } else { Err(error.into()) }
+            }
+            committed => Ok(committed.map(drop)?),
         }
     }
-    assert!(failed.is_empty(), "{} of {} statements:\n{}", failed.len(), seen.len(), failed.join("\n\n"));
-    drop(cluster);
-    Some(seen.len())
+
+    /// Whether the transaction whose commit was not answered is committed.
+    async fn has_committed(&self, connection: &mut PgConnection) -> Result<bool, DatabaseError> {
+        let deadline = Instant::now() + PATIENCE;
+        loop {
+            let status: Option<String> = sqlx::query_scalar("SELECT pg_xact_status(CAST($1 AS xid8))")
+                .bind(&self.transaction)
+                .fetch_one(&mut *connection)
+                .await?;
+            // The old connection's process may not have noticed yet that its client is gone.
+            if status.as_deref() != Some("in progress") || Instant::now() > deadline {
+                return Ok(status.as_deref() == Some("committed"));
+            }
+            tokio::time::sleep(PAUSE).await;
+        }
+    }
+
+    /// Replaces a connection that has ended, and takes the farm's lock again.
+    async fn reconnect(&self, connection: &mut PgConnection) -> Result<(), DatabaseError> {
+        tracing::warn!("the connection to the database has ended: connecting again");
+        let deadline = Instant::now() + PATIENCE;
+        loop {
+            let attempt = async {
+                let mut new = connect(&self.options).await?;
+                Ok(lock_farm(&mut new).await?.then_some(new))
+            };
+            let last: Result<Option<PgConnection>, sqlx::Error> = attempt.await;
+            match last {
+                Ok(Some(new)) => {
+                    *connection = new;
+                    return Ok(());
+                }
+                Ok(None) if Instant::now() > deadline => return Err(DatabaseError::Taken),
+                Err(error) if Instant::now() > deadline => return Err(error.into()),
+                Ok(None) | Err(_) => tokio::time::sleep(PAUSE).await,
+            }
+        }
+    }
 }
 
-#[tokio::test]
-async fn both_databases_have_the_same_tables_columns_and_indexes() {
-    let Some((cluster, mut connection)) = Cluster::start().await else { return };
-    let folder = tempfile::tempdir().expect("a temporary folder");
-    let store = Database::open(folder.path()).await.expect("opens");
-    let of_sqlite = query(
-        "SELECT tables.name || '.' || columns.name || ' ' || columns.type
-                || CASE WHEN columns.\"notnull\" OR columns.pk THEN ' NOT NULL' ELSE '' END AS line
-         FROM sqlite_master AS tables CROSS JOIN pragma_table_info(tables.name) AS columns
-         WHERE tables.type = 'table' AND tables.name NOT LIKE 'sqlite_%' AND tables.name NOT LIKE '_sqlx_%'
-         UNION ALL SELECT name FROM sqlite_master WHERE type = 'index' AND sql IS NOT NULL",
-    );
-    let of_sqlite = of_sqlite.scalar::<String>().fetch_all(store.readers()).await.expect("reads");
-    let of_postgres = "SELECT table_name || '.' || column_name || ' '
-                || CASE data_type WHEN 'bigint' THEN 'INTEGER' WHEN 'double precision' THEN 'REAL' WHEN 'bytea' THEN 'BLOB'
-                                  ELSE upper(data_type) END
-                || CASE WHEN is_nullable = 'NO' THEN ' NOT NULL' ELSE '' END
-         FROM information_schema.columns WHERE table_schema = 'public' AND table_name NOT LIKE '\\_sqlx\\_%'
-         UNION ALL SELECT indexname FROM pg_indexes WHERE schemaname = 'public' AND indexname NOT LIKE '%\\_pkey'
-               AND indexname NOT LIKE '%\\_key'";
-    let of_postgres = connection.fetch_all(of_postgres).await.expect("reads");
-    let of_sqlite: BTreeSet<String> = of_sqlite.into_iter().collect();
-    let of_postgres: BTreeSet<String> = of_postgres.iter().map(|row| row.get(0)).collect();
-    let only =
-        |these: &BTreeSet<String>, those: &BTreeSet<String>| these.difference(those).cloned().collect::<Vec<_>>();
-    let none: Vec<String> = Vec::new();
-    assert_eq!(only(&of_sqlite, &of_postgres), none, "only SQLite has these");
-    assert_eq!(only(&of_postgres, &of_sqlite), none, "only PostgreSQL has these");
-    store.close().await;
-    drop(cluster);
+/// Whether an error means that the connection has ended, or that none could be made.
+pub(super) fn is_lost(error: &sqlx::Error) -> bool {
+    match error {
+        sqlx::Error::Io(_) | sqlx::Error::Tls(_) | sqlx::Error::Protocol(_) | sqlx::Error::PoolTimedOut => true,
+        // Connection exceptions, shutdowns, a server that starts, too many connections.
+        sqlx::Error::Database(error) => error.code().is_some_and(|code| {
+            code.starts_with("08") || ["57P01", "57P02", "57P03", "57P05", "53300"].contains(&&*code)
+        }),
+        _ => false,
+    }
 }

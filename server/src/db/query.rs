@@ -4,6 +4,7 @@ use std::marker::PhantomData;
 
 #[cfg(test)]
 use sqlx::AssertSqlSafe;
+use sqlx::postgres::{PgArguments, Postgres};
 use sqlx::query::Query;
 use sqlx::sqlite::{Sqlite, SqliteArguments};
 use sqlx::{SqlSafeStr, SqlStr};
@@ -67,6 +68,30 @@ pub(crate) fn query_scalar<T: Column>(text: &'static str) -> ScalarStatement<T> 
     query(text).scalar()
 }
 
+/// Runs a statement in the language of its target.
+macro_rules! on_target {
+    ($statement:ident, $on:ident, |$query:ident, $target:ident| $run:expr) => {
+        match $on.into() {
+            Target::Sqlite($target) => {
+                let $query = $statement.into_sqlite();
+                $run
+            }
+            Target::SqlitePool($target) => {
+                let $query = $statement.into_sqlite();
+                $run
+            }
+            Target::Postgres($target) => {
+                let $query = $statement.into_postgres();
+                $run
+            }
+            Target::PostgresPool($target) => {
+                let $query = $statement.into_postgres();
+                $run
+            }
+        }
+    };
+}
+
 impl Statement {
     /// Binds the next parameter.
     pub(crate) fn bind(mut self, value: impl Into<Value>) -> Self {
@@ -81,29 +106,18 @@ impl Statement {
 
     /// Runs it, and returns how many rows it changed.
     pub(crate) async fn execute(self, on: impl Into<Target<'_>>) -> Result<Changed, DatabaseError> {
-        let done = match on.into() {
-            Target::Connection(connection) => self.into_query().execute(connection).await?,
-            Target::Readers(pool) => self.into_query().execute(pool).await?,
-        };
-        Ok(Changed { rows: done.rows_affected() })
+        let rows = on_target!(self, on, |query, target| query.execute(target).await?.rows_affected());
+        Ok(Changed { rows })
     }
 
     /// Its rows.
     pub(crate) async fn fetch_all(self, on: impl Into<Target<'_>>) -> Result<Vec<Row>, DatabaseError> {
-        let rows = match on.into() {
-            Target::Connection(connection) => self.into_query().fetch_all(connection).await?,
-            Target::Readers(pool) => self.into_query().fetch_all(pool).await?,
-        };
-        Ok(rows.into_iter().map(Row::from).collect())
+        Ok(on_target!(self, on, |query, target| query.fetch_all(target).await?.into_iter().map(Row::from).collect()))
     }
 
     /// Its row, if there is one.
     pub(crate) async fn fetch_optional(self, on: impl Into<Target<'_>>) -> Result<Option<Row>, DatabaseError> {
-        let row = match on.into() {
-            Target::Connection(connection) => self.into_query().fetch_optional(connection).await?,
-            Target::Readers(pool) => self.into_query().fetch_optional(pool).await?,
-        };
-        Ok(row.map(Row::from))
+        Ok(on_target!(self, on, |query, target| query.fetch_optional(target).await?.map(Row::from)))
     }
 
     /// Its row.
@@ -111,10 +125,20 @@ impl Statement {
         self.fetch_optional(on).await?.ok_or_else(|| sqlx::Error::RowNotFound.into())
     }
 
-    fn into_query(self) -> Query<'static, Sqlite, SqliteArguments> {
+    fn into_sqlite(self) -> Query<'static, Sqlite, SqliteArguments> {
         #[cfg(test)]
-        super::postgres::record(&self);
+        super::postgres::tests::record(&self);
         let query = sqlx::query(self.text.into_dialect(Dialect::Sqlite));
+        self.values.into_iter().fold(query, |query, value| match value {
+            Value::Integer(value) => query.bind(value),
+            Value::Real(value) => query.bind(value),
+            Value::Text(value) => query.bind(value),
+            Value::Bytes(value) => query.bind(value),
+        })
+    }
+
+    fn into_postgres(self) -> Query<'static, Postgres, PgArguments> {
+        let query = sqlx::query(self.text.into_dialect(Dialect::Postgres));
         self.values.into_iter().fold(query, |query, value| match value {
             Value::Integer(value) => query.bind(value),
             Value::Real(value) => query.bind(value),

@@ -2,26 +2,41 @@
 
 use std::fmt::Display;
 
+use sqlx::postgres::{PgRow, PgValueRef, Postgres};
 use sqlx::sqlite::{SqliteRow, SqliteValueRef};
-use sqlx::{ColumnIndex, Decode, Row as _, Sqlite, TypeInfo, ValueRef};
+use sqlx::{ColumnIndex, Database, Decode, Row as _, Sqlite, TypeInfo, ValueRef};
 
 use super::DatabaseError;
 use super::value::{Cell, Column};
 
 /// A row of a result.
 #[derive(Debug)]
-pub(crate) struct Row(SqliteRow);
+pub(crate) enum Row {
+    /// Of a file.
+    Sqlite(SqliteRow),
+    /// Of a PostgreSQL database.
+    Postgres(PgRow),
+}
 
 impl From<SqliteRow> for Row {
     fn from(row: SqliteRow) -> Self {
-        Self(row)
+        Self::Sqlite(row)
+    }
+}
+
+impl From<PgRow> for Row {
+    fn from(row: PgRow) -> Self {
+        Self::Postgres(row)
     }
 }
 
 impl Row {
     /// Reads a column, by its name or its position.
     pub(crate) fn get<T: Column>(&self, column: impl Index) -> Result<T, DatabaseError> {
-        let cell = read_cell(self.0.try_get_raw(column)?)?;
+        let cell = match self {
+            Self::Sqlite(row) => read_sqlite(row.try_get_raw(column)?)?,
+            Self::Postgres(row) => read_postgres(row.try_get_raw(column)?)?,
+        };
         let kind = cell.kind();
         T::from_cell(cell).ok_or_else(|| {
             let source = format!("a value of kind {kind} cannot be read as {}", std::any::type_name::<T>()).into();
@@ -31,9 +46,9 @@ impl Row {
 }
 
 /// Name or position of a column.
-pub(crate) trait Index: ColumnIndex<SqliteRow> + Display + Copy {}
+pub(crate) trait Index: ColumnIndex<SqliteRow> + ColumnIndex<PgRow> + Display + Copy {}
 
-impl<I: ColumnIndex<SqliteRow> + Display + Copy> Index for I {}
+impl<I: ColumnIndex<SqliteRow> + ColumnIndex<PgRow> + Display + Copy> Index for I {}
 
 impl Cell {
     fn kind(&self) -> &'static str {
@@ -47,19 +62,33 @@ impl Cell {
     }
 }
 
-fn read_cell(value: SqliteValueRef<'_>) -> Result<Cell, DatabaseError> {
+fn read_sqlite(value: SqliteValueRef<'_>) -> Result<Cell, DatabaseError> {
     let kind = value.type_info().name().to_owned();
     match kind.as_str() {
         _ if value.is_null() => Ok(Cell::Null),
-        "INTEGER" | "BOOLEAN" => decode(value).map(Cell::Integer),
-        "REAL" => decode(value).map(Cell::Real),
-        "TEXT" => decode(value).map(Cell::Text),
-        "BLOB" => decode(value).map(Cell::Bytes),
+        "INTEGER" | "BOOLEAN" => decode::<i64, Sqlite>(value).map(Cell::Integer),
+        "REAL" => decode::<f64, Sqlite>(value).map(Cell::Real),
+        "TEXT" => decode::<String, Sqlite>(value).map(Cell::Text),
+        "BLOB" => decode::<Vec<u8>, Sqlite>(value).map(Cell::Bytes),
         other => Err(unknown_kind(other)),
     }
 }
 
-fn decode<'r, T: Decode<'r, Sqlite>>(value: SqliteValueRef<'r>) -> Result<T, DatabaseError> {
+fn read_postgres(value: PgValueRef<'_>) -> Result<Cell, DatabaseError> {
+    let kind = value.type_info().name().to_owned();
+    match kind.as_str() {
+        _ if value.is_null() => Ok(Cell::Null),
+        "INT8" => decode::<i64, Postgres>(value).map(Cell::Integer),
+        "INT4" => decode::<i32, Postgres>(value).map(|value| Cell::Integer(value.into())),
+        "BOOL" => decode::<bool, Postgres>(value).map(|value| Cell::Integer(value.into())),
+        "FLOAT8" => decode::<f64, Postgres>(value).map(Cell::Real),
+        "TEXT" => decode::<String, Postgres>(value).map(Cell::Text),
+        "BYTEA" => decode::<Vec<u8>, Postgres>(value).map(Cell::Bytes),
+        other => Err(unknown_kind(other)),
+    }
+}
+
+fn decode<'r, T: Decode<'r, E>, E: Database>(value: E::ValueRef<'r>) -> Result<T, DatabaseError> {
     T::decode(value).map_err(|source| sqlx::Error::Decode(source).into())
 }
 

@@ -80,7 +80,7 @@ mod tests {
     async fn connect(file: &Path) -> Connection {
         let options = SqliteConnectOptions::new().filename(file).create_if_missing(true);
         let options = options.journal_mode(SqliteJournalMode::Wal);
-        Connection(options.connect().await.expect("connects"))
+        Connection::Sqlite(options.connect().await.expect("connects"))
     }
 
     async fn write(connection: &mut Connection, log: &mut Wal) {

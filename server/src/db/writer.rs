@@ -16,8 +16,8 @@ use tokio::sync::{Mutex, mpsc, oneshot, watch};
 use tokio::task::JoinHandle;
 use tokio::time::Instant;
 
-use super::wal::Wal;
-use super::{Connection, DatabaseError, query};
+use super::transaction::WritingConnection;
+use super::{Connection, DatabaseError};
 use crate::clock::monotonic_now;
 use crate::histograms::{counts, seconds};
 
@@ -85,12 +85,12 @@ pub(super) struct Writer {
 
 impl Writer {
     /// Starts the task that owns `connection`.
-    pub(super) fn start(connection: Connection, times: CommitTimes, log: Wal) -> Self {
+    pub(super) fn start(connection: WritingConnection, times: CommitTimes) -> Self {
         let (worker, urgent) = mpsc::channel(QUEUE_CAPACITY);
         let (ordinary, rest) = mpsc::channel(QUEUE_CAPACITY);
         let waiting = Waiting { urgent: WaitingQueue::new(urgent), ordinary: WaitingQueue::new(rest) };
         let bell = watch::Sender::new(());
-        let task = WriterTask { connection, synchronous: Durability::Full, times, bell: bell.clone(), log };
+        let task = WriterTask { connection, times, bell: bell.clone() };
         let task = tokio::spawn(task.run(waiting));
         let operations = Senders { worker, ordinary };
         Self { operations: std::sync::Mutex::new(Some(operations)), task: Mutex::new(Some(task)), bell }
@@ -272,11 +272,9 @@ impl Turn {
 }
 
 struct WriterTask {
-    connection: Connection,
-    synchronous: Durability,
+    connection: WritingConnection,
     times: CommitTimes,
     bell: watch::Sender<()>,
-    log: Wal,
 }
 
 impl WriterTask {
@@ -292,7 +290,7 @@ impl WriterTask {
                     Ok(true) => {}
                     Ok(false) => break,
                     Err(_) => {
-                        self.checkpoint().await;
+                        self.connection.checkpoint().await;
                         folded = true;
                         continue;
                     }
@@ -302,17 +300,17 @@ impl WriterTask {
             let is_full = committed.as_ref().is_err_and(DatabaseError::is_full);
             if is_full || group.iter().any(|operation| operation.has_found_disk_full()) {
                 // A shorter WAL leaves room for the operations that delete something.
-                self.checkpoint().await;
+                self.connection.checkpoint().await;
             }
             self.bell.send_replace(());
             fail_point::trigger_infallible(FailPoint::GroupCommitted);
             for operation in group {
                 operation.reply(committed.clone());
             }
-            self.log.checkpoint_if_large(&mut self.connection).await;
+            self.connection.checkpoint_if_large().await;
             folded = false;
         }
-        self.checkpoint().await;
+        self.connection.checkpoint().await;
         if let Err(error) = self.connection.close().await {
             tracing::error!(%error, "could not close the database");
         }
@@ -328,14 +326,11 @@ impl WriterTask {
         self.times.longest_seconds.set(self.times.longest_seconds.get().max(took_seconds));
         self.times.operations.observe(group.len() as f64);
         if done.is_err() {
-            // SQLite ends a transaction automatically after some errors; then there is nothing to roll back.
-            drop(query("ROLLBACK").execute(&mut self.connection).await);
+            self.connection.roll_back().await;
         }
         (group, done)
     }
 
-    /// Statements between two operations are sent to the engine together, because each call of its thread
-    /// costs two context switches.
     async fn run_group(
         &mut self,
         waiting: &mut Waiting,
@@ -344,50 +339,23 @@ impl WriterTask {
         let durable = waiting.urgent.is_durable() || waiting.ordinary.is_durable();
         let mut turn = Turn { begun: monotonic_now(), ordinary_begun: None, count: 0 };
         let mut was_kept = None;
-        let begun = self.begin(if durable { Durability::Full } else { Durability::Relaxed }).await;
+        let begun = self.connection.begin(if durable { Durability::Full } else { Durability::Relaxed }).await;
         while let Some(operation) = turn.next(waiting) {
             group.push(operation);
             if let Err(error) = &begun {
                 return Err(error.clone());
             }
             if let Some(was_kept) = was_kept {
-                let next = if was_kept {
-                    "RELEASE operation; SAVEPOINT operation"
-                } else {
-                    "ROLLBACK TO operation; RELEASE operation; SAVEPOINT operation"
-                };
-                query(next).execute(&mut self.connection).await?;
+                self.connection.next_operation(was_kept).await?;
             }
             let operation = group.last_mut().expect("it was just added");
-            was_kept = Some(operation.run(&mut self.connection).await);
+            was_kept = Some(operation.run(self.connection.connection()).await);
         }
         if was_kept == Some(false) {
-            query("ROLLBACK TO operation").execute(&mut self.connection).await?;
+            self.connection.undo_operation().await?;
         }
         fail_point::trigger(FailPoint::DatabaseCommit).map_err(struck_down)?;
-        // Releases the last savepoint as well.
-        query("COMMIT").execute(&mut self.connection).await?;
-        Ok(())
-    }
-
-    /// Begins a transaction, and its first operation's savepoint.
-    async fn begin(&mut self, durability: Durability) -> Result<(), DatabaseError> {
-        let begin = match durability {
-            _ if durability == self.synchronous => "BEGIN IMMEDIATE; SAVEPOINT operation",
-            Durability::Full => "PRAGMA synchronous = FULL; BEGIN IMMEDIATE; SAVEPOINT operation",
-            Durability::Relaxed => "PRAGMA synchronous = NORMAL; BEGIN IMMEDIATE; SAVEPOINT operation",
-        };
-        // If it fails half-way the setting is unknown: the weaker one is assumed.
-        self.synchronous = Durability::Relaxed;
-        query(begin).execute(&mut self.connection).await?;
-        self.synchronous = durability;
-        Ok(())
-    }
-
-    async fn checkpoint(&mut self) {
-        if let Err(error) = query("PRAGMA wal_checkpoint(TRUNCATE)").execute(&mut self.connection).await {
-            tracing::warn!(%error, "could not checkpoint the database's WAL");
-        }
+        self.connection.commit().await
     }
 }
 

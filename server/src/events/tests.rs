@@ -42,7 +42,8 @@ impl Fixture {
                 Box::pin(async move {
                     let list = serde_json::json!((0..count).collect::<Vec<_>>()).to_string();
                     db::query(
-                        "INSERT INTO outbox (job, kind, body) SELECT ?, 'tile', value FROM json_each(?) ORDER BY key",
+                        "INSERT INTO outbox (job, kind, body)
+                         SELECT ?, 'tile', CAST(value AS TEXT) FROM @numbers(?) ORDER BY listed.value",
                     )
                     .bind(job)
                     .bind(list)

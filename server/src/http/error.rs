@@ -163,6 +163,8 @@ pub(crate) enum ApiError {
     ShuttingDown,
     #[error("the disk is full: free space for the data folder, then retry")]
     DiskFull,
+    #[error("the database cannot be reached: retry in a few seconds; the server's log has the cause")]
+    DatabaseUnreachable,
     #[error("the database is damaged: stop the server, and restore the data folder from a backup")]
     DamagedDatabase,
     #[error("internal error: the server's log has the cause under this request id")]
@@ -281,6 +283,9 @@ impl ApiError {
             }
             Self::ShuttingDown => (StatusCode::SERVICE_UNAVAILABLE, "closing", "The server is shutting down"),
             Self::DiskFull => (StatusCode::INSUFFICIENT_STORAGE, "disk_full", "The disk is full"),
+            Self::DatabaseUnreachable => {
+                (StatusCode::SERVICE_UNAVAILABLE, "database_unreachable", "The database cannot be reached")
+            }
             Self::DamagedDatabase => (StatusCode::SERVICE_UNAVAILABLE, "damaged_database", "The database is damaged"),
             Self::Internal(_) => (StatusCode::INTERNAL_SERVER_ERROR, "internal", "The server failed"),
         }
@@ -358,6 +363,7 @@ impl IntoResponse for ApiError {
                 response.headers_mut().insert(header::RETRY_AFTER, HeaderValue::from_static("10"));
             }
             Self::ShuttingDown
+            | Self::DatabaseUnreachable
             | Self::ResponseTimeout { .. }
             | Self::PreviewDelayed(_)
             | Self::PreviewFailed
@@ -398,15 +404,20 @@ impl From<DatabaseError> for ApiError {
             tracing::error!(error = %chain(&error), "the disk is full");
             return Self::DiskFull;
         }
+        if error.is_unreachable() {
+            tracing::error!(error = %chain(&error), "the database cannot be reached");
+            return Self::DatabaseUnreachable;
+        }
         if error.is_corruption() {
             tracing::error!(error = %chain(&error), "the database is damaged");
             return Self::DamagedDatabase;
         }
         match error {
             DatabaseError::Closed => Self::ShuttingDown,
-            error @ (DatabaseError::Sql(_) | DatabaseError::Rows { .. } | DatabaseError::Value { .. }) => {
-                Self::Internal(Box::new(error))
-            }
+            error @ (DatabaseError::Sql(_)
+            | DatabaseError::Rows { .. }
+            | DatabaseError::Value { .. }
+            | DatabaseError::Taken) => Self::Internal(Box::new(error)),
         }
     }
 }

@@ -72,19 +72,17 @@ pub(crate) struct EventPosition {
     pub(crate) ended: bool,
     /// Number of the last pruned event.
     pub(crate) pruned: i64,
-    /// Number of the newest event.
+    /// Number of the newest event, which may have been pruned. It is read from the rows: a sequence would tell of events
+    /// that are not committed yet.
     pub(crate) newest: i64,
 }
-
-/// Highest number that was ever assigned, even if its row was deleted.
-const NEWEST_SQL: &str = "SELECT coalesce((SELECT seq FROM sqlite_sequence WHERE name = 'outbox'), 0)";
 
 impl Queue {
     /// State that a subscriber to a job needs before its first event.
     pub(crate) async fn event_position(&self, id: JobId) -> Result<Option<EventPosition>> {
         let row = db::query(
             "SELECT number, finished_at_ms IS NOT NULL AS ended, events_pruned,
-                    coalesce((SELECT seq FROM sqlite_sequence WHERE name = 'outbox'), 0) AS newest
+                    @max(events_pruned, coalesce((SELECT max(number) FROM outbox), 0)) AS newest
              FROM job WHERE id = ?",
         )
         .bind(id.to_string())
@@ -113,7 +111,7 @@ impl Queue {
 
     /// Number of the newest event.
     pub(crate) async fn newest_event(&self) -> Result<i64> {
-        db::query_scalar(NEWEST_SQL).fetch_one(self.readers()).await
+        db::query_scalar("SELECT coalesce(max(number), 0) FROM outbox").fetch_one(self.readers()).await
     }
 
     /// The next events of all jobs.
@@ -144,14 +142,15 @@ impl Queue {
     pub(crate) async fn snapshot(&self, job: i64) -> Result<Option<(i64, Snapshot)>> {
         let mut reading = self.readers().snapshot().await?;
         let row = db::query(
-            "SELECT state, error, rays_peak, rays_total, tiles_done, tiles_total, frames_stored, frames_total
+            "SELECT state, error, rays_peak, rays_total, tiles_done, tiles_total, frames_stored, frames_total,
+                    @max(events_pruned, coalesce((SELECT max(number) FROM outbox), 0)) AS newest
              FROM job WHERE number = ?",
         )
         .bind(job)
         .fetch_optional(&mut reading)
         .await?;
         let Some(row) = row else { return Ok(None) };
-        let newest: i64 = db::query_scalar(NEWEST_SQL).fetch_one(&mut reading).await?;
+        let newest = row.get("newest")?;
         let numbers: Vec<u32> =
             db::query_scalar("SELECT number FROM frame WHERE job = ? AND state = 'stored' ORDER BY number")
                 .bind(job)

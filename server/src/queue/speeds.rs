@@ -41,7 +41,7 @@ impl JobSpeed {
 /// very short batch does not produce a huge speed.
 macro_rules! measured_sql {
     () => {
-        "@min(1e15, @max(1.0, speed.rays / (speed.seconds + 0.05)))"
+        "CASE WHEN speed.rays IS NOT NULL THEN @min(1e15, @max(1.0, speed.rays / (speed.seconds + 0.05))) END"
     };
 }
 pub(super) use measured_sql;

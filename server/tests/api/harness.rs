@@ -21,6 +21,7 @@ use tokio::task::JoinHandle;
 use tokio_util::sync::CancellationToken;
 
 use super::fake_pictures;
+use crate::postgres_server;
 
 /// Timeout of every operation; an operation that takes longer has failed.
 const DEADLINE: Duration = Duration::from_mins(1);
@@ -47,6 +48,7 @@ pub(crate) fn config(data: &Path) -> Config {
     Config {
         listen: ([127, 0, 0, 1], 0).into(),
         data: data.to_owned(),
+        database: postgres_server::database_of(data).map(|address| address.parse().expect("an address")),
         workers: Some(0),
         lease: LEASE,
         verify_share: 0.0,

@@ -34,7 +34,8 @@ pub(crate) async fn locked_farm() -> (Farm, String) {
 /// A farm that has one key, with scope admin, and this configuration.
 pub(crate) async fn locked_farm_with(change: impl FnOnce(&mut Config)) -> (Farm, String) {
     let folder = tempfile::tempdir().expect("a temporary folder");
-    let mut keys = OfflineApiKeys::open_or_create(folder.path()).await.expect("a folder of keys");
+    let mut keys =
+        OfflineApiKeys::open_or_create(folder.path(), config(folder.path()).database).await.expect("a folder of keys");
     let admin = keys.create(new_key("root", &[Scope::Admin])).await.expect("a key").secret;
     keys.close().await.expect("closes");
     (Farm::start_in(folder, change).await, admin)
@@ -126,7 +127,7 @@ async fn the_first_key_must_have_scope_admin() {
     let worker = serde_json::to_string(&new_key("host-7", &[Scope::Worker])).expect("JSON");
     let problem = refused(farm.post("/v1/keys", worker.clone()).await, 422, "wrong_key").await;
     assert!(problem.detail.contains("sdfarm key new admin --scope admin"), "{problem:?}");
-    let mut keys = OfflineApiKeys::open(farm.folder.path()).await.expect("the folder is there");
+    let mut keys = OfflineApiKeys::open(farm.folder.path(), None).await.expect("the folder is there");
     let error = keys
         .create(new_key("anna", &[Scope::Submit, Scope::Read]))
         .await
@@ -173,7 +174,7 @@ async fn a_waiting_worker_ends_when_its_key_is_revoked() {
     let waiting = send(&farm, &key.secret, Method::POST, worker_protocol::SYNC_PATH, wait.to_string());
     let revoke = async {
         // Revoked on the data folder, as the command line does; the server has to notice without a request.
-        let mut keys = OfflineApiKeys::open(farm.folder.path()).await.expect("the folder is there");
+        let mut keys = OfflineApiKeys::open(farm.folder.path(), None).await.expect("the folder is there");
         let revoked = keys.revoke("host-7").await.expect("it is live");
         keys.close().await.expect("closes");
         assert_eq!(revoked.len(), 1);
@@ -193,7 +194,7 @@ async fn a_waiting_worker_ends_when_its_key_is_revoked() {
 async fn keys_created_offline_work_on_the_running_server() {
     let farm = Farm::start().await;
     assert_eq!(farm.get("/v1/jobs").await.status(), StatusCode::OK);
-    let mut keys = OfflineApiKeys::open(farm.folder.path()).await.expect("the folder is there");
+    let mut keys = OfflineApiKeys::open(farm.folder.path(), None).await.expect("the folder is there");
     let secret = keys.create(new_key("anna", &[Scope::Admin])).await.expect("a key").secret;
     in_time(async {
         while farm.get("/v1/jobs").await.status() != StatusCode::UNAUTHORIZED {
@@ -379,7 +380,7 @@ async fn a_public_address_is_rejected_until_a_key_exists() {
     };
     let error = exposed().await.expect_err("there is no key").to_string();
     assert!(error.contains("sdfarm key new") && error.contains("--insecure"), "{error}");
-    let mut keys = OfflineApiKeys::open(folder.path()).await.expect("a folder of keys");
+    let mut keys = OfflineApiKeys::open(folder.path(), None).await.expect("a folder of keys");
     keys.create(new_key("root", &[Scope::Admin])).await.expect("a key");
     keys.close().await.expect("closes");
     exposed().await.expect("there is a key");

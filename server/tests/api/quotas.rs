@@ -11,7 +11,9 @@ use super::keys::{make, new_key, send};
 #[tokio::test]
 async fn a_submitter_leaves_room_and_asks_for_no_priority_above_its_own() {
     let folder = tempfile::tempdir().expect("a temporary folder");
-    let mut keys = OfflineApiKeys::open_or_create(folder.path()).await.expect("a folder of keys");
+    let mut keys = OfflineApiKeys::open_or_create(folder.path(), super::harness::config(folder.path()).database)
+        .await
+        .expect("a folder of keys");
     let admin = keys.create(new_key("root", &[Scope::Admin])).await.expect("a key").secret;
     keys.close().await.expect("closes");
     let farm = Farm::start_in(folder, |config| (config.max_queued_jobs, config.max_paused_per_name) = (4, 1)).await;
