@@ -1,15 +1,16 @@
 //! Kills workers and the server with `kill -9` at random instants and at fail points: nothing is lost, and every
 //! picture is identical to an undisturbed render.
 
+use std::time::Duration;
+
 use rustix::process::Signal;
 
-use crate::jobs;
 use crate::support::{Farm, eventually, finish, rendered_here, sdfarm, send_signal, text};
+use crate::{jobs, postgres_server};
 
-/// Asserts that a soak with these numbers of kills finds no violation.
-fn assert_soaked(worker_kills: &str, server_kills: &str) {
-    let kills = ["--worker-kills", worker_kills, "--server-kills", server_kills];
-    let output = finish(sdfarm(&[&["soak", "--kill", "--workers", "3"][..], &kills].concat()), b"");
+/// Asserts that a soak with these flags finds no violation.
+fn assert_soaked(flags: &[&str]) {
+    let output = finish(sdfarm(&[&["soak", "--kill", "--workers", "3"][..], flags].concat()), b"");
     let (table, told) = (text(&output.stdout), text(&output.stderr));
     assert!(output.status.success(), "{table}\n{told}");
     eprintln!("{table}");
@@ -20,13 +21,52 @@ fn assert_soaked(worker_kills: &str, server_kills: &str) {
 
 #[test]
 fn soak_with_a_few_kills_finds_no_violation() {
-    assert_soaked("6", "3");
+    assert_soaked(&["--worker-kills", "6", "--server-kills", "3"]);
 }
 
 #[test]
 #[ignore = "long: 100 kills of workers and 30 of servers; 2 min"]
 fn soak_with_130_kills_finds_no_violation() {
-    assert_soaked("100", "30");
+    assert_soaked(&["--worker-kills", "100", "--server-kills", "30"]);
+}
+
+/// Soaks a farm on PostgreSQL while all its connections are cut every now and then.
+fn soak_on_postgresql(worker_kills: &str, server_kills: &str) {
+    if postgres_server::server().is_none() {
+        return;
+    }
+    let folder = tempfile::tempdir().expect("a folder");
+    let data = folder.path().join("data");
+    let database = postgres_server::database_of(&data).expect("a database");
+    let kills = ["--worker-kills", worker_kills, "--server-kills", server_kills];
+    let cut = std::thread::scope(|scope| {
+        let soak = scope.spawn(|| {
+            assert_soaked(&[&kills[..], &["--database", &database, "--data", data.to_str().expect("plain")]].concat());
+        });
+        let mut cut = 0;
+        for round in 0_u64.. {
+            std::thread::sleep(Duration::from_millis(300 + round * 137 % 900));
+            if soak.is_finished() {
+                break;
+            }
+            cut += postgres_server::cut_connections(&database);
+        }
+        soak.join().expect("no violation is found");
+        cut
+    });
+    eprintln!("{cut} connections to the database were cut");
+    assert!(cut > 0);
+}
+
+#[test]
+fn soak_on_postgresql_with_a_few_kills_and_cut_connections_finds_no_violation() {
+    soak_on_postgresql("6", "3");
+}
+
+#[test]
+#[ignore = "long: 100 kills of workers and 30 of servers, and cut connections; 2 min"]
+fn soak_on_postgresql_with_130_kills_and_cut_connections_finds_no_violation() {
+    soak_on_postgresql("100", "30");
 }
 
 #[test]

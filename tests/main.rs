@@ -25,6 +25,7 @@ mod kills;
 mod operating;
 mod pages;
 mod pictures;
+mod postgres_server;
 mod previews;
 mod repository;
 mod runaway;

@@ -12,6 +12,8 @@ use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
 use tempfile::TempDir;
 
+use crate::postgres_server;
+
 /// The binary under test.
 pub(crate) const PROGRAM: &str = env!("CARGO_BIN_EXE_sdfarm");
 /// Deadline of all waits, longer than any step needs on a slow machine.
@@ -190,6 +192,9 @@ impl Farm {
     /// Starts a server on this address.
     pub(crate) fn start_at(listen: &str, mut command: Command, folder: &Path, arguments: &[&str]) -> Self {
         let log = folder.join("log");
+        if let Some(database) = postgres_server::database_of(&folder.join("data")) {
+            command.env("SDFARM_DATABASE", database);
+        }
         command.args(["--listen", listen, "--data"]).arg(folder.join("data")).args(arguments);
         let log_file = fs::File::options().create(true).append(true).open(&log).expect("a log");
         let mut child =

@@ -154,6 +154,16 @@ pub(crate) enum OpenError {
     InUse,
 }
 
+impl OpenError {
+    /// Whether its server did not answer, or ended the connection.
+    pub(crate) fn is_lost(&self) -> bool {
+        match self {
+            Self::Sql(error) | Self::Migrate(sqlx::migrate::MigrateError::Execute(error)) => postgres::is_lost(error),
+            Self::Migrate(_) | Self::Damaged(_) | Self::OldServer(_) | Self::Replica | Self::InUse => false,
+        }
+    }
+}
+
 /// Handle to the database.
 #[derive(Debug)]
 pub(crate) struct Database {
@@ -268,6 +278,17 @@ impl Database {
         F: for<'c> FnOnce(&'c mut Connection) -> BoxFuture<'c, Result<T, DatabaseError>> + Send + 'static,
     {
         self.writer.write(Urgency::Worker, durability, operation).await
+    }
+
+    /// Size of the database if it is on a PostgreSQL server.
+    pub(crate) async fn remote_bytes(&self) -> Result<Option<u64>, DatabaseError> {
+        match self.readers {
+            Readers::Sqlite(_) => Ok(None),
+            Readers::Postgres(_) => {
+                let size = query_scalar("SELECT pg_database_size(current_database())");
+                Ok(Some(size.fetch_one(&self.readers).await?))
+            }
+        }
     }
 
     /// Durations of commits.

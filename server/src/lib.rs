@@ -29,7 +29,8 @@ mod orphans;
 mod pictures;
 mod pool;
 #[cfg(test)]
-#[path = "../../tests/postgres.rs"]
+#[path = "../../tests/postgres_server.rs"]
+#[expect(dead_code, reason = "only other tests run SQL")]
 mod postgres_server;
 mod preview_helper;
 mod private_files;

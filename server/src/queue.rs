@@ -373,6 +373,11 @@ impl Queue {
         self.database.commit_signal()
     }
 
+    /// Size of the database, unless it is a file.
+    pub(crate) async fn database_bytes(&self) -> Result<Option<u64>> {
+        self.database.remote_bytes().await
+    }
+
     /// Connections for reading.
     pub(crate) fn readers(&self) -> &db::Readers {
         self.database.readers()

@@ -171,7 +171,8 @@ pub(crate) async fn start(config: Config, clock: Clock) -> Result<Started, Start
     let listeners = Listeners::open(&config).await?;
     let explain = database::explainer(&config);
     let database = Arc::new(database::open(&config).await?);
-    let api_keys = ApiKeys::open(Arc::clone(&database), clock.clone()).await.map_err(&explain)?;
+    let open_keys = async || ApiKeys::open(Arc::clone(&database), clock.clone()).await;
+    let api_keys = database::patiently(open_keys).await.map_err(&explain)?;
     if !listeners.address().ip().is_loopback() && !config.insecure && api_keys.live() == 0 {
         database.close().await;
         return Err(StartError::NoKeysBeyondLoopback(config.listen));
@@ -219,7 +220,8 @@ async fn open_store(config: &Config) -> Result<BlobStore, StartError> {
 /// Opens the queue, and repairs the state that the last server left.
 async fn open_queue(config: &Config, database: Arc<Database>, clock: Clock) -> Result<Queue, DatabaseError> {
     let lease_ms = i64::try_from(config.lease.as_millis()).unwrap_or(i64::MAX / 4).max(1);
-    let (queue, recovered) = Queue::open(database, clock, lease_ms).await?;
+    let open = async || Queue::open(Arc::clone(&database), clock.clone(), lease_ms).await;
+    let (queue, recovered) = database::patiently(open).await?;
     tracing::info!(
         data = %config.data.display(), boot = recovered.generation, unfinished_jobs = recovered.jobs,
         handed_back = recovered.leases, "opened the data folder"

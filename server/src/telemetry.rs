@@ -208,6 +208,7 @@ impl Telemetry {
         self.set_totals(&self.counters);
         self.set_shares(shares);
         self.set_machine(sizes, host::process());
+        self.set_database(self.queue.database_bytes().await?);
         self.set_devices();
         Ok(self.metrics.text())
     }
@@ -272,11 +273,8 @@ impl Telemetry {
         let kind = |name: &str| vec![("kind", name.to_owned())];
         let stored = [("pictures", sizes.pictures_bytes), ("tiles", sizes.blobs_bytes)];
         replace(&metrics.store_bytes, stored.map(|(name, bytes)| (kind(name), bytes as f64)));
-        let file = Database::file(&self.data);
         for (level, value) in [
             (&metrics.uptime_seconds, self.uptime().as_secs_f64()),
-            (&metrics.database_bytes, host::file_bytes(&file) as f64),
-            (&metrics.wal_bytes, host::file_bytes(&file.with_extension("sqlite-wal")) as f64),
             (&metrics.disk_free_bytes, sizes.disk.free_bytes as f64),
             (&metrics.disk_bytes, sizes.disk.total_bytes as f64),
             (&metrics.resident_bytes, process.resident_bytes as f64),
@@ -286,6 +284,17 @@ impl Telemetry {
             level.set(value);
         }
         metrics.cpu_seconds.inner().store(process.cpu_seconds.to_bits(), Ordering::Relaxed);
+    }
+
+    /// Sets the size of the database, which is `remote_bytes` unless it is a file.
+    fn set_database(&self, remote_bytes: Option<u64>) {
+        let file = Database::file(&self.data);
+        let (database, wal) = match remote_bytes {
+            Some(bytes) => (bytes, 0),
+            None => (host::file_bytes(&file), host::file_bytes(&file.with_extension("sqlite-wal"))),
+        };
+        self.metrics.database_bytes.set(database as f64);
+        self.metrics.wal_bytes.set(wal as f64);
     }
 
     fn set_devices(&self) {

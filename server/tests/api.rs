@@ -1,6 +1,6 @@
 //! Tests of the server over HTTP, with workers that only pretend to render.
 
-#[path = "../../tests/postgres.rs"]
+#[path = "../../tests/postgres_server.rs"]
 mod postgres_server;
 #[path = "../../tests/skip.rs"]
 mod skip;
@@ -29,6 +29,7 @@ mod api {
     mod nodes;
     mod permissions;
     mod pool;
+    mod postgres;
     mod previews;
     mod queue;
     mod quotas;

@@ -55,6 +55,15 @@ pub(crate) struct Arguments {
     /// Data folder of the farm, which is not deleted [default: a temporary one].
     #[arg(long, value_name = "FOLDER", env = "SDFARM_DATA")]
     data: Option<PathBuf>,
+    /// Empty database on a PostgreSQL server for the farm [default: a file in the data folder].
+    #[arg(
+        long,
+        value_name = "postgres://USER@HOST/NAME",
+        env = "SDFARM_DATABASE",
+        hide_env_values = true,
+        conflicts_with = "overload"
+    )]
+    database: Option<String>,
 }
 
 impl Arguments {
@@ -67,7 +76,8 @@ impl Arguments {
             (None, None) => (u32::MAX, u32::MAX, Some(self.time())),
             (workers, servers) => (workers.unwrap_or(0), servers.unwrap_or(0), None),
         };
-        SoakPlan { kill: self.kill, worker_kills, server_kills, time, workers: self.workers, seed: self.seed }
+        let (database, kill, workers, seed) = (self.database.clone(), self.kill, self.workers, self.seed);
+        SoakPlan { database, kill, worker_kills, server_kills, time, workers, seed }
     }
 }
 

@@ -201,7 +201,7 @@ async fn check_books(data: &Path, connection: &mut Connection, mends: bool) -> R
     if !mends {
         return Ok(Finding::error("books", text, format!("{REPAIR_FIX}: all shares start again from zero")));
     }
-    let store = Database::open(data).await?;
+    let store = Database::open_file(data).await?;
     let mended =
         store.write(Durability::Full, |connection| Box::pin(async move { reset_shares(connection).await })).await;
     store.close().await;
@@ -254,7 +254,7 @@ async fn repair_store(
     if lost.is_empty() {
         return Ok(Reopened::default());
     }
-    let store = Arc::new(Database::open(data).await?);
+    let store = Arc::new(Database::open_file(data).await?);
     let hashes = lost.clone();
     let reopened = store
         .write(Durability::Full, move |connection| Box::pin(async move { forget_pictures(connection, &hashes).await }))

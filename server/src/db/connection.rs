@@ -32,7 +32,7 @@ impl Connection {
     }
 
     /// Runs commands, separated by semicolons, that have no parameters and whose rows do not matter.
-    pub(super) async fn command(&mut self, text: &'static str) -> Result<(), DatabaseError> {
+    pub(crate) async fn command(&mut self, text: &'static str) -> Result<(), DatabaseError> {
         match self {
             Self::Sqlite(connection) => sqlx::raw_sql(text).execute(connection).await.map(drop)?,
             Self::Postgres(connection) => sqlx::raw_sql(text).execute(connection).await.map(drop)?,

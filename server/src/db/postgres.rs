@@ -36,9 +36,19 @@ const PREPARED_STATEMENTS: usize = 512;
 const OLDEST_VERSION: i32 = 150_000;
 /// A server that has failed is asked again for this long; then operations fail.
 const PATIENCE: Duration = Duration::from_secs(30);
+/// Time for the database's server to notice that the farm's last server is gone.
+const LOCK_PATIENCE: Duration = Duration::from_secs(2);
 const PAUSE: Duration = Duration::from_millis(100);
 /// Time for a connection to be made.
 const CONNECT_TIMEOUT: Duration = Duration::from_secs(5);
+
+/// Ends a connection within half a minute of its client's machine, or of the network, and so frees its locks.
+const KEEP_ALIVE: [(&str, &str); 4] = [
+    ("tcp_keepalives_idle", "10"),
+    ("tcp_keepalives_interval", "5"),
+    ("tcp_keepalives_count", "3"),
+    ("tcp_user_timeout", "30000"),
+];
 
 pub(super) static MIGRATIONS: sqlx::migrate::Migrator = sqlx::migrate!("../migrations/postgres");
 
@@ -52,7 +62,7 @@ pub(super) struct Session {
 
 /// Opens a database and applies pending migrations.
 pub(super) async fn open(address: &PostgresAddress) -> Result<(PgConnection, Session, PgPool), OpenError> {
-    let options = address.options().clone().statement_cache_capacity(PREPARED_STATEMENTS);
+    let options = address.options().clone().statement_cache_capacity(PREPARED_STATEMENTS).options(KEEP_ALIVE);
     let mut connection = connect(&options).await?;
     let version: i32 = sqlx::query_scalar("SELECT CAST(current_setting('server_version_num') AS INTEGER)")
         .fetch_one(&mut connection)
@@ -63,8 +73,13 @@ pub(super) async fn open(address: &PostgresAddress) -> Result<(PgConnection, Ses
     if sqlx::query_scalar("SELECT pg_is_in_recovery()").fetch_one(&mut connection).await? {
         return Err(OpenError::Replica);
     }
-    if !lock_farm(&mut connection).await? {
-        return Err(OpenError::InUse);
+    // The process of a server that was killed may not have noticed yet that its client is gone.
+    let deadline = Instant::now() + LOCK_PATIENCE;
+    while !lock_farm(&mut connection).await? {
+        if Instant::now() > deadline {
+            return Err(OpenError::InUse);
+        }
+        tokio::time::sleep(PAUSE).await;
     }
     MIGRATIONS.run(&mut connection).await?;
     let readers = PgPoolOptions::new()

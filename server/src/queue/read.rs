@@ -168,8 +168,9 @@ impl Queue {
         // Only the newest jobs are searched; older ones are found by their complete id.
         let rows = db::query(jobs_where!(
             "number IN (
-                 SELECT number FROM (SELECT number, id, name, submitter FROM job ORDER BY number DESC LIMIT ?1)
-                 WHERE (?2 IS NULL OR submitter = ?2) AND (name = ?3 OR (?4 AND (substr(id, 1, ?5) = ?6 OR substr(id, -?5) = ?6)))
+                 SELECT number FROM (SELECT number, id, name, submitter FROM job ORDER BY number DESC LIMIT ?1) AS newest
+                 WHERE (?2 IS NULL OR submitter = ?2) AND (name = ?3 OR (?4 = 1 AND (substr(id, 1, CAST(?5 AS INTEGER)) = ?6
+                           OR substr(id, length(id) + 1 - CAST(?5 AS INTEGER)) = ?6)))
                  UNION SELECT number FROM job WHERE id = ?6 AND (?2 IS NULL OR submitter = ?2)
              ) ORDER BY number DESC LIMIT ?7"
         ))

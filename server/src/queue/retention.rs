@@ -35,7 +35,7 @@ const FREED_SQL: &str = "SELECT CAST(coalesce(sum(size_bytes), 0) AS BIGINT) FRO
          SELECT DISTINCT picture, size_bytes FROM frame AS own
          WHERE own.job = ?1 AND own.picture IS NOT NULL AND NOT EXISTS (
              SELECT 1 FROM frame AS other WHERE other.picture = own.picture AND other.picture IS NOT NULL
-             AND other.job <> ?1 AND other.job NOT IN (SELECT value FROM @numbers(?2))))";
+             AND other.job <> ?1 AND other.job NOT IN (SELECT value FROM @numbers(?2)))) AS alone";
 
 /// Finished job, as read from the database.
 #[derive(Clone, Debug)]

@@ -255,14 +255,14 @@ async fn claim_or_nothing(
     max_nodes: i64,
     moment: TransitionContext,
 ) -> Result<NextWork> {
-    db::query("SAVEPOINT claim").execute(&mut *connection).await?;
+    connection.command("SAVEPOINT claim").await?;
     match claim_work(connection, turn, max_nodes, moment).await {
         Ok(next) => {
-            db::query("RELEASE claim").execute(connection).await?;
+            connection.command("RELEASE SAVEPOINT claim").await?;
             Ok(next)
         }
         Err(error) => {
-            db::query("ROLLBACK TO claim; RELEASE claim").execute(connection).await?;
+            connection.command("ROLLBACK TO SAVEPOINT claim; RELEASE SAVEPOINT claim").await?;
             tracing::error!(
                 code = "claim_failed", worker = %turn.worker, %error, cause = ?std::error::Error::source(&error),
                 "a claim failed; its worker gets no work: run `sdfarm doctor`"

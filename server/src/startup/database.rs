@@ -1,5 +1,7 @@
 //! Opens the farm's database; each problem has an error with its fix.
 
+use std::time::Duration;
+
 use crate::config::Config;
 use crate::db::{Database, DatabaseError, DatabaseLocation, OpenError};
 use crate::startup::StartError;
@@ -10,6 +12,21 @@ const MAKE_WRITABLE_FIX: &str = "make it and its folder writable, or pass anothe
 const UPGRADE_FIX: &str = "it may be from a newer release: run that one";
 const REACH_FIX: &str = "start its server, or correct the host and port of --database";
 
+/// Attempts to use a database whose server does not answer, or ends the connection.
+const ATTEMPTS: u32 = 5;
+const PAUSE: Duration = Duration::from_millis(300);
+
+/// Tries again if the connection is lost.
+pub(super) async fn patiently<T>(attempt: impl AsyncFn() -> Result<T, DatabaseError>) -> Result<T, DatabaseError> {
+    for _ in 1..ATTEMPTS {
+        match attempt().await {
+            Err(error) if error.is_unreachable() => tokio::time::sleep(PAUSE).await,
+            done => return done,
+        }
+    }
+    attempt().await
+}
+
 /// Opens the database of a configuration, which must be the one that the data folder records.
 pub(super) async fn open(config: &Config) -> Result<Database, StartError> {
     let (data, location) = (&config.data, location(config));
@@ -18,7 +35,15 @@ pub(super) async fn open(config: &Config) -> Result<Database, StartError> {
         let given = location.to_string();
         return Err(StartError::OtherDatabase { folder: data.clone(), recorded, given });
     }
-    let opened = Database::open_at(&location).await;
+    let mut opened = Database::open_at(&location).await;
+    for _ in 1..ATTEMPTS {
+        if !opened.as_ref().is_err_and(OpenError::is_lost) {
+            break;
+        }
+        tracing::warn!(database = %location, "the database cannot be reached: connecting again");
+        tokio::time::sleep(PAUSE).await;
+        opened = Database::open_at(&location).await;
+    }
     let database = opened.map_err(|error| open_error(&location, error))?;
     location.record().map_err(folder)?;
     Ok(database)

@@ -11,6 +11,11 @@ use server::{Server, StartError};
 
 use super::harness::{Farm, assert_state, config, in_time, leases, read, refused, small_job};
 
+/// Changes a configuration to a database in the data folder, for tests of that file.
+fn in_folder(config: &mut server::Config) {
+    config.database = None;
+}
+
 async fn start_error(data: &Path, change: impl FnOnce(&mut server::Config)) -> StartError {
     let mut config = config(data);
     change(&mut config);
@@ -70,7 +75,7 @@ async fn only_the_servers_user_may_read_its_data() {
         std::fs::set_permissions(path, std::fs::Permissions::from_mode(mode(path) | 0o055))
             .expect("its mode is changed");
     };
-    let farm = Farm::start().await;
+    let farm = Farm::start_in(tempfile::tempdir().expect("a temporary folder"), in_folder).await;
     farm.submit(&small_job(1)).await;
     let files = ["farm.sqlite", "farm.sqlite-wal", "farm.sqlite-shm", "links.secret", "webhook-secret", "lock"];
     let data = farm.folder.path().to_owned();
@@ -81,7 +86,7 @@ async fn only_the_servers_user_may_read_its_data() {
     for path in [data.clone(), data.join("farm.sqlite"), data.join("links.secret"), data.join("pictures")] {
         loosen(&path);
     }
-    let farm = Farm::start_in(folder, |_| {}).await;
+    let farm = Farm::start_in(folder, in_folder).await;
     farm.submit(&small_job(2)).await;
     assert_eq!((exposed(), mode(&data), mode(&data.join("pictures"))), (Vec::new(), 0o700, 0o700));
     farm.stop().await;
@@ -97,10 +102,11 @@ async fn startup_errors_have_a_fix() {
     let error = start_error(folder.path(), |config| config.listen = ([0, 0, 0, 0], 0).into()).await.to_string();
     assert!(error.contains("--insecure"), "{error}");
 
+    let folder = tempfile::tempdir().expect("a temporary folder");
     for garbage in [vec![0x5a; 9000], b"short".to_vec()] {
         let file = folder.path().join("farm.sqlite");
         std::fs::write(&file, garbage).expect("writes");
-        let error = start_error(folder.path(), |_| {}).await.to_string();
+        let error = start_error(folder.path(), in_folder).await.to_string();
         assert!(error.contains("farm.sqlite") && error.contains("backup"), "{error}");
         std::fs::remove_file(&file).expect("removes");
     }
@@ -108,7 +114,7 @@ async fn startup_errors_have_a_fix() {
 
 #[tokio::test]
 async fn an_overwritten_database_page_is_detected_at_startup() {
-    let farm = Farm::start().await;
+    let farm = Farm::start_in(tempfile::tempdir().expect("a temporary folder"), in_folder).await;
     for seed in 0..20 {
         farm.submit(&small_job(seed)).await;
     }
@@ -118,7 +124,7 @@ async fn an_overwritten_database_page_is_detected_at_startup() {
     let middle = bytes.len() / 2;
     bytes[4096..middle].fill(0xa5);
     std::fs::write(&file, bytes).expect("writes");
-    let error = start_error(folder.path(), |_| {}).await.to_string();
+    let error = start_error(folder.path(), in_folder).await.to_string();
     assert!(error.contains("farm.sqlite") && error.contains("backup"), "{error}");
 }
 

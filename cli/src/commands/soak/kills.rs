@@ -20,6 +20,10 @@ use crate::terminal::print_note;
 
 /// Time limit for a server to become ready.
 const READY_LIMIT: Duration = Duration::from_secs(2);
+/// Additional time if its connections to a database server are cut.
+const CONNECTING_LIMIT: Duration = Duration::from_secs(5);
+/// Attempts at the integrity check if its connection is cut.
+const CHECK_ATTEMPTS: usize = 10;
 /// Target number of unfinished jobs in the queue.
 const TARGET_QUEUE: usize = 4;
 /// Maximum pause before a kill.
@@ -50,6 +54,8 @@ const WORKER_POINTS: [&str; 3] = ["blob_put", "picture_put", "stitching"];
 /// Settings of a soak.
 #[derive(Clone, Debug)]
 pub(super) struct SoakPlan {
+    /// Address of the database, unless it is a file.
+    pub(super) database: Option<String>,
     /// Whether to kill processes.
     pub(super) kill: bool,
     /// Number of workers to kill.
@@ -108,6 +114,11 @@ pub(super) async fn soak(plan: &SoakPlan, tasks: &[ReferenceJob], data: &Path) -
     soak.finish().await?;
     soak.tally.took = soak.start.elapsed();
     Ok(soak.tally)
+}
+
+/// Whether a server refused a request because it could not reach its database.
+fn is_cut_off(error: &ClientError) -> bool {
+    matches!(error, ClientError::Problem(problem) if problem.code == "database_unreachable")
 }
 
 impl Soak<'_> {
@@ -188,11 +199,18 @@ impl Soak<'_> {
 
     /// Starts a server and checks the state left by the last one; `None` if a fail point killed it at its start.
     async fn start(&mut self, fail_points: &str) -> anyhow::Result<Option<ServerProcess>> {
-        let launch = Launch { data: self.data, workers: self.plan.workers, flags: &[], fail_points };
+        let launch = Launch {
+            data: self.data,
+            database: self.plan.database.as_deref(),
+            workers: self.plan.workers,
+            flags: &[],
+            fail_points,
+        };
         let Some(server) = ServerProcess::start(&launch, &self.log).await? else { return Ok(None) };
         self.tally.slowest_ready = self.tally.slowest_ready.max(server.ready);
         self.tally.ready = (self.tally.ready.0 + server.ready, self.tally.ready.1 + 1);
-        if server.ready > READY_LIMIT {
+        let limit = READY_LIMIT + if self.plan.database.is_some() { CONNECTING_LIMIT } else { Duration::ZERO };
+        if server.ready > limit {
             self.tally.violation(format!("a server needed {:?} to become ready", server.ready));
         }
         self.audit().await?;
@@ -200,7 +218,14 @@ impl Soak<'_> {
     }
 
     async fn audit(&mut self) -> anyhow::Result<()> {
-        let found = check_integrity(self.data).await?;
+        let mut found = check_integrity(self.data).await;
+        for _ in 1..CHECK_ATTEMPTS {
+            if found.is_ok() || self.plan.database.is_none() {
+                break;
+            }
+            found = check_integrity(self.data).await;
+        }
+        let found = found?;
         self.tally.integrity_checks += 1;
         for violation in found.violations {
             self.tally.violation(violation);
@@ -229,6 +254,7 @@ impl Soak<'_> {
             match self.check_job(server, id, task).await {
                 Ok(true) => drop(self.waiting.remove(&id)),
                 Ok(false) => {}
+                Err(error) if is_cut_off(&error) => return Ok(()),
                 Err(ClientError::Problem(problem)) => self.tally.violation(format!("job {id}: {}", problem.detail)),
                 Err(_) => return Ok(()),
             }
@@ -241,6 +267,10 @@ impl Soak<'_> {
                     self.tally.accepted += 1;
                     self.accepted.insert(job.id);
                     self.waiting.insert(job.id, task);
+                }
+                Err(error) if is_cut_off(&error) => {
+                    self.tally.unanswered += 1;
+                    return Ok(());
                 }
                 Err(ClientError::Problem(problem)) => {
                     self.tally.violation(format!("a valid job was rejected: {}", problem.detail));
@@ -296,8 +326,11 @@ impl Soak<'_> {
         let start = Instant::now();
         while !self.waiting.is_empty() && start.elapsed() < LAST_JOBS_TIMEOUT {
             for (id, task) in self.waiting.clone() {
-                if self.check_job(&server, id, task).await? {
-                    self.waiting.remove(&id);
+                match self.check_job(&server, id, task).await {
+                    Ok(true) => drop(self.waiting.remove(&id)),
+                    Ok(false) => {}
+                    Err(error) if is_cut_off(&error) => {}
+                    Err(error) => return Err(error.into()),
                 }
             }
             anyhow::ensure!(!server.has_ended()?, "the last server exited unexpectedly");

@@ -52,6 +52,8 @@ pub(super) struct ServerProcess {
 pub(super) struct Launch<'a> {
     /// Its data folder.
     pub(super) data: &'a Path,
+    /// Address of its database, unless it is a file.
+    pub(super) database: Option<&'a str>,
     /// Workers of its pool.
     pub(super) workers: u32,
     /// Additional flags.
@@ -163,6 +165,7 @@ fn spawn(launch: &Launch<'_>) -> anyhow::Result<Child> {
     }
     command.args(["serve", "--listen", "127.0.0.1:0", "--device", "cpu", "--tile", "64", "--data"]).arg(launch.data);
     command.args(["--workers", &launch.workers.to_string()]).args(launch.flags);
+    command.envs(launch.database.map(|address| ("SDFARM_DATABASE", address)));
     if !launch.fail_points.is_empty() {
         command.arg(fail_point::FLAG).env(fail_point::ENV_VAR, launch.fail_points);
     }

@@ -9,6 +9,22 @@ pub(crate) fn server() -> Option<String> {
     std::env::var("SDFARM_TEST_DATABASE").ok()
 }
 
+/// Runs SQL on the database at an address; returns what it prints.
+pub(crate) fn psql(address: &str, text: &str) -> String {
+    let mut psql = Command::new("psql");
+    let output = psql.args(["--no-psqlrc", "--tuples-only", "--no-align", "--quiet", "-c", text, address]).output();
+    let output = output.expect("psql runs");
+    assert!(output.status.success(), "{text}: {}", String::from_utf8_lossy(&output.stderr));
+    String::from_utf8_lossy(&output.stdout).trim().to_owned()
+}
+
+/// Ends all connections of farms to the database at an address; returns how many there were.
+pub(crate) fn cut_connections(address: &str) -> u32 {
+    let cut = "SELECT count(pg_terminate_backend(pid)) FROM pg_stat_activity
+               WHERE datname = current_database() AND application_name = 'sdfarm'";
+    psql(address, cut).parse().expect("a number")
+}
+
 /// Address of the database of a data folder, which is made if there is none yet.
 pub(crate) fn database_of(data: &Path) -> Option<String> {
     let server = server()?;
