@@ -38,6 +38,8 @@ const OLDEST_VERSION: i32 = 150_000;
 const PATIENCE: Duration = Duration::from_secs(30);
 /// Time for the database's server to notice that the farm's last server is gone.
 const LOCK_PATIENCE: Duration = Duration::from_secs(2);
+/// A read waits for this long; a client that is told to retry waits better than a request.
+const READ_PATIENCE: Duration = Duration::from_secs(3);
 const PAUSE: Duration = Duration::from_millis(100);
 /// Time for a connection to be made.
 const CONNECT_TIMEOUT: Duration = Duration::from_secs(5);
@@ -84,7 +86,7 @@ pub(super) async fn open(address: &PostgresAddress) -> Result<(PgConnection, Ses
     MIGRATIONS.run(&mut connection).await?;
     let readers = PgPoolOptions::new()
         .max_connections(READER_CONNECTIONS)
-        .acquire_timeout(PATIENCE)
+        .acquire_timeout(READ_PATIENCE)
         .connect_lazy_with(options.clone());
     Ok((connection, Session { options, transaction: None }, readers))
 }

@@ -15,7 +15,7 @@ use anyhow::Context;
 use clap::Args;
 use proto::Client;
 use serde::Serialize;
-use server::{Config, Server};
+use server::{Config, PostgresAddress, Server};
 use tokio_util::sync::CancellationToken;
 
 use crate::commands::serve::current_executable;
@@ -40,6 +40,15 @@ pub(crate) struct Arguments {
     /// Number of jobs to measure each latency with.
     #[arg(long, value_name = "N", env = "SDFARM_RUNS", default_value_t = 200, value_parser = clap::value_parser!(u32).range(1..=10_000))]
     runs: u32,
+    /// Empty database on a PostgreSQL server for the measured server [default: a file].
+    #[arg(
+        long,
+        value_name = "postgres://USER@HOST/NAME",
+        env = "SDFARM_DATABASE",
+        hide_env_values = true,
+        conflicts_with = "simulate"
+    )]
+    database: Option<PostgresAddress>,
     /// Simulate farms in virtual time instead, with the real queue, and measure how well workers are used.
     #[arg(long, env = "SDFARM_SIMULATE", value_parser = clap::builder::FalseyValueParser::new(), action = clap::ArgAction::SetTrue)]
     simulate: bool,
@@ -88,8 +97,9 @@ struct QueueBenchReport {
     tiles_per_second: f64,
     status_per_second: f64,
     status: Times,
-    start: Times,
-    cancel: Times,
+    /// Measured on files only, on farms of their own.
+    start: Option<Times>,
+    cancel: Option<Times>,
 }
 
 /// Server in a new folder.
@@ -101,11 +111,16 @@ pub(super) struct BenchFarm {
 }
 
 impl BenchFarm {
-    pub(super) async fn start(workers: u32, tile_px: Option<u32>) -> anyhow::Result<Self> {
+    pub(super) async fn start(
+        workers: u32,
+        tile_px: Option<u32>,
+        database: Option<PostgresAddress>,
+    ) -> anyhow::Result<Self> {
         let data = temporary_farm_folder()?;
         let config = Config {
             listen: ([127, 0, 0, 1], 0).into(),
             data: data.path().to_owned(),
+            database,
             worker_program: current_executable()?,
             devices: vec!["cpu".to_owned()],
             workers: Some(workers),
@@ -131,7 +146,7 @@ pub(crate) async fn run(arguments: &Arguments) -> anyhow::Result<()> {
         return simulate::run(arguments).await;
     }
     let seconds = Duration::from_secs(arguments.seconds);
-    let farm = Arc::new(BenchFarm::start(0, Some(load::TILE_PX)).await?);
+    let farm = Arc::new(BenchFarm::start(0, Some(load::TILE_PX), arguments.database.clone()).await?);
     print_note(&format!("submitting {} jobs of 100 tiles", arguments.jobs));
     let (submits_per_second, submit) = load::submit(&farm, arguments.clients, arguments.jobs).await?;
     print_note("measuring claims among them");
@@ -140,9 +155,12 @@ pub(crate) async fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let load::Throughput { tiles_per_second, status_per_second, status } =
         load::work(&farm, arguments.workers, seconds).await?;
     Arc::into_inner(farm).context("a client still uses the farm")?.stop().await?;
-    print_note("measuring starts and cancels");
-    let start = latency::start(arguments.runs).await?;
-    let cancel = latency::cancel(arguments.runs.min(latency::MAX_CANCELS)).await?;
+    let (mut start, mut cancel) = (None, None);
+    if arguments.database.is_none() {
+        print_note("measuring starts and cancels");
+        start = Some(latency::start(arguments.runs).await?);
+        cancel = Some(latency::cancel(arguments.runs.min(latency::MAX_CANCELS)).await?);
+    }
     let (clients, jobs) = (arguments.clients, arguments.jobs);
     let report = QueueBenchReport {
         clients,
@@ -176,6 +194,7 @@ fn table(report: &QueueBenchReport) -> anyhow::Result<()> {
     row(&format!("claims with {} jobs of 100 tiles queued", report.jobs), None, Some(report.claim))?;
     row("tiles claimed and completed", Some(report.tiles_per_second), None)?;
     row("GET of a job meanwhile", Some(report.status_per_second), Some(report.status))?;
-    row("from a job's 201 to an idle worker's start", None, Some(report.start))?;
-    row("from a cancel's 200 to its worker's next job", None, Some(report.cancel))
+    let Some((start, cancel)) = report.start.zip(report.cancel) else { return Ok(()) };
+    row("from a job's 201 to an idle worker's start", None, Some(start))?;
+    row("from a cancel's 200 to its worker's next job", None, Some(cancel))
 }

@@ -34,7 +34,7 @@ fn job(width: u32, samples: u32) -> Vec<u8> {
 
 /// Measures the time from the 201 until the waiting worker has the job.
 pub(super) async fn start(runs: u32) -> anyhow::Result<Times> {
-    let farm = BenchFarm::start(0, None).await?;
+    let farm = BenchFarm::start(0, None, None).await?;
     let worker = FakeWorker::register(farm.client.server(), None).await?;
     let mut times = Vec::new();
     for _ in 0..runs {
@@ -59,7 +59,7 @@ pub(super) async fn start(runs: u32) -> anyhow::Result<Times> {
 
 /// Measures the time from the response to a cancel until the rendering worker starts the next job.
 pub(super) async fn cancel(runs: u32) -> anyhow::Result<Times> {
-    let farm = BenchFarm::start(1, None).await?;
+    let farm = BenchFarm::start(1, None, None).await?;
     let mut times = Vec::new();
     for _ in 0..runs {
         let heavy = farm.client.submit(job(8192, 64), true).await?.id;
