@@ -31,6 +31,7 @@ mod api {
     mod queue;
     mod quotas;
     mod retention;
+    mod scaling;
     mod start_page;
     mod startup;
     mod store;
