@@ -22,6 +22,7 @@ mod fuzz;
 mod job_files;
 mod jobs;
 mod kills;
+mod openjd;
 mod operating;
 mod pages;
 mod pictures;
