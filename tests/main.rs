@@ -9,6 +9,7 @@ mod bad_input;
 mod bad_requests;
 mod bit_identical;
 mod bucket;
+mod chart;
 mod command_line;
 mod compose;
 mod cuda;
