@@ -1,10 +1,14 @@
-"""Checks the compose file and the Dockerfiles without a container engine: known keys, and hardening of each service.
+"""Checks the compose files, the balancer and the Dockerfiles without a container engine: known keys, and hardening of
+each service.
 
-Run from anywhere: python3 docker/check.py. It needs PyYAML. Prints the errors and exits with 1, or prints that it found none.
+Run from anywhere: python3 docker/check.py. It needs PyYAML, and HAProxy for the balancer. Prints the errors and
+exits with 1, or prints that it found none.
 """
 
 import pathlib
 import re
+import shutil
+import subprocess
 import sys
 
 import yaml
@@ -16,7 +20,7 @@ FOLDER = ROOT / "docker"
 TOP = {"name", "services", "volumes", "x-hardened"}
 SERVICE = {
     "restart", "read_only", "cap_drop", "security_opt", "tmpfs", "pids_limit", "logging", "image", "build", "user",
-    "command", "environment", "ports", "volumes", "stop_grace_period", "healthcheck", "depends_on", "deploy", "profiles",
+    "command", "entrypoint", "ulimits", "environment", "ports", "volumes", "stop_grace_period", "healthcheck", "depends_on", "deploy", "profiles",
 }
 NESTED = {
     "build": {"context", "dockerfile"},
@@ -24,6 +28,8 @@ NESTED = {
     "deploy": {"replicas", "resources"},
     "logging": {"driver", "options"},
 }
+# Variables of `sdfarm serve` that a later release has.
+PLANNED = {"SDFARM_DATABASE"}
 DURATION = re.compile(r"\d+(ms|s|m|h)")
 
 
@@ -43,7 +49,7 @@ def faults_of_service(name, service, model):
     if service.get("user", "0").split(":")[0] in ("0", "root"):
         yield wrong("it runs as root")
     check = service.get("healthcheck", {})
-    if not check.get("test") or check["test"][0] != "CMD":
+    if not runs_once(service) and (not check.get("test") or check["test"][0] != "CMD"):
         yield wrong("it has no health check without a shell")
     for key in ("interval", "timeout", "start_period"):
         if key in check and not DURATION.fullmatch(check[key]):
@@ -61,7 +67,10 @@ def faults_of_service(name, service, model):
         elif source not in model["volumes"]:
             yield wrong(f"volume {source} is not declared")
     for other, how in service.get("depends_on", {}).items():
-        if "healthcheck" not in model["services"].get(other, {}) or how != {"condition": "service_healthy"}:
+        awaited = model["services"].get(other, {})
+        if how == {"condition": "service_completed_successfully"} and runs_once(awaited):
+            continue
+        if "healthcheck" not in awaited or how != {"condition": "service_healthy"}:
             yield wrong(f"it waits for {other}, which has no health check")
     build = service.get("build")
     if build and not (FOLDER / build["context"] / build["dockerfile"]).is_file():
@@ -71,17 +80,21 @@ def faults_of_service(name, service, model):
     for variable, value in service.get("environment", {}).items():
         if not isinstance(value, str):
             yield wrong(f"{variable} is not a string")
-        if variable.startswith("SDFARM_") and variable not in variables():
+        if variable.startswith("SDFARM_") and variable not in variables() | PLANNED:
             yield wrong(f"the program has no variable {variable}")
+
+
+def runs_once(service):
+    return service.get("restart") == "no"
 
 
 def faults_of_head(text):
     """Checks the commands at the head: each must run before the variables of later ones are known."""
     if re.search(r"\$\{\w+:?\?", text):
-        yield "compose.yml: a required variable, which stops every command that comes before its value is known"
+        yield "a required variable, which stops every command that comes before its value is known"
     keys = re.findall(r"^# +docker compose .* run --rm server (key new .*)$", text, re.M)
     if not keys or not keys[0].endswith("--scope admin"):
-        yield "compose.yml: the first key created by the commands at its head is not an administrator's"
+        yield "the first key created by the commands at its head is not an administrator's"
 
 
 def built(image, model):
@@ -109,14 +122,46 @@ def faults_of_image(path):
             yield f"{path.name}: the program has no variable {name}"
 
 
-def faults():
-    text = (FOLDER / "compose.yml").read_text()
+def faults_of_model(text):
     yield from faults_of_head(text)
     model = yaml.safe_load(text)
     for key in model.keys() - TOP:
-        yield f"compose.yml: unknown key {key}"
+        yield f"unknown key {key}"
     for name, service in model["services"].items():
         yield from faults_of_service(name, service, model)
+
+
+def faults_of_cluster():
+    """Checks that the services of the cluster name each other as they are."""
+    services = yaml.safe_load((FOLDER / "compose.cluster.yml").read_text())["services"]
+    path = FOLDER / "cluster" / "haproxy.cfg"
+    count, target = re.search(r"server-template server (\d+) (\S+) ", path.read_text()).groups()
+    if int(count) != services["server"]["deploy"]["replicas"]:
+        yield f"haproxy.cfg: it sends requests to {count} servers"
+    port = services["server"]["environment"]["SDFARM_LISTEN"].rsplit(":")[-1]
+    if target != f"server:{port}":
+        yield f"haproxy.cfg: {target} is not where the servers listen"
+    bucket = re.match(r"s3://([^/]+)/", services["server"]["environment"]["SDFARM_STORE"]).group(1)
+    if f"s3.bucket.create -name {bucket}" not in services["bucket"]["command"][0]:
+        yield f"compose.cluster.yml: bucket {bucket} is not made"
+    balancer = re.match(r"http://(\w+):(\d+)", services["worker"]["environment"]["SDFARM_SERVER"])
+    if balancer.group(1) not in services["server"]["environment"]["SDFARM_HOST"].split(","):
+        yield "compose.cluster.yml: the servers do not know the name that workers call them by"
+    if f"bind :{balancer.group(2)}" not in path.read_text():
+        yield "haproxy.cfg: it does not listen where workers connect"
+    program = shutil.which("haproxy") or shutil.which("haproxy", path="/usr/sbin")
+    if not program:
+        print("skipped: haproxy is not installed, so its configuration is not parsed")
+        return
+    parsed = subprocess.run([program, "-c", "-f", path], capture_output=True, text=True, check=False)
+    if parsed.returncode:
+        yield f"haproxy.cfg: {parsed.stdout}{parsed.stderr}"
+
+
+def faults():
+    for path in sorted(FOLDER.glob("compose*.yml")):
+        yield from (f"{path.name}: {fault}" for fault in faults_of_model(path.read_text()))
+    yield from faults_of_cluster()
     for path in sorted(FOLDER.glob("Dockerfile*")):
         yield from faults_of_image(path)
     ignored = (ROOT / ".dockerignore").read_text().split()
@@ -128,5 +173,5 @@ def faults():
 
 if __name__ == "__main__":
     found = list(faults())
-    print("\n".join(found) if found else "the compose file and the images are valid")
+    print("\n".join(found) if found else "the compose files and the images are valid")
     sys.exit(1 if found else 0)

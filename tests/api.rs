@@ -166,6 +166,7 @@ fn openapi_document_is_valid_and_names_every_route() {
         ("/v1/jobs/{id}/frames/{frame}/image", vec!["get"]),
         ("/v1/workers", vec!["get"]),
         ("/v1/pool", vec!["get", "put"]),
+        ("/v1/scaling", vec!["get"]),
         ("/v1/schema/job", vec!["get"]),
         ("/livez", vec!["get"]),
         ("/readyz", vec!["get"]),

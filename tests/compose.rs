@@ -1,13 +1,13 @@
-//! Tests the commands at the head of docker/compose.yml without a container engine: it runs the containers' commands
-//! directly, in the same order and with the same variables.
+//! Tests the commands at the heads of the compose files without a container engine: it runs the containers' commands of
+//! docker/compose.yml directly, in the same order and with the same variables.
 
 use std::path::Path;
 use std::process::{Command, Stdio};
 
 use crate::support::{Farm, eventually, finish, root, sdfarm, text, wait};
 
-fn model() -> String {
-    std::fs::read_to_string(root().join("docker/compose.yml")).expect("the compose file is there")
+fn model(name: &str) -> String {
+    std::fs::read_to_string(root().join("docker").join(name)).expect("the compose file is there")
 }
 
 /// Commands that the head runs in the server's container, in order.
@@ -30,19 +30,22 @@ fn key(data: &Path, arguments: &[String]) -> String {
 
 #[test]
 fn first_compose_commands_need_no_later_variable() {
-    let model = model();
-    // Compose evaluates every variable of the file for every command, also for `build`.
-    assert!(!model.contains(":?"), "a required variable would make the first commands fail");
-    let keys = commands(&model);
-    assert!(keys.len() >= 2, "{keys:?}");
-    assert!(keys[0].ends_with(&["--scope".to_owned(), "admin".to_owned()]), "the first key is an administrator's");
+    for name in ["compose.yml", "compose.cluster.yml"] {
+        let model = model(name);
+        // Compose evaluates every variable of the file for every command, also for `build`.
+        assert!(!model.contains(":?"), "{name}: a required variable would make the first commands fail");
+        let keys = commands(&model);
+        assert!(keys.len() >= 2, "{name}: {keys:?}");
+        let is_admin = keys[0].ends_with(&["--scope".to_owned(), "admin".to_owned()]);
+        assert!(is_admin, "{name}: the first key is an administrator's");
+    }
 }
 
 #[test]
 fn compose_keys_authorize_the_workers() {
     let folder = tempfile::tempdir().expect("a folder");
     let data = folder.path().join("data");
-    let secrets: Vec<String> = commands(&model()).iter().map(|arguments| key(&data, arguments)).collect();
+    let secrets: Vec<String> = commands(&model("compose.yml")).iter().map(|arguments| key(&data, arguments)).collect();
     // The farm listens beyond loopback without --insecure, because it has keys.
     let mut serve = sdfarm(&["serve"]);
     serve.envs([("SDFARM_WORKERS", "0"), ("SDFARM_HOST", "server"), ("SDFARM_DEVICE", "cpu")]);

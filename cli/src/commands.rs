@@ -10,6 +10,7 @@ mod demo;
 mod diff;
 mod doctor;
 mod explain;
+mod export;
 mod fetch;
 mod file;
 mod fmt;
@@ -120,6 +121,8 @@ pub(crate) enum Command {
     Schema(schema::Arguments),
     /// Show a job's size in nodes, rays and operations, or its GPU program (--cuda).
     Explain(explain::Arguments),
+    /// Write a job in the format of another render farm.
+    Export(export::Arguments),
     /// Measure how fast this machine renders.
     Bench(bench::Arguments),
     /// Check that this machine renders bit-identical pictures.
@@ -181,6 +184,7 @@ impl Command {
             Self::Diff(arguments) => diff::run(&arguments),
             Self::Schema(arguments) => schema::run(&arguments),
             Self::Explain(arguments) => explain::run(&arguments),
+            Self::Export(arguments) => export::run(&arguments),
             Self::Bench(arguments) => bench::run(&arguments),
             Self::Selftest(arguments) => selftest::run(&arguments),
             Self::Soak(arguments) => run_async(soak::run(arguments)),

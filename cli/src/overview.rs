@@ -4,6 +4,7 @@ mod openmetrics;
 
 use proto::job::{JobState, JobView};
 use proto::pool::{PoolView, WorkerView};
+use proto::scaling::ScalingView;
 use proto::{Client, ClientError, rounding};
 use serde::Serialize;
 
@@ -38,12 +39,22 @@ pub(crate) struct Overview {
     pub(crate) pool: PoolView,
     /// Workers that have not exited or vanished.
     pub(crate) workers: Vec<WorkerView>,
+    /// Workers that would finish the backlog in ten minutes.
+    pub(crate) scaling: ScalingView,
     /// Unfinished jobs, running ones first.
     pub(crate) jobs: Vec<JobView>,
     /// The data folder.
     pub(crate) disk: DiskOverview,
     /// Warnings.
     pub(crate) warnings: Vec<String>,
+}
+
+/// Workers that there are, and that are wanted.
+#[derive(Debug)]
+struct Capacity {
+    pool: PoolView,
+    workers: Vec<WorkerView>,
+    scaling: ScalingView,
 }
 
 /// Remaining work.
@@ -105,10 +116,11 @@ pub(crate) async fn fetch(client: &Client) -> Result<Overview, ClientError> {
     };
     let samples = Metrics::read(&client.metrics().await?);
     let (pool, workers) = (client.pool().await?, client.workers().await?.workers);
+    let capacity = Capacity { pool, workers, scaling: client.scaling().await? };
     let paused = client.farm().await?.paused;
     let mut jobs = client.jobs(Some(JobState::Running), JOBS, None).await?.jobs;
     jobs.extend(client.jobs(Some(JobState::Queued), JOBS, None).await?.jobs);
-    Ok(Overview::from_parts(client.server(), health, &samples, paused, pool, workers, jobs))
+    Ok(Overview::from_parts(client.server(), health, &samples, paused, capacity, jobs))
 }
 
 impl Overview {
@@ -117,10 +129,10 @@ impl Overview {
         health: String,
         samples: &Metrics,
         paused: bool,
-        pool: PoolView,
-        workers: Vec<WorkerView>,
+        capacity: Capacity,
         jobs: Vec<JobView>,
     ) -> Self {
+        let Capacity { pool, workers, scaling } = capacity;
         let sum = |name: &str| samples.sum(name, &[]);
         let count = |name: &str, labels: &[(&str, &str)]| samples.sum(name, labels) as u64;
         let answers =
@@ -160,6 +172,7 @@ impl Overview {
             totals,
             pool,
             workers,
+            scaling,
             jobs,
             disk,
             warnings: Vec::new(),
@@ -228,6 +241,8 @@ pub(crate) fn scaled(number: f64) -> String {
 
 #[cfg(test)]
 pub(crate) mod tests {
+    use proto::scaling::DeviceScaling;
+
     use super::*;
 
     /// Sample of an unhealthy farm.
@@ -258,8 +273,18 @@ pub(crate) mod tests {
             "ready".to_owned(),
             &samples,
             true,
-            PoolView { workers: 2, ready: 1 },
-            vec![serde_json::from_str(worker).expect("a worker")],
+            Capacity {
+                pool: PoolView { workers: 2, ready: 1 },
+                workers: vec![serde_json::from_str(worker).expect("a worker")],
+                scaling: ScalingView {
+                    target_seconds: 600,
+                    jobs: 2,
+                    tiles: 100,
+                    rays: 4_000_000_000,
+                    cpu: DeviceScaling { wanted_workers: 4, ..DeviceScaling::default() },
+                    cuda: DeviceScaling { wanted_workers: 1, ..DeviceScaling::default() },
+                },
+            },
             vec![serde_json::from_str(job).expect("a job"), serde_json::from_str(&held).expect("a job")],
         )
     }

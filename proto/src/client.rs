@@ -19,6 +19,7 @@ use crate::client_auth::{ClientAuth, ClientAuthError, server_url};
 use crate::farm::FarmView;
 use crate::job::{DryRun, JobPage, JobState, JobView};
 use crate::pool::{PoolSize, PoolView, WorkerList};
+use crate::scaling::ScalingView;
 use crate::{JobId, Problem};
 
 pub use jobs::{EventStream, SubmitOptions};
@@ -210,6 +211,11 @@ impl Client {
     /// State of the local pool.
     pub async fn pool(&self) -> Result<PoolView, ClientError> {
         self.json(self.request(Method::GET, "/v1/pool")).await
+    }
+
+    /// Workers that would finish the backlog in time, by kind of device.
+    pub async fn scaling(&self) -> Result<ScalingView, ClientError> {
+        self.json(self.request(Method::GET, "/v1/scaling")).await
     }
 
     /// Sets the target number of workers of the local pool.

@@ -21,6 +21,7 @@ pub mod preview_helper;
 pub mod problem;
 pub mod retention;
 pub mod rounding;
+pub mod scaling;
 pub mod tile;
 pub mod trace_context;
 pub mod webhook;

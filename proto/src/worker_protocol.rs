@@ -35,6 +35,9 @@ pub fn picture_path(hash: &str) -> String {
     format!("/v1/worker/pictures/{hash}")
 }
 
+/// Largest scene that a worker on a GPU renders, in nodes.
+pub const CUDA_MAX_NODES: u32 = 500;
+
 /// Registration of a worker.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]

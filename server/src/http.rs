@@ -28,6 +28,7 @@ mod range;
 mod request_id;
 mod retention;
 mod routes;
+mod scaling;
 mod start_page;
 mod state;
 mod submission;
@@ -80,6 +81,7 @@ routes::table! {
         GET    "/v1/workers"                                READ       MINUTE Nothing pool::workers;
         GET    "/v1/pool"                                   READ       MINUTE Nothing pool::get;
         PUT    "/v1/pool"                                   ADMIN      MINUTE Admin   pool::put;
+        GET    "/v1/scaling"                                READ       MINUTE Nothing scaling::get, polled;
         GET    "/v1/keys"                                   ADMIN      MINUTE Nothing keys::list;
         POST   "/v1/keys"                                   ADMIN      MINUTE NewKey  keys::make;
         DELETE "/v1/keys/{id}"                              ADMIN      MINUTE Admin   keys::revoke;

@@ -36,6 +36,7 @@ mod preview_helper;
 mod private_files;
 mod queue;
 mod retention;
+mod scaling;
 #[cfg(test)]
 #[path = "../../tests/seaweedfs.rs"]
 mod seaweedfs;

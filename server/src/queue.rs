@@ -31,6 +31,7 @@ mod recover;
 mod repair;
 mod reported;
 mod retention;
+mod scaling;
 mod speeds;
 mod stats;
 mod stitch;

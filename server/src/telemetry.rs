@@ -22,6 +22,7 @@ use crate::counters::ServerCounters;
 use crate::db::{Database, DatabaseError};
 use crate::host::{self, Disk, Process};
 use crate::queue::{Queue, QueueStats};
+use crate::scaling::Demand;
 pub(crate) use metrics::Metrics;
 use metrics::{Labels, replace};
 
@@ -51,6 +52,7 @@ pub(crate) struct Telemetry {
     started: Instant,
     data: PathBuf,
     counts: tokio::sync::Mutex<Option<Expiring<QueueStats>>>,
+    demand: tokio::sync::Mutex<Option<Expiring<Demand>>>,
     sizes: tokio::sync::Mutex<Option<Expiring<FolderSizes>>>,
     devices: Mutex<HashMap<WorkerId, DeviceStatus>>,
     traces: Mutex<VecDeque<(JobId, Option<String>)>>,
@@ -118,6 +120,7 @@ impl Telemetry {
             started: monotonic_now(),
             data,
             counts: tokio::sync::Mutex::default(),
+            demand: tokio::sync::Mutex::default(),
             sizes: tokio::sync::Mutex::default(),
             devices: Mutex::default(),
             traces: Mutex::default(),
@@ -175,6 +178,18 @@ impl Telemetry {
         let counts = self.queue.counts().await?;
         *kept = Some(Expiring::new(counts.clone(), begun, COUNTS_TTL));
         Ok(counts)
+    }
+
+    /// Current backlog and workers, cached like the counts.
+    pub(crate) async fn demand(&self) -> Result<Demand, DatabaseError> {
+        let mut kept = self.demand.lock().await;
+        if let Some(demand) = Expiring::get(kept.as_ref()) {
+            return Ok(demand);
+        }
+        let begun = monotonic_now();
+        let demand = self.queue.demand().await?;
+        *kept = Some(Expiring::new(demand.clone(), begun, COUNTS_TTL));
+        Ok(demand)
     }
 
     /// Sizes of the store and of the data folder's disk, cached for 30 s, or for 10 min of a bucket. If the bucket cannot

@@ -34,6 +34,7 @@ mod api {
     mod queue;
     mod quotas;
     mod retention;
+    mod scaling;
     mod start_page;
     mod startup;
     mod store;

@@ -3,7 +3,7 @@
 use super::raw::Request;
 
 /// Routes, and methods that they do not support.
-const METHODS: [(&str, &[&str]); 13] = [
+const METHODS: [(&str, &[&str]); 14] = [
     ("/v1/jobs", &["PUT", "DELETE"]),
     ("/v1/jobs/{job}/cancel", &["GET", "PUT", "DELETE"]),
     ("/v1/jobs/{job}", &["POST", "PUT"]),
@@ -11,6 +11,7 @@ const METHODS: [(&str, &[&str]); 13] = [
     ("/v1/jobs/{job}/frames/0/image", &["PUT", "PATCH"]),
     ("/v1/workers", &["POST", "DELETE"]),
     ("/v1/pool", &["POST", "DELETE", "PATCH"]),
+    ("/v1/scaling", &["POST", "PUT"]),
     ("/v1/schema/job", &["POST", "PUT"]),
     ("/livez", &["POST", "DELETE"]),
     ("/readyz", &["PUT"]),
@@ -72,6 +73,18 @@ const QUERIES: [&str; 22] = [
     "limit=5&order=name",
 ];
 
+/// Queries that the number of wanted workers rejects.
+const SCALING_QUERIES: [&str; 8] = [
+    "target_seconds=0",
+    "target_seconds=86401",
+    "target_seconds=-1",
+    "target_seconds=1.5",
+    "target_seconds=",
+    "target_seconds=ten",
+    "target_seconds=1&target_seconds=2",
+    "device=cpu",
+];
+
 /// Invalid requests of this file.
 pub(super) fn requests() -> Vec<Request> {
     let mut all = Vec::new();
@@ -116,6 +129,9 @@ pub(super) fn requests() -> Vec<Request> {
     all.push(Request::new("cancel of a job that has ended", "POST /v1/jobs/{done}/cancel"));
     for query in QUERIES {
         all.push(Request::new(format!("list: {query}"), format!("GET /v1/jobs?{query}")));
+    }
+    for query in SCALING_QUERIES {
+        all.push(Request::new(format!("scaling: {query}"), format!("GET /v1/scaling?{query}")));
     }
     for query in ["dry_run=maybe", "dry_run=", "dry_run=1", "dry_run=true&dry_run=true", "dryrun=true"] {
         let head = format!("POST /v1/jobs?{query}\ncontent-type: application/json");

@@ -38,7 +38,7 @@ pub use launches::KernelTimes;
 pub use source::{DIVISION_POINT, KernelSource};
 
 /// Maximum number of nodes whose formulas a kernel has, see [`scene::Job::compiled_nodes`].
-pub const MAX_NODES: u32 = 500;
+pub const MAX_NODES: u32 = proto::worker_protocol::CUDA_MAX_NODES;
 /// Maximum memory of freed planes kept for reuse, in numbers.
 const MAX_SPARE_FLOATS: usize = 128 << 20;
 /// Maximum number of kernels loaded on the GPU.

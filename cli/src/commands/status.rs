@@ -42,7 +42,7 @@ pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
 
 /// Formats the screen's lines.
 fn lines(overview: &Overview) -> Vec<String> {
-    let Overview { queue, pool, disk, .. } = overview;
+    let Overview { queue, pool, scaling, disk, .. } = overview;
     let work = queue.work_seconds.map_or_else(|| "an unknown time".to_owned(), duration);
     let (version, uptime) = (&overview.version, duration(overview.uptime_seconds));
     let paused = if overview.paused { ", paused" } else { "" };
@@ -61,6 +61,12 @@ fn lines(overview: &Overview) -> Vec<String> {
             pool.ready,
             pool.workers,
             scaled(queue.rays_per_second)
+        ),
+        format!(
+            "wanted   {} on CPUs, {} on GPUs, to finish within {}",
+            counted(scaling.cpu.wanted_workers, "worker"),
+            scaling.cuda.wanted_workers,
+            duration(f64::from(scaling.target_seconds))
         ),
         format!(
             "disk     {}B free of {}B; pictures and tiles {}B, database {}B",
@@ -114,6 +120,7 @@ mod tests {
 http://127.0.0.1:8080  ready, paused, sdfarm 1.2.3, up 3 h 20 min
 queue    1 running, 4 queued, 90 tiles ready, 8 leased; work for 1 h 1 min, the oldest is 2 h 1 min old
 pool     1 of 2 ready; all workers: 11.0 Mrays/s
+wanted   4 workers on CPUs, 1 on GPUs, to finish within 10 min 0 s
 disk     1.0 GB free of 9.0 GB; pictures and tiles 570 B, database 0 B
 worker   pool-1               cpu      ready         8 leases  2.0 Mrays/s
 job      099a8058  running   25 %  1 min 15 s left  fjord

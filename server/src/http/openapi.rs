@@ -18,6 +18,7 @@ use proto::job::{DryRun, JobPage, JobView};
 use proto::link::{LinkRequest, LinkView};
 use proto::pool::{PoolSize, PoolView, WorkerList};
 use proto::retention::GcReport;
+use proto::scaling::ScalingView;
 use proto::webhook::DeliveryList;
 use schemars::generate::SchemaSettings;
 use serde_json::{Map, Value};
@@ -87,6 +88,7 @@ fn answers() -> Map<String, Value> {
     generator.subschema_for::<DeliveryList>();
     generator.subschema_for::<WorkerList>();
     generator.subschema_for::<PoolView>();
+    generator.subschema_for::<ScalingView>();
     generator.subschema_for::<IssuedApiKey>();
     generator.subschema_for::<ApiKeyList>();
     generator.subschema_for::<AuditPage>();

@@ -103,12 +103,17 @@ impl Farm {
     }
 
     pub(crate) async fn worker(&self, name: &str) -> Worker<'_> {
-        Worker::register(self, name, None).await
+        Worker::register(self, name, "cpu", None).await
     }
 
     /// Worker that renders only scenes with at most this many nodes.
     pub(crate) async fn small_worker(&self, name: &str, max_nodes: u32) -> Worker<'_> {
-        Worker::register(self, name, Some(max_nodes)).await
+        Worker::register(self, name, "cpu", Some(max_nodes)).await
+    }
+
+    /// Worker on a GPU that renders only scenes with at most this many nodes.
+    pub(crate) async fn gpu_worker(&self, name: &str, max_nodes: u32) -> Worker<'_> {
+        Worker::register(self, name, "cuda:0", Some(max_nodes)).await
     }
 }
 
@@ -178,10 +183,10 @@ pub(crate) struct Said {
 }
 
 impl<'a> Worker<'a> {
-    async fn register(farm: &'a Farm, name: &str, max_nodes: Option<u32>) -> Self {
+    async fn register(farm: &'a Farm, name: &str, device: &str, max_nodes: Option<u32>) -> Self {
         let hello = RegisterRequest {
             name: name.to_owned(),
-            device: "cpu".to_owned(),
+            device: device.to_owned(),
             picture_version: scene::PICTURE_VERSION,
             max_nodes,
             process: 1,

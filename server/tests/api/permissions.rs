@@ -74,6 +74,7 @@ const ROWS: &[(&str, Row)] = &[
     ("POST /v1/gc", Admin),
     ("GET /v1/workers", Read),
     ("GET /v1/pool", Read),
+    ("GET /v1/scaling", Read),
     ("PUT /v1/pool", Admin),
     ("GET /v1/keys", Admin),
     ("POST /v1/keys", Admin),

@@ -97,6 +97,7 @@ async fn ask(bench: &Fixture) {
     queue.image(id, 0).await.expect("reads");
     queue.workers().await.expect("lists");
     queue.pool_ready().await.expect("counts");
+    queue.demand().await.expect("counts");
     queue.orphan_blobs(&hashes).await.expect("reads");
     queue.orphan_pictures(&hashes).await.expect("reads");
     queue.has_picture("no key").await.expect("reads");
