@@ -26,11 +26,9 @@ CUSTOM = {
     "keda.sh/v1alpha1": "cloudcoil.models.keda.v1alpha1",
     "monitoring.coreos.com/v1": "cloudcoil.models.prometheus_operator.v1",
 }
-# Variables of `sdfarm serve` that a later release has.
-PLANNED = {"SDFARM_DATABASE"}
 # Values that the chart must reject, with a word of the message.
 REJECTED = {
-    "server: { replicas: 2 }": "database.secret",
+    "server: { replicas: 2 }": "replicas",
     "database: { secret: a }": "store.url",
     "keys: { workers: { secret: '' } }": "keys.workers.secret",
     "workers: { cpu: { scaling: { enabled: true } } }": "keys.reader.secret",
@@ -120,7 +118,7 @@ def faults_of_pod(thing, variables):
             yield f"{where}: a variable occurs twice in {names}"
         command = container["args"][0] if "command" not in container else "key"
         for name in names:
-            if name.startswith("SDFARM_") and name not in variables(command) | PLANNED:
+            if name.startswith("SDFARM_") and name not in variables(command):
                 yield f"{where}: sdfarm {command} has no variable {name}"
         for key in ("startupProbe", "livenessProbe", "readinessProbe"):
             path = container.get(key, {}).get("httpGet", {}).get("path")

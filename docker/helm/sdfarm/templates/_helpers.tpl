@@ -74,11 +74,8 @@ affinity: {{- toYaml . | nindent 2 }}
 
 {{/* Combinations of values that cannot work. */}}
 {{- define "sdfarm.check" -}}
-{{- if and (gt (int .Values.server.replicas) 1) (not .Values.database.secret) }}
-{{- fail "server.replicas is more than 1: several servers need PostgreSQL, so set database.secret" }}
-{{- end }}
 {{- if and .Values.database.secret (not .Values.store.url) }}
-{{- fail "database.secret is set: the servers have no volume then, so set store.url to s3://BUCKET/PREFIX" }}
+{{- fail "database.secret is set: the server has no volume then, so set store.url to s3://BUCKET/PREFIX" }}
 {{- end }}
 {{- if not (or .Values.server.insecure .Values.keys.workers.secret) }}
 {{- fail "keys.workers.secret is empty: name the Secret with the workers' key" }}
