@@ -27,6 +27,7 @@ mod openjd;
 mod operating;
 mod pages;
 mod pictures;
+mod postgres;
 mod postgres_server;
 mod previews;
 mod repository;

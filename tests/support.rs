@@ -192,7 +192,10 @@ impl Farm {
     /// Starts a server on this address.
     pub(crate) fn start_at(listen: &str, mut command: Command, folder: &Path, arguments: &[&str]) -> Self {
         let log = folder.join("log");
-        if let Some(database) = postgres_server::database_of(&folder.join("data")) {
+        // On PostgreSQL, unless the caller has chosen a database.
+        if command.get_envs().all(|(name, _)| name != "SDFARM_DATABASE")
+            && let Some(database) = postgres_server::database_of(&folder.join("data"))
+        {
             command.env("SDFARM_DATABASE", database);
         }
         command.args(["--listen", listen, "--data"]).arg(folder.join("data")).args(arguments);

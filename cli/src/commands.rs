@@ -25,6 +25,7 @@ mod pool;
 mod preview;
 mod preview_helper;
 mod priority;
+mod relocate;
 mod render;
 mod restore;
 mod resubmit;
@@ -137,6 +138,8 @@ pub(crate) enum Command {
     Backup(backup::Arguments),
     /// Restore a farm from a backup into a new folder.
     Restore(restore::Arguments),
+    /// Move the database of a stopped farm to a PostgreSQL server, or back to a file.
+    Move(relocate::Arguments),
     /// Check a farm's data folder and machine, and suggest fixes.
     Doctor(doctor::Arguments),
     /// Start a farm, render a shipped scene on it, save the picture, and stop.
@@ -192,6 +195,7 @@ impl Command {
             Self::Top(arguments) => run_async(interruptible(top::run(arguments))),
             Self::Backup(arguments) => run_async(interruptible(backup::run(arguments))),
             Self::Restore(arguments) => run_async(interruptible(restore::run(arguments))),
+            Self::Move(arguments) => run_async(interruptible(relocate::run(arguments))),
             Self::Doctor(arguments) => run_async(interruptible(doctor::run(arguments))),
             Self::Demo(arguments) => run_async(demo::run(arguments)),
             Self::PreviewHelper => preview_helper::run(),

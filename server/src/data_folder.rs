@@ -9,6 +9,7 @@ mod database;
 mod doctor;
 mod hashed_files;
 mod manifest;
+mod move_database;
 mod restore;
 mod store_check;
 
@@ -17,6 +18,7 @@ use std::path::{Path, PathBuf};
 
 pub use backup::{Backup, back_up};
 pub use doctor::{Depth, Finding, Repair, Severity, run_checks};
+pub use move_database::{MovedDatabase, move_database};
 pub use restore::{Restored, restore};
 
 use crate::db::{DatabaseError, OpenError, PostgresAddress};
@@ -39,6 +41,23 @@ pub enum DataFolderError {
         folder: PathBuf,
         /// Address of the database.
         address: Box<PostgresAddress>,
+    },
+    /// The farm's database already is where it would be moved to, or on another server of the same kind.
+    #[error(
+        "the farm's database is {0}, of the same kind: to move it to another PostgreSQL server use pg_dump and pg_restore, \
+         and to another folder sdfarm backup and restore"
+    )]
+    SameEngine(String),
+    /// The database to move to has a farm.
+    #[error("the database {0} already has a farm: make an empty one with createdb, or move that file away")]
+    DatabaseNotEmpty(String),
+    /// A database could not be moved.
+    #[error("the farm was not moved, and is as before: the database {database} cannot be used")]
+    Move {
+        /// The database.
+        database: String,
+        /// Reason.
+        source: Box<dyn std::error::Error + Send + Sync>,
     },
     /// A folder or file could not be read or written.
     #[error("could not {action} {path}: free space on its disk, or correct its permissions")]

@@ -4,6 +4,7 @@
 //! It has no statements about jobs, tiles or leases: those are in `queue`.
 
 mod connection;
+mod copy;
 mod dialect;
 mod external;
 mod first_write;
@@ -30,7 +31,6 @@ pub(crate) use connection::{Connection, Readers, Target};
 pub(crate) use first_write::{FirstWrite, with_first_write};
 pub(crate) use location::DatabaseLocation;
 pub use location::{ParseDatabaseError, PostgresAddress};
-#[cfg(test)]
 pub(crate) use query::made_query;
 pub(crate) use query::{Changed, Statement, query, query_scalar};
 pub(crate) use row::Row;
@@ -236,7 +236,7 @@ impl Database {
     pub(crate) async fn open_at(location: &DatabaseLocation) -> Result<Self, OpenError> {
         match &location.postgres {
             Some(address) => Self::open_postgres(address).await,
-            None => Self::open(&location.data).await,
+            None => Self::open_file(&location.data).await,
         }
     }
 

@@ -43,6 +43,11 @@ impl DatabaseLocation {
         })
     }
 
+    /// Removes the record of the data folder, so that its database is the file in it.
+    pub(crate) fn forget(&self) -> io::Result<()> {
+        std::fs::remove_file(self.data.join(RECORD_FILE))
+    }
+
     /// Records it in the data folder.
     pub(crate) fn record(&self) -> io::Result<()> {
         let (Some(address), file) = (&self.postgres, self.data.join(RECORD_FILE)) else { return Ok(()) };

@@ -2,12 +2,10 @@
 
 use std::marker::PhantomData;
 
-#[cfg(test)]
-use sqlx::AssertSqlSafe;
 use sqlx::postgres::{PgArguments, Postgres};
 use sqlx::query::Query;
 use sqlx::sqlite::{Sqlite, SqliteArguments};
-use sqlx::{SqlSafeStr, SqlStr};
+use sqlx::{AssertSqlSafe, SqlSafeStr, SqlStr};
 
 use super::DatabaseError;
 use super::connection::Target;
@@ -20,8 +18,7 @@ use super::value::{Column, Value};
 enum Text {
     /// Written in the program.
     Written(&'static str),
-    /// Made by a test, of parts that are written in it.
-    #[cfg(test)]
+    /// Made of parts that are written in the program, and of names in the catalog of a database.
     Made(String),
 }
 
@@ -57,8 +54,7 @@ pub(crate) fn query(text: &'static str) -> Statement {
     Statement { text: Text::Written(text), values: Vec::new() }
 }
 
-/// A statement that a test makes of parts.
-#[cfg(test)]
+/// A statement made of parts that are written in the program, and of names in the catalog of a database.
 pub(crate) fn made_query(text: String) -> Statement {
     Statement { text: Text::Made(text), values: Vec::new() }
 }
@@ -183,7 +179,6 @@ impl Text {
     fn into_dialect(self, dialect: Dialect) -> SqlStr {
         match self {
             Self::Written(text) => dialect::written(text, dialect).into_sql_str(),
-            #[cfg(test)]
             Self::Made(text) => AssertSqlSafe(dialect::translate(&text, dialect)).into_sql_str(),
         }
     }

@@ -82,6 +82,12 @@ macro_rules! integers {
 
 integers!(i64, i32, u64, u32, u16);
 
+impl Column for Cell {
+    fn from_cell(cell: Cell) -> Option<Self> {
+        Some(cell)
+    }
+}
+
 impl Column for bool {
     fn from_cell(cell: Cell) -> Option<Self> {
         i64::from_cell(cell).map(|value| value != 0)

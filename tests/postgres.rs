@@ -1,0 +1,79 @@
+//! A farm that moves to PostgreSQL and back. On a server of `tests/on_postgres`; otherwise these tests do nothing.
+
+use std::path::Path;
+use std::process::Command;
+
+use crate::support::{Farm, finish, rendered_here, run, sdfarm, succeed, text};
+use crate::{jobs, postgres_server};
+
+/// Every row of a database file, as an independent reader prints them, without what each migration notes for itself.
+fn dump(file: &Path) -> String {
+    const PROGRAM: &str = "import sqlite3, sys
+for line in sqlite3.connect(sys.argv[1]).iterdump():
+    if '_sqlx_migrations' not in line:
+        print(line)";
+    let mut python = Command::new("python3");
+    python.args(["-c", PROGRAM]).arg(file);
+    let output = finish(python, b"");
+    assert!(output.status.success(), "{}", text(&output.stderr));
+    text(&output.stdout)
+}
+
+/// Starts a server on `FOLDER/data` and its own database, whatever the variables of the tests say.
+fn start(folder: &Path, database: Option<&str>) -> Farm {
+    let mut command = sdfarm(&["serve"]);
+    match database {
+        Some(address) => command.env("SDFARM_DATABASE", address),
+        None => command.env_remove("SDFARM_DATABASE"),
+    };
+    Farm::start_by(command, folder, &["--workers", "1"])
+}
+
+#[test]
+fn a_farm_moves_to_postgresql_and_back_with_every_row() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let data = folder.path().join("data");
+    let word = data.to_str().expect("plain");
+    let Some(database) = postgres_server::database_of(&data) else { return };
+    let job = jobs::as_png(&jobs::sized(&jobs::named("csg"), 64, 2));
+    let farm = start(folder.path(), None);
+    let id = farm.accept(&job.to_string());
+    farm.succeeded(&id);
+    let deleted = farm.accept(&jobs::seeded(&job, 7).to_string());
+    farm.succeeded(&deleted);
+    assert_eq!(farm.send("DELETE", &format!("/v1/jobs/{deleted}"), &[], Vec::new()).status, 204);
+    let in_use = run(&["move", "--data", word, "--to", &database]);
+    assert!(text(&in_use.stderr).contains("stop it first"), "{}", text(&in_use.stderr));
+    farm.terminate();
+
+    let told = succeed(&["move", "--data", word, "--to", &database]);
+    assert!(told.contains("is kept") && told.contains("--database postgres://"), "{told}");
+    let moved = data.join("farm.sqlite.moved");
+    let before = dump(&moved);
+    // Back at once: every row is as before.
+    succeed(&["move", "--data", word, "--to", "file"]);
+    assert_eq!(dump(&data.join("farm.sqlite")), before);
+    let twice = run(&["move", "--data", word, "--to", &database]);
+    assert!(text(&twice.stderr).contains("already has a farm"), "{}", text(&twice.stderr));
+    assert_eq!(dump(&data.join("farm.sqlite")), before, "nothing was changed");
+
+    // And away again, to work there.
+    let other = postgres_server::database_of(&folder.path().join("other")).expect("a database");
+    std::fs::remove_file(&moved).expect("it is kept until it is deleted");
+    succeed(&["move", "--data", word, "--to", &other]);
+    let refused = run(&["serve", "--data", word, "--listen", "127.0.0.1:0"]);
+    assert!(text(&refused.stderr).contains("has its database in postgres://"), "{}", text(&refused.stderr));
+    let farm = start(folder.path(), Some(&other));
+    assert!(farm.picture(&id) == rendered_here(&job, 0));
+    let next = farm.accept(&jobs::seeded(&job, 8).to_string());
+    farm.succeeded(&next);
+    farm.terminate();
+    succeed(&["move", "--data", word, "--to", "file"]);
+    let farm = start(folder.path(), None);
+    for id in [&id, &next] {
+        farm.succeeded(id);
+    }
+    farm.terminate();
+    let told = succeed(&["doctor", "--data", word]);
+    assert!(!told.contains("ERROR"), "{told}");
+}
