@@ -40,7 +40,7 @@ pub enum DataFolderError {
         /// The data folder.
         folder: PathBuf,
         /// Address of the database.
-        address: Box<PostgresAddress>,
+        address: PostgresAddress,
     },
     /// The farm's database already is where it would be moved to, or on another server of the same kind.
     #[error(

@@ -18,7 +18,7 @@ pub(super) struct PictureRef {
 pub(super) async fn open(data: &Path) -> Result<Connection, DataFolderError> {
     let location = DatabaseLocation::of_folder(data).map_err(DataFolderError::file("read", data))?;
     if let Some(address) = location.postgres {
-        return Err(DataFolderError::InPostgres { folder: data.to_owned(), address: Box::new(address) });
+        return Err(DataFolderError::InPostgres { folder: data.to_owned(), address });
     }
     let file = Database::file(data);
     if !file.is_file() {

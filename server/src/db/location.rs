@@ -4,6 +4,7 @@ use std::fmt;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
+use std::sync::Arc;
 
 use sqlx::ConnectOptions;
 use sqlx::postgres::PgConnectOptions;
@@ -83,7 +84,7 @@ impl fmt::Display for DatabaseLocation {
 /// Address of a database on a PostgreSQL server. Texts of it leave the password out.
 #[derive(Clone)]
 pub struct PostgresAddress {
-    options: PgConnectOptions,
+    options: Arc<PgConnectOptions>,
     /// As `postgres://USER@HOST:PORT/DATABASE`.
     shown: String,
 }
@@ -111,7 +112,7 @@ impl FromStr for PostgresAddress {
         let host =
             options.get_socket().map_or_else(|| options.get_host().to_owned(), |path| path.display().to_string());
         let shown = format!("postgres://{}@{host}:{}/{database}", options.get_username(), options.get_port());
-        Ok(Self { options: options.application_name("sdfarm").disable_statement_logging(), shown })
+        Ok(Self { options: Arc::new(options.application_name("sdfarm").disable_statement_logging()), shown })
     }
 }
 

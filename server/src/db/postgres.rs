@@ -6,11 +6,10 @@ pub(crate) mod tests;
 
 use std::time::Duration;
 
+use super::{DatabaseError, OpenError, PostgresAddress};
+use crate::clock::monotonic_now;
 use sqlx::ConnectOptions;
 use sqlx::postgres::{PgConnectOptions, PgConnection, PgPool, PgPoolOptions};
-use tokio::time::Instant;
-
-use super::{DatabaseError, OpenError, PostgresAddress};
 
 /// Begins a transaction of an occasional writer, which waits for the farm's other writers.
 ///
@@ -76,9 +75,9 @@ pub(super) async fn open(address: &PostgresAddress) -> Result<(PgConnection, Ses
         return Err(OpenError::Replica);
     }
     // The process of a server that was killed may not have noticed yet that its client is gone.
-    let deadline = Instant::now() + LOCK_PATIENCE;
+    let deadline = monotonic_now() + LOCK_PATIENCE;
     while !lock_farm(&mut connection).await? {
-        if Instant::now() > deadline {
+        if monotonic_now() > deadline {
             return Err(OpenError::InUse);
         }
         tokio::time::sleep(PAUSE).await;
@@ -141,14 +140,14 @@ impl Session {
 
     /// Whether the transaction whose commit was not answered is committed.
     async fn has_committed(&self, connection: &mut PgConnection) -> Result<bool, DatabaseError> {
-        let deadline = Instant::now() + PATIENCE;
+        let deadline = monotonic_now() + PATIENCE;
         loop {
             let status: Option<String> = sqlx::query_scalar("SELECT pg_xact_status(CAST($1 AS xid8))")
                 .bind(&self.transaction)
                 .fetch_one(&mut *connection)
                 .await?;
             // The old connection's process may not have noticed yet that its client is gone.
-            if status.as_deref() != Some("in progress") || Instant::now() > deadline {
+            if status.as_deref() != Some("in progress") || monotonic_now() > deadline {
                 return Ok(status.as_deref() == Some("committed"));
             }
             tokio::time::sleep(PAUSE).await;
@@ -158,7 +157,7 @@ impl Session {
     /// Replaces a connection that has ended, and takes the farm's lock again.
     async fn reconnect(&self, connection: &mut PgConnection) -> Result<(), DatabaseError> {
         tracing::warn!("the connection to the database has ended: connecting again");
-        let deadline = Instant::now() + PATIENCE;
+        let deadline = monotonic_now() + PATIENCE;
         loop {
             let attempt = async {
                 let mut new = connect(&self.options).await?;
@@ -170,8 +169,8 @@ impl Session {
                     *connection = new;
                     return Ok(());
                 }
-                Ok(None) if Instant::now() > deadline => return Err(DatabaseError::Taken),
-                Err(error) if Instant::now() > deadline => return Err(error.into()),
+                Ok(None) if monotonic_now() > deadline => return Err(DatabaseError::Taken),
+                Err(error) if monotonic_now() > deadline => return Err(error.into()),
                 Ok(None) | Err(_) => tokio::time::sleep(PAUSE).await,
             }
         }

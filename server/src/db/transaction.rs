@@ -23,7 +23,7 @@ enum Engine {
         wal: Wal,
     },
     /// A PostgreSQL server.
-    Postgres(Session),
+    Postgres(Box<Session>),
 }
 
 impl WritingConnection {
@@ -35,7 +35,7 @@ impl WritingConnection {
 
     /// Writes to a PostgreSQL server.
     pub(super) fn postgres(connection: PgConnection, session: Session) -> Self {
-        Self { connection: Connection::Postgres(connection), engine: Engine::Postgres(session) }
+        Self { connection: Connection::Postgres(connection), engine: Engine::Postgres(Box::new(session)) }
     }
 
     /// Connection for the statements of an operation.

@@ -62,8 +62,9 @@ fn location(config: &Config) -> DatabaseLocation {
 fn open_error(location: &DatabaseLocation, error: OpenError) -> StartError {
     let because = |reason: String, cure| StartError::Database { database: location.to_string(), reason, cure };
     match error {
-        OpenError::Sql(error) => explain(location, &error.into()),
-        OpenError::Migrate(sqlx::migrate::MigrateError::Execute(error)) => explain(location, &error.into()),
+        OpenError::Sql(error) | OpenError::Migrate(sqlx::migrate::MigrateError::Execute(error)) => {
+            explain(location, &error.into())
+        }
         OpenError::Migrate(error) => because(error.to_string(), UPGRADE_FIX),
         OpenError::Damaged(verdict) => because(format!("it is damaged ({verdict})"), RESTORE_FIX),
         error @ OpenError::OldServer(_) => because(error.to_string(), "use PostgreSQL 15 or newer"),
