@@ -46,7 +46,7 @@ impl BatchExecutor {
         let (stop, encoders, scratch) = (CancelOnDrop::default(), self.encoders.clone(), self.scratch.clone());
         let (job, number, cancel) = (frame.job.clone(), frame.number, stop.0.clone());
         let encoding = spawn_blocking(move || {
-            encoders.run(|| encode(&job, number, &mut BlobRows::new(file, places), &scratch, &cancel))
+            encoders.run(|threads| encode(&job, number, &mut BlobRows::new(file, places), &scratch, threads, &cancel))
         });
         let encoded = tokio::select! {
             () = hold.dropped.cancelled() => return self.send(BatchEvent::Rendered(None)),
