@@ -66,6 +66,21 @@ pub struct RegisterResponse {
     /// this module.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub folders: Option<ContentFolders>,
+    /// Maximum number of batches in one response; a worker may request more than one only if this is larger.
+    #[serde(default = "one_batch", skip_serializing_if = "is_one_batch")]
+    pub max_batches: u32,
+}
+
+/// Maximum number of batches in one response.
+pub const MAX_BATCHES: u32 = 8;
+
+fn one_batch() -> u32 {
+    1
+}
+
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde passes a reference")]
+fn is_one_batch(batches: &u32) -> bool {
+    *batches == 1
 }
 
 /// The server's folders, where each file is named by the BLAKE3 of its bytes in hex.
@@ -94,6 +109,9 @@ pub struct SyncRequest {
     pub reports: Vec<LeaseReport>,
     /// Whether the worker requests a batch.
     pub wants_work: bool,
+    /// Maximum number of batches that it requests; more than [`RegisterResponse::max_batches`] are taken as that.
+    #[serde(default = "one_batch", skip_serializing_if = "is_one_batch")]
+    pub max_batches: u32,
     /// How long the server may wait before it responds, in milliseconds; longer than 30 s, or than a third of a
     /// lease, is taken as that.
     pub wait_ms: u64,
@@ -221,6 +239,19 @@ pub struct SyncResponse {
     /// The worker should finish its leases, then exit.
     pub drain: bool,
     /// Trace of the batch: a W3C `traceparent`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub trace: Option<String>,
+    /// Further batches, if more than one was requested.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub more: Vec<TracedBatch>,
+}
+
+/// Batch with its trace.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct TracedBatch {
+    /// Batch.
+    pub batch: Batch,
+    /// Its trace: a W3C `traceparent`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub trace: Option<String>,
 }

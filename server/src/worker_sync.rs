@@ -72,12 +72,15 @@ impl WorkerSync {
                 turned.next = NextWork::Nothing(None);
                 break;
             };
-            let Some(more) = self.queue.turn(SyncInput { opening: Some(opening), ..again.clone() }).await? else {
+            let next_openings = self.openings.following(&opening, plan, again.max_batches - 1).await?;
+            let input = SyncInput { opening: Some(opening), next_openings, ..again.clone() };
+            let Some(more) = self.queue.turn(input).await? else {
                 tracing::warn!(%worker, "a worker exited while it claimed work");
                 return Ok(None);
             };
             self.count(&more);
             turned.next = more.next;
+            turned.more = more.more;
             turned.drain |= more.drain;
         }
         Ok(Some(turned))

@@ -88,6 +88,7 @@ fn full_sync(worker: WorkerId) -> SyncRequest {
             report(LeaseOutcome::Released),
         ],
         wants_work: true,
+        max_batches: 1,
         wait_ms: 1,
         shutting_down: false,
         metrics: WorkerMetrics {

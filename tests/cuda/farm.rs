@@ -4,11 +4,12 @@ use std::fs;
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
 
-use serde_json::Value;
+use rustix::process::Signal;
+use serde_json::{Value, json};
 
 use super::{ON_GPU, of_nodes, render, render_on_cpu, small, with_fault, with_gpu};
 use crate::jobs;
-use crate::support::{Farm, eventually, sdfarm, wait};
+use crate::support::{Farm, eventually, finish, sdfarm, send_signal, wait};
 
 const FARM: [&str; 6] = ["--workers", "0", "--device", "cpu", "--tile", "32"];
 
@@ -131,4 +132,98 @@ fn auto_pool_uses_the_cpu_if_the_gpu_is_bad() {
     let id = farm.accept(&job.to_string());
     farm.succeeded(&id);
     assert!(farm.picture(&id) == render_on_cpu(&job));
+}
+
+/// A scene with a moving camera as a short animation of small pictures.
+fn animation(frames: usize, seed: u64) -> Value {
+    let mut job = jobs::seeded(&jobs::as_png(&jobs::sized(&jobs::named("csg"), 192, 1)), seed);
+    job["frames"] = json!({ "count": frames, "fps": 24 });
+    job["scene"]["camera"]["position"] = json!({ "keys": [[0, [0.1, 0.4, 4]], [9, [1.5, 0.9, 3.5]]] });
+    job
+}
+
+/// Compares all frames of an animation with those that a CPU renders.
+fn check_frames(farm: &Farm, id: &str, job: &Value, folder: &Path) {
+    let frames = job["frames"]["count"].as_u64().expect("a count");
+    let path = folder.join("want");
+    let mut command = sdfarm(&["render", "-", "--device", "cpu", "--frames", &format!("0-{}", frames - 1), "-o"]);
+    command.arg(path.join("frame.####.png"));
+    fs::create_dir_all(&path).expect("a folder");
+    let output = finish(command, job.to_string().as_bytes());
+    assert!(output.status.success(), "{output:?}");
+    for frame in 0..frames {
+        let got = farm.get(&format!("/v1/jobs/{id}/frames/{frame}/image")).body;
+        let want = fs::read(path.join(format!("frame.{frame:04}.png"))).expect("rendered");
+        assert!(got == want, "frame {frame}: other bytes than a CPU's");
+    }
+}
+
+#[test]
+fn frames_in_flight_give_cpu_bytes() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let farm =
+        Farm::start_by(with_gpu(&["serve"]), folder.path(), &["--workers", "1", "--device", "cuda", "--tile", "64"]);
+    farm.ready(1);
+    let job = animation(40, 1);
+    let id = farm.accept(&job.to_string());
+    farm.succeeded(&id);
+    check_frames(&farm, &id, &job, folder.path());
+}
+
+#[test]
+fn little_pinned_memory_delays_frames_and_loses_none() {
+    let folder = tempfile::tempdir().expect("a folder");
+    // A frame takes 442 KB, and the self-test's less.
+    let serve = with_fault("pinned:700000", &["serve"]);
+    let farm = Farm::start_by(serve, folder.path(), &["--workers", "1", "--device", "cuda", "--tile", "64"]);
+    farm.ready(1);
+    let job = animation(20, 2);
+    let id = farm.accept(&job.to_string());
+    farm.succeeded(&id);
+    check_frames(&farm, &id, &job, folder.path());
+}
+
+/// Frames that have been stored.
+fn stored(farm: &Farm, id: &str) -> u64 {
+    view(farm, id)["frames"]["done"].as_u64().expect("a count")
+}
+
+#[test]
+fn killed_gpu_worker_with_frames_in_flight_loses_none() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let farm =
+        Farm::start_by(with_gpu(&["serve"]), folder.path(), &["--workers", "1", "--device", "cuda", "--tile", "64"]);
+    farm.ready(1);
+    let job = animation(60, 3);
+    let id = farm.accept(&job.to_string());
+    for part in 1..=3 {
+        eventually("some more frames are stored", || (stored(&farm, &id) >= part * 10).then_some(()));
+        farm.workers().into_iter().for_each(|worker| send_signal(worker, Signal::KILL));
+    }
+    farm.succeeded(&id);
+    check_frames(&farm, &id, &job, folder.path());
+}
+
+#[test]
+fn gpu_lost_while_frames_are_copied_costs_no_frame() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let farm = Farm::start_on(
+        folder.path(),
+        &["--workers", "0", "--device", "cpu", "--tile", "64", "--lease-seconds", "3600"],
+    );
+    let (sign, log) = (folder.path().join("sign"), folder.path().join("gpu"));
+    let gpu = with_fault(&format!("copies_fail_when:{}", sign.display()), &["worker", "--device", "cuda"]);
+    let mut gpu = Worker::start(gpu, &farm, &log);
+    farm.joined(1);
+    let job = animation(200, 4);
+    let id = farm.accept(&job.to_string());
+    eventually("some frames are stored", || (stored(&farm, &id) > 0).then_some(()));
+    fs::write(&sign, "").expect("written");
+    assert_eq!(wait(&mut gpu.0).code(), Some(3), "{}", fs::read_to_string(&log).expect("a log"));
+    let told = fs::read_to_string(&log).expect("a log");
+    assert!(told.contains("CUDA_ERROR_LAUNCH_FAILED") && !told.contains("panicked"), "{told}");
+    assert!(stored(&farm, &id) < 200, "it failed in the midst");
+    farm.set_pool(1);
+    farm.succeeded(&id);
+    check_frames(&farm, &id, &job, folder.path());
 }

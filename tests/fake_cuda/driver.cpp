@@ -1,12 +1,15 @@
 // A stand-in for NVIDIA's driver (libcuda) with one GPU, for machines without one: its memory is
 // the host's, its programs are the shared objects that nvrtc.cpp builds, and operations of a stream
-// complete immediately. Everything except the hardware is the real code path.
+// complete immediately, except copies to pinned memory, which are made when they are waited for.
+// Everything except the hardware is the real code path.
 // FAKE_CUDA, read at each call, is a fault to simulate:
 //   no_device      the driver finds no GPU
 //   init_fails     the driver does not start
 //   newer          the GPU is newer than the compiler
 //   memory:BYTES   one allocation has at most this size
 //   wrong_bits     one bit of all data copied from the GPU is flipped
+//   pinned:BYTES   pinned memory has at most this size in total
+//   copies_fail_when:FILE copies to pinned memory fail permanently after the file is created
 //   lost_when:FILE the GPU fails permanently at the first launch after the file is created
 // FAKE_CUDA_COUNT names a file that grows by a line with each launch.
 
@@ -16,8 +19,10 @@
 #include <cstdlib>
 #include <cstring>
 #include <fstream>
+#include <map>
 #include <mutex>
 #include <string>
+#include <vector>
 
 #include <dlfcn.h>
 #include <sys/mman.h>
@@ -87,6 +92,40 @@ static Result allocate(void** place, size_t size) {
     return *place ? state() : OUT_OF_MEMORY;
 }
 
+struct Copy {
+    void* to;
+    const void* from;
+    size_t size;
+};
+
+static std::mutex copying;
+// Sizes of pinned memory, by its start.
+static std::map<void*, size_t> pinned;
+// Copies to pinned memory that were not waited for yet.
+static std::vector<Copy> copies;
+
+static void copy(const Copy& copy) {
+    std::memcpy(copy.to, copy.from, copy.size);
+    if (played("wrong_bits") && copy.size > 0) *static_cast<unsigned char*>(copy.to) ^= 1;
+}
+
+// Makes all copies to pinned memory.
+static Result finish_copies() {
+    const std::lock_guard<std::mutex> guard(copying);
+    const char* sign = played("copies_fail_when:");
+    if (!copies.empty() && sign && access(sign, F_OK) == 0) is_lost = true;
+    if (!is_lost)
+        for (const Copy& made : copies) copy(made);
+    copies.clear();
+    return state();
+}
+
+static Result release(void* place) {
+    finish_copies();
+    std::free(place);
+    return state();
+}
+
 extern "C" {
 
 Result cuInit(unsigned) {
@@ -129,17 +168,17 @@ Result cuDevicePrimaryCtxRetain(void** context, int) { return *context = &someth
 Result cuDevicePrimaryCtxRelease_v2(int) { return SUCCESS; }
 Result cuCtxGetCurrent(void** context) { return *context = current_context, SUCCESS; }
 Result cuCtxSetCurrent(void* context) { return current_context = context, SUCCESS; }
-Result cuCtxSynchronize() { return state(); }
+Result cuCtxSynchronize() { return finish_copies(); }
 
 Result cuStreamCreate(void** stream, unsigned) { return *stream = &something, state(); }
 Result cuStreamDestroy_v2(void*) { return SUCCESS; }
-Result cuStreamSynchronize(void*) { return state(); }
-Result cuStreamWaitEvent(void*, Event*, unsigned) { return state(); }
+Result cuStreamSynchronize(void*) { return finish_copies(); }
+Result cuStreamWaitEvent(void*, Event*, unsigned) { return finish_copies(); }
 
 Result cuEventCreate(Event** event, unsigned) { return *event = new Event, state(); }
 Result cuEventDestroy_v2(Event* event) { return delete event, SUCCESS; }
 Result cuEventRecord(Event* event, void*) { return event->time = Clock::now(), SUCCESS; }
-Result cuEventSynchronize(Event*) { return state(); }
+Result cuEventSynchronize(Event*) { return finish_copies(); }
 
 Result cuEventElapsedTime_v2(float* ms, Event* start, Event* end) {
     *ms = std::chrono::duration<float, std::milli>(end->time - start->time).count();
@@ -148,10 +187,29 @@ Result cuEventElapsedTime_v2(float* ms, Event* start, Event* end) {
 
 Result cuMemAllocAsync(void** place, size_t size, void*) { return allocate(place, size); }
 Result cuMemAlloc_v2(void** place, size_t size) { return allocate(place, size); }
-Result cuMemFreeAsync(void* place, void*) { return std::free(place), state(); }
-Result cuMemFree_v2(void* place) { return std::free(place), state(); }
-Result cuMemHostAlloc(void** place, size_t size, unsigned) { return (*place = std::malloc(size)) ? state() : OUT_OF_MEMORY; }
-Result cuMemFreeHost(void* place) { return std::free(place), state(); }
+Result cuMemFreeAsync(void* place, void*) { return release(place); }
+Result cuMemFree_v2(void* place) { return release(place); }
+
+Result cuMemHostAlloc(void** place, size_t size, unsigned) {
+    const std::lock_guard<std::mutex> guard(copying);
+    size_t total = size;
+    for (const auto& part : pinned) total += part.second;
+    const char* most = played("pinned:");
+    if (most && total > std::strtoull(most, nullptr, 10)) return OUT_OF_MEMORY;
+    *place = std::malloc(size);
+    if (!*place) return OUT_OF_MEMORY;
+    pinned[*place] = size;
+    return state();
+}
+
+Result cuMemFreeHost(void* place) {
+    finish_copies();
+    const std::lock_guard<std::mutex> guard(copying);
+    pinned.erase(place);
+    std::free(place);
+    return state();
+}
+
 Result cuMemGetInfo_v2(size_t* free, size_t* total) { return *free = *total = size_t{1} << 34, state(); }
 
 Result cuMemcpyHtoDAsync_v2(void* to, const void* from, size_t size, void*) {
@@ -159,8 +217,10 @@ Result cuMemcpyHtoDAsync_v2(void* to, const void* from, size_t size, void*) {
 }
 
 Result cuMemcpyDtoHAsync_v2(void* to, const void* from, size_t size, void*) {
-    std::memcpy(to, from, size);
-    if (played("wrong_bits") && size > 0) *static_cast<unsigned char*>(to) ^= 1;
+    const std::lock_guard<std::mutex> guard(copying);
+    const Copy made{to, from, size};
+    if (pinned.count(to)) copies.push_back(made);
+    else copy(made);
     return state();
 }
 

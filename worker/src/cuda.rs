@@ -41,6 +41,8 @@ pub use source::{DIVISION_POINT, KernelSource};
 pub const MAX_NODES: u32 = proto::worker_protocol::CUDA_MAX_NODES;
 /// Maximum memory of freed planes kept for reuse, in numbers.
 const MAX_SPARE_FLOATS: usize = 128 << 20;
+/// Renders in progress at a time: the source of one is recorded, one is in kernels, and the pixels of one are copied.
+const OVERLAPPING: usize = 3;
 /// Maximum number of kernels loaded on the GPU.
 const MAX_PROGRAMS: usize = 64;
 /// Scene of the self-test, with a sample of every feature.
@@ -197,7 +199,7 @@ impl CudaRenderer {
         let job = scene::parse(SELF_TEST.as_bytes()).expect("the self-test is a job");
         let run = TileRequest { job: &job, frame: 0, rect: Rect::full(job.image.width, job.image.height) };
         let mut got = Vec::new();
-        self.render_groups(&[run], &CancelFlag::new(), &|_| {}, &mut got)?;
+        self.render_groups(&[run], &CancelFlag::new(), &|_| {}, &mut || {}, &mut got)?;
         let cpu = CpuRenderer::new(None, Simd::Auto).and_then(|cpu| cpu.render(&run, &CancelFlag::new(), &|_| {}));
         let Ok(want) = cpu else { return Err(CudaError::Cancelled) };
         let bits =
@@ -324,9 +326,27 @@ impl Renderer for CudaRenderer {
         cancel: &CancelFlag,
         progress: &(dyn Fn(u64) + Sync),
     ) -> Result<Vec<TilePixels>, RenderError> {
+        self.render_overlapped(runs, cancel, progress, &mut || {})
+    }
+
+    fn render_overlapped(
+        &self,
+        runs: &[TileRequest<'_>],
+        cancel: &CancelFlag,
+        progress: &(dyn Fn(u64) + Sync),
+        on_device_free: &mut dyn FnMut(),
+    ) -> Result<Vec<TilePixels>, RenderError> {
         let mut finished = Vec::with_capacity(runs.len());
-        let rendered = self.render_groups(runs, cancel, progress, &mut finished);
+        let rendered = self.render_groups(runs, cancel, progress, on_device_free, &mut finished);
         rendered.map(|()| finished).map_err(|trouble| self.render_error(&trouble))
+    }
+
+    fn prepare(&self, run: &TileRequest<'_>) -> Result<(), RenderError> {
+        self.source(run).map(drop).map_err(|trouble| self.render_error(&trouble))
+    }
+
+    fn overlapping(&self) -> usize {
+        OVERLAPPING
     }
 
     fn take_setup_time(&self) -> Duration {
@@ -338,7 +358,9 @@ impl Renderer for CudaRenderer {
     }
 
     fn encoder_threads(&self) -> usize {
-        self.encoders.unwrap_or_else(|| std::thread::available_parallelism().map_or(1, usize::from))
+        // Some cores remain for the server, and for the threads that launch kernels and fetch pixels.
+        let all = || std::thread::available_parallelism().map_or(1, usize::from);
+        self.encoders.unwrap_or_else(|| (all() - all() / 8).max(1))
     }
 
     fn recycle(&self, pixels: Vec<TilePixels>) {

@@ -56,7 +56,8 @@ pub fn render_frame(
     let start = Instant::now();
     let encoders = Encoders::new(renderer.encoder_threads()).map_err(RenderError::Threads)?;
     let picture = PictureSpec::new(&job.at(frame).map_err(ImageError::from)?);
-    let mut encode = |source: &mut (dyn RowSource + Send)| encoders.run(|| picture.write(source, out, cancel));
+    let mut encode =
+        |source: &mut (dyn RowSource + Send)| encoders.run(|threads| picture.write_on(threads, source, out, cancel));
     match source {
         TileBuffer::Memory(tiles) => encode(&mut TileRows(&tiles))?,
         TileBuffer::File(file, places) => {

@@ -12,7 +12,7 @@ use std::io::{self, Seek, Write};
 use ::scene::color::DisplayTransform;
 use ::scene::{Bits, Format, JobAtFrame, Precision};
 
-pub use encoders::Encoders;
+pub use encoders::{EncodeThreads, Encoders};
 pub use metadata::Metadata;
 pub use scene::Provenance;
 
@@ -66,7 +66,7 @@ impl PictureSpec {
         }
     }
 
-    /// Writes the file, reading its rows from `source` a band at a time, on the threads of the pool on which it
+    /// Writes the file, reading its rows from `source` a band at a time, on all threads of the pool on which it
     /// is called.
     pub fn write(
         &self,
@@ -74,9 +74,20 @@ impl PictureSpec {
         out: &mut (impl Write + Seek + Send),
         cancel: &CancelFlag,
     ) -> Result<(), ImageError> {
+        self.write_on(EncodeThreads::All, source, out, cancel)
+    }
+
+    /// Writes the file like [`Self::write`], on these threads of the pool.
+    pub fn write_on(
+        &self,
+        threads: EncodeThreads,
+        source: &mut dyn RowSource,
+        out: &mut (impl Write + Seek + Send),
+        cancel: &CancelFlag,
+    ) -> Result<(), ImageError> {
         match self.format {
-            Format::Png => png::write(self, source, out, cancel, png::BAND_ROWS),
-            Format::Exr => exr::write(self, source, out, cancel, exr::band_rows(self)),
+            Format::Png => png::write(self, threads, source, out, cancel, png::band_rows(threads)),
+            Format::Exr => exr::write(self, threads, source, out, cancel, exr::band_rows(self, threads)),
         }
     }
 }

@@ -11,7 +11,7 @@ use scene::real::Words;
 
 use crate::tape::InvalidTape;
 
-/// Renders tiles on one device, of which it has exclusive use.
+/// Renders tiles on one device, of which each render has exclusive use until it ends, or calls `on_device_free`.
 ///
 /// The pixels depend only on the tiles requested: all renderers are bit-identical.
 pub trait Renderer: Send + Sync {
@@ -35,6 +35,30 @@ pub trait Renderer: Send + Sync {
         progress: &(dyn Fn(u64) + Sync),
     ) -> Result<Vec<TilePixels>, RenderError> {
         runs.iter().map(|run| self.render(run, cancel, progress)).collect()
+    }
+
+    /// Renders tiles like [`Self::render_tiles`]. Calls `on_device_free`, if at all, once another render may start on
+    /// the device while this one fetches its pixels.
+    fn render_overlapped(
+        &self,
+        runs: &[TileRequest<'_>],
+        cancel: &CancelFlag,
+        progress: &(dyn Fn(u64) + Sync),
+        on_device_free: &mut dyn FnMut(),
+    ) -> Result<Vec<TilePixels>, RenderError> {
+        let _ = on_device_free;
+        self.render_tiles(runs, cancel, progress)
+    }
+
+    /// Prepares the frame of a tile without the device, while that renders another frame.
+    fn prepare(&self, run: &TileRequest<'_>) -> Result<(), RenderError> {
+        let _ = run;
+        Ok(())
+    }
+
+    /// Number of renders whose stages may overlap, at least 1; only one of them renders at a time.
+    fn overlapping(&self) -> usize {
+        1
     }
 
     /// Returns and resets the time spent preparing scenes, which does not count toward the rendering

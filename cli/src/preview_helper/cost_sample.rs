@@ -223,7 +223,7 @@ fn encode(mut picture: PictureSpec, mut blocks: Vec<TilePixels>) -> anyhow::Resu
     picture.height = BLOCK_PX;
     let start = Instant::now();
     let mut file = Cursor::new(Vec::new());
-    Encoders::new(1)?.run(|| picture.write(&mut TileRows(&blocks), &mut file, &CancelFlag::new()))?;
+    Encoders::new(1)?.run(|_| picture.write(&mut TileRows(&blocks), &mut file, &CancelFlag::new()))?;
     Ok(start.elapsed().as_secs_f64() / Rect::full(picture.width, picture.height).pixels() as f64)
 }
 

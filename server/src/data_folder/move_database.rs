@@ -7,7 +7,7 @@ use super::DataFolderError;
 use crate::db::{Database, DatabaseLocation, PostgresAddress};
 use crate::lock::FolderLock;
 
-/// What was moved.
+/// Result of a move.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct MovedDatabase {
     /// Number of rows.

@@ -12,7 +12,9 @@ use axum::response::{IntoResponse, Response};
 use futures_util::TryStreamExt;
 use proto::WorkerId;
 use proto::fail_point::{self, FailPoint};
-use proto::worker_protocol::{ContentFolders, RegisterRequest, RegisterResponse, SyncRequest, SyncResponse};
+use proto::worker_protocol::{
+    ContentFolders, MAX_BATCHES, RegisterRequest, RegisterResponse, SyncRequest, SyncResponse, TracedBatch,
+};
 use tracing::Instrument;
 
 use super::auth::{Caller, KEYLESS_SUBMITTER};
@@ -97,7 +99,8 @@ pub(super) async fn register(
     registrar.telemetry.record_worker(worker, &name, &device);
     tracing::info!(%worker, %name, pool, "worker registered");
     let folders = if pool { folders(&registrar.content) } else { None };
-    Ok(Json(RegisterResponse { worker, lease_ms: registrar.queue.lease_ms().unsigned_abs(), folders }))
+    let lease_ms = registrar.queue.lease_ms().unsigned_abs();
+    Ok(Json(RegisterResponse { worker, lease_ms, folders, max_batches: MAX_BATCHES }))
 }
 
 /// Folders that a pool worker writes to directly; `None` if the store is no folder, or a folder's name is not UTF-8.
@@ -129,8 +132,10 @@ pub(super) async fn sync(
         reports: request.reports,
         rejected: Vec::new(),
         wants_work: request.wants_work,
+        max_batches: request.max_batches.clamp(1, MAX_BATCHES),
         shutting_down: request.shutting_down,
         opening: None,
+        next_openings: Vec::new(),
     };
     let mut metrics = Some(request.metrics);
     loop {
@@ -209,7 +214,12 @@ async fn reply(telemetry: &Telemetry, worker: WorkerId, turned: SyncOutcome) -> 
         Some(run) => trace_context::batch_traceparent(telemetry, worker, run).await,
         None => None,
     };
-    SyncResponse { batch: run, revoked_leases: turned.revoked_leases, drain: turned.drain, trace }
+    let mut more = Vec::with_capacity(turned.more.len());
+    for batch in turned.more {
+        let trace = trace_context::batch_traceparent(telemetry, worker, &batch).await;
+        more.push(TracedBatch { batch, trace });
+    }
+    SyncResponse { batch: run, revoked_leases: turned.revoked_leases, drain: turned.drain, trace, more }
 }
 
 /// Returns the JSON of a job, as it was submitted.

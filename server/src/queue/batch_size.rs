@@ -114,6 +114,23 @@ pub(super) fn batch_len(ready: &[ReadyTile], frame: FrameLoad, worker: WorkerSha
     affordable.clamp(1, sharable)
 }
 
+/// Time that a worker needs for a granted batch, and the most that the batches of one response may need together.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct BatchTime {
+    pub(super) seconds: f64,
+    pub(super) most_seconds: f64,
+}
+
+/// Time of a whole frame, if further frames may be granted with it: its worker's speed in the job was measured. All of
+/// them together are limited like a batch, where all other workers count as sharing the job.
+pub(super) fn frame_time(ready: &[ReadyTile], frame: FrameLoad, worker: WorkerShare) -> Option<BatchTime> {
+    let Some(JobSpeed::Measured(rate)) = worker.speed else { return None };
+    let left = rays_left(ready, frame);
+    let by_other = worker.fastest_other.map_or(f64::INFINITY, |rate| left as f64 / rate);
+    let most_seconds = by_other.min(worker.part(left) as f64 / rate).max(MIN_BATCH.as_secs_f64());
+    Some(BatchTime { seconds: frame.rays as f64 / rate, most_seconds: most_seconds.min(TARGET_BATCH.as_secs_f64()) })
+}
+
 /// Camera rays that are left of the job, as far as this frame's claim knows.
 fn rays_left(ready: &[ReadyTile], frame: FrameLoad) -> u64 {
     ready.iter().map(|tile| tile.rays).sum::<u64>() + frame.rays_unopened
@@ -232,6 +249,21 @@ mod tests {
         for others in [limit, limit + 1, 10_000] {
             assert_eq!(batch_len(&tiles(60), frame(60), WorkerShare { others, ..worker }), 1);
         }
+    }
+
+    #[test]
+    fn frames_granted_together_take_no_longer_than_a_batch() {
+        let speed = 100.0 * MEGA as f64;
+        let animation = |frames: u64| FrameLoad { rays_unopened: frames * MEGA, ..frame(1) };
+        let time = |frames, worker| frame_time(&tiles(1), animation(frames), worker).expect("it was measured");
+        assert_eq!(time(1000, alone(speed)), BatchTime { seconds: 0.01, most_seconds: 1.0 });
+        assert_eq!(time(19, alone(speed)).most_seconds, 0.2, "no more than there is");
+        assert_eq!(time(1000, sharing(speed, 1)).most_seconds, 1.0);
+        assert_eq!(time(39, sharing(speed, 1)).most_seconds, 0.1, "half of its half");
+        assert_eq!(time(3, sharing(speed, 1)).most_seconds, 0.05, "short batches go to any worker");
+        let slow = WorkerShare { fastest_other: Some(10.0 * speed), ..alone(speed) };
+        assert_eq!(time(99, slow).most_seconds, 0.1, "a fast worker needs that for all");
+        assert_eq!(frame_time(&tiles(1), animation(9), WorkerShare::alone(Some(JobSpeed::Overall(speed)))), None);
     }
 
     #[test]

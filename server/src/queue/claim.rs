@@ -10,7 +10,7 @@ use proto::bounded::RaysPerSecond;
 use proto::worker_protocol::{Batch, BatchWork, LeasedTile, StitchInput};
 use proto::{JobId, LeaseId, Rect, WorkerId};
 
-use super::batch_size::{self, FrameLoad, ReadyTile, WorkerShare};
+use super::batch_size::{self, BatchTime, FrameLoad, ReadyTile, WorkerShare};
 use super::lease::LOSSES_BEFORE_ISOLATION;
 use super::speeds::{self, JobSpeed, measured_sql};
 use super::straggler::{self, StragglerOutcome};
@@ -66,8 +66,8 @@ impl NewLease {
 /// Result of a claim.
 #[derive(Clone, Debug)]
 pub(super) enum ClaimOutcome {
-    /// Granted batch.
-    Run(Batch),
+    /// Granted batch, and its time if further batches may be granted with it.
+    Run(Batch, Option<BatchTime>),
     /// This frame must be opened first.
     NeedsFrame {
         /// The job's number.
@@ -156,17 +156,17 @@ pub(super) async fn claim(
         return Ok(ClaimOutcome::NeedsFrame { job: job.number, frame: job.frames_opened, plan: job.plan });
     };
     let frame: u32 = next.get("frame")?;
-    let work = if next.get::<String>("kind")? == "stitch" {
+    let (work, time) = if next.get::<String>("kind")? == "stitch" {
         let (tile, lease) = (stitch_tile(connection, job.number, frame).await?, LeaseId::new());
         grant(connection, &[NewLease::free(tile, lease)], &view.worker, moment).await?;
-        stitch_work(connection, job.number, frame, lease).await?
+        (stitch_work(connection, job.number, frame, lease).await?, None)
     } else {
         claim_tiles(connection, &job, frame, &view, claimant, moment).await?
     };
     if job.queued {
         job_transitions::start(connection, job.number, moment).await?;
     }
-    Ok(ClaimOutcome::Run(Batch { job: job.id, frame, tile_seconds: Some(job.tile_seconds), work }))
+    Ok(ClaimOutcome::Run(Batch { job: job.id, frame, tile_seconds: Some(job.tile_seconds), work }, time))
 }
 
 /// Called if no tile is ready: searches for a straggler to duplicate.
@@ -177,7 +177,7 @@ async fn claim_straggler(
     moment: TransitionContext,
 ) -> Result<ClaimOutcome> {
     let again_ms = match straggler::claim(connection, view, claimant, moment).await? {
-        StragglerOutcome::Run(run) => return Ok(ClaimOutcome::Run(run)),
+        StragglerOutcome::Run(run) => return Ok(ClaimOutcome::Run(run, None)),
         StragglerOutcome::Nothing(again_ms) => again_ms,
     };
     let ready_ms: Option<i64> = db::query_scalar(NEXT_RETRY_SQL).bind(moment.now_ms).fetch_one(connection).await?;
@@ -321,7 +321,7 @@ async fn claim_tiles(
     view: &ClaimFilter,
     claimant: ClaimRequest,
     moment: TransitionContext,
-) -> Result<BatchWork> {
+) -> Result<(BatchWork, Option<BatchTime>)> {
     let peers = peers(connection, &view.worker, job, moment).await?;
     let share = peers.share(claimant.rays_per_second.map(RaysPerSecond::get));
     let rows =
@@ -343,7 +343,9 @@ async fn claim_tiles(
     }
     grant(connection, &grants, &view.worker, moment).await?;
     fair_share::charge(connection, &job.share, charges_us.iter().sum()).await?;
-    Ok(BatchWork::Render { whole_frame: batch_size::is_whole_frame(length, whole), tiles })
+    let whole_frame = batch_size::is_whole_frame(length, whole);
+    let time = if whole_frame { batch_size::frame_time(&ready, whole, share) } else { None };
+    Ok((BatchWork::Render { whole_frame, tiles }, time))
 }
 
 /// New leases, both as sent to the worker and as stored.

@@ -39,10 +39,14 @@ pub(crate) struct SyncInput {
     pub(crate) rejected: Vec<RejectedResult>,
     /// Whether the worker requests a batch.
     pub(crate) wants_work: bool,
+    /// Maximum number of batches that it requests.
+    pub(crate) max_batches: u32,
     /// Whether the worker is shutting down.
     pub(crate) shutting_down: bool,
     /// Frame that the previous pass of this sync asked to open.
     pub(crate) opening: Option<FrameOpening>,
+    /// The frames after it, which are opened as further batches reach them.
+    pub(crate) next_openings: Vec<FrameOpening>,
 }
 
 impl SyncInput {
@@ -66,6 +70,8 @@ pub(crate) struct SyncOutcome {
     pub(crate) drain: bool,
     /// The granted work, or what prevents it.
     pub(crate) next: NextWork,
+    /// Further batches, granted with the first.
+    pub(crate) more: Vec<Batch>,
     /// Blobs that may be orphans.
     pub(crate) leftovers: Vec<String>,
     /// Number of leases found to be overdue.
@@ -153,16 +159,18 @@ pub(super) async fn sync(
     if turn.shutting_down {
         ring.add(workers::deregister(connection, turn.worker, moment).await?);
     }
-    let next = if turn.wants_work && !turn.shutting_down && worker.state == SyncState::Ready && !is_quarantined {
+    let (next, more) = if turn.wants_work && !turn.shutting_down && worker.state == SyncState::Ready && !is_quarantined
+    {
         claim_or_nothing(connection, &turn, worker.max_nodes, moment).await?
     } else {
-        NextWork::Nothing(None)
+        (NextWork::Nothing(None), Vec::new())
     };
     let drain = turn.shutting_down || worker.state == SyncState::Draining;
     Ok(Some(SyncOutcome {
         revoked_leases: lost,
         drain,
         next,
+        more,
         leftovers: delivered.leftovers,
         expired,
         fenced,
@@ -254,7 +262,7 @@ async fn claim_or_nothing(
     turn: &SyncInput,
     max_nodes: i64,
     moment: TransitionContext,
-) -> Result<NextWork> {
+) -> Result<(NextWork, Vec<Batch>)> {
     connection.command("SAVEPOINT claim").await?;
     match claim_work(connection, turn, max_nodes, moment).await {
         Ok(next) => {
@@ -267,27 +275,50 @@ async fn claim_or_nothing(
                 code = "claim_failed", worker = %turn.worker, %error, cause = ?std::error::Error::source(&error),
                 "a claim failed; its worker gets no work: run `sdfarm doctor`"
             );
-            Ok(NextWork::Nothing(Some(FAILED_CLAIM_RETRY_MS)))
+            Ok((NextWork::Nothing(Some(FAILED_CLAIM_RETRY_MS)), Vec::new()))
         }
     }
 }
 
+/// Claims a batch, and further ones as long as they are short and the worker asks for them.
 async fn claim_work(
     connection: &mut Connection,
     turn: &SyncInput,
     max_nodes: i64,
     moment: TransitionContext,
-) -> Result<NextWork> {
+) -> Result<(NextWork, Vec<Batch>)> {
     if let Some(opening) = &turn.opening {
         open_frame::open(connection, opening, moment).await?;
     }
     let claimant = ClaimRequest { worker: turn.worker, rays_per_second: turn.rays_per_second, max_nodes };
     if let Some(batch) = verification::claim(connection, claimant, moment).await? {
-        return Ok(NextWork::Run(batch));
+        return Ok((NextWork::Run(batch), Vec::new()));
     }
-    Ok(match claim::claim(connection, claimant, moment).await? {
-        ClaimOutcome::Run(run) => NextWork::Run(run),
-        ClaimOutcome::NeedsFrame { job, frame, plan } => NextWork::OpenFrame { job, frame, plan },
-        ClaimOutcome::Nothing(ready_in_ms) => NextWork::Nothing(ready_in_ms),
-    })
+    let mut openings = turn.next_openings.iter();
+    let (mut first, mut more, mut seconds) = (None, Vec::new(), 0.0);
+    let reason = loop {
+        let time = match claim::claim(connection, claimant, moment).await? {
+            ClaimOutcome::Run(batch, time) => {
+                match first {
+                    None => first = Some(batch),
+                    Some(_) => more.push(batch),
+                }
+                time
+            }
+            ClaimOutcome::NeedsFrame { job, frame, plan } => {
+                match openings.find(|opening| (opening.job, opening.frame) == (job, frame)) {
+                    Some(opening) => open_frame::open(connection, opening, moment).await?,
+                    None => break NextWork::OpenFrame { job, frame, plan },
+                };
+                continue;
+            }
+            ClaimOutcome::Nothing(ready_in_ms) => break NextWork::Nothing(ready_in_ms),
+        };
+        let Some(time) = time else { break NextWork::Nothing(None) };
+        seconds += time.seconds;
+        if more.len() + 1 >= turn.max_batches as usize || seconds + time.seconds > time.most_seconds {
+            break NextWork::Nothing(None);
+        }
+    };
+    Ok((first.map_or(reason, NextWork::Run), more))
 }

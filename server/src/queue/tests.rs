@@ -8,6 +8,7 @@ mod model;
 mod owners;
 mod plans;
 mod sequences;
+mod several_batches;
 mod sharing;
 mod workers;
 
@@ -101,9 +102,10 @@ impl Fixture {
         loop {
             let turned = self.queue.turn(turn.clone()).await.expect("a sync")?;
             let NextWork::OpenFrame { job, frame, plan } = turned.next else { return Some(turned) };
-            let picture_key = format!("key {job} {frame}");
             turn.reports.clear();
-            turn.opening = Some(FrameOpening { job, frame, picture_key, tiles: plan.tiles(), samples: plan.samples });
+            turn.opening = Some(opening(job, frame, plan));
+            let next = (frame + 1..plan.frames).take(turn.max_batches as usize - 1);
+            turn.next_openings = next.map(|frame| opening(job, frame, plan)).collect();
         }
     }
 
@@ -160,6 +162,12 @@ fn new_job(frames: u32) -> NewJob {
     }
 }
 
+/// Opening of a frame, whose key belongs to it alone.
+fn opening(job: i64, frame: u32, plan: TilePlan) -> FrameOpening {
+    let picture_key = format!("key {job} {frame}");
+    FrameOpening { job, frame, picture_key, tiles: plan.tiles(), samples: plan.samples }
+}
+
 fn speed(rays_per_second: f64) -> Option<RaysPerSecond> {
     RaysPerSecond::new(rays_per_second)
 }
@@ -175,6 +183,8 @@ fn turn(worker: WorkerId) -> SyncInput {
         wants_work: false,
         shutting_down: false,
         opening: None,
+        max_batches: 1,
+        next_openings: Vec::new(),
     }
 }
 

@@ -295,6 +295,8 @@ fn sync_input(worker: &SimulatedWorker, reports: Vec<LeaseReport>, wants_work: b
         wants_work,
         shutting_down: false,
         opening: None,
+        max_batches: 1,
+        next_openings: Vec::new(),
     }
 }
 

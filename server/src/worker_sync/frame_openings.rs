@@ -45,4 +45,21 @@ impl FrameOpenings {
             }
         }
     }
+
+    /// Prepares up to `count` frames after one that is being opened, as far as the job has them.
+    pub(super) async fn following(
+        &self,
+        opening: &FrameOpening,
+        plan: TilePlan,
+        count: u32,
+    ) -> Result<Vec<FrameOpening>, DatabaseError> {
+        let mut openings = Vec::new();
+        for frame in (opening.frame + 1..plan.frames).take(count as usize) {
+            match self.of(opening.job, frame, plan).await? {
+                Some(next) => openings.push(next),
+                None => break,
+            }
+        }
+        Ok(openings)
+    }
 }

@@ -208,6 +208,7 @@ impl<'a> Worker<'a> {
             held_leases: said.holding,
             reports: said.results,
             wants_work: said.wants_work,
+            max_batches: 1,
             wait_ms: said.wait.as_millis() as u64,
             shutting_down: false,
             metrics: said.measured,

@@ -15,6 +15,7 @@ use tokio::task::JoinError;
 use tokio_util::sync::CancellationToken;
 
 use super::back_off::BackOff;
+use super::device_use::DeviceSlots;
 use super::job_cache::{JobCache, JobFetchError};
 use super::rendering::TileTask;
 use super::server_client::ServerClient;
@@ -23,7 +24,7 @@ use crate::image::Encoders;
 use crate::renderer::{CancelFlag, Renderer};
 
 /// Maximum number of batches, or tiles of a batch, that are delivered concurrently.
-const MAX_CONCURRENT_UPLOADS: usize = 8;
+const MAX_CONCURRENT_UPLOADS: usize = 32;
 /// Maximum memory of pixels being rendered or delivered, in KiB.
 pub(super) const MEMORY_KIB: u32 = 1 << 20;
 
@@ -32,8 +33,13 @@ pub(super) const MEMORY_KIB: u32 = 1 << 20;
 pub(super) enum BatchEvent {
     /// These leases finished together, with their outcomes.
     Finished(Vec<LeaseReport>),
-    /// A batch no longer needs the device; it used it for this long, if at all.
-    Rendered(Option<Duration>),
+    /// A batch no longer needs the device.
+    Rendered {
+        /// How long it used the device, if at all.
+        took: Option<Duration>,
+        /// Its job, if it was a whole frame.
+        frame_of: Option<JobId>,
+    },
     /// The device is lost, for this reason.
     DeviceLost(String),
     /// A cancelled render does not stop, so that only the end of this process frees the device.
@@ -115,7 +121,7 @@ pub(super) struct BatchExecutor {
     pub(super) scratch: PathBuf,
     pub(super) renderer: Arc<dyn Renderer>,
     pub(super) encoders: Encoders,
-    pub(super) device: Semaphore,
+    pub(super) device: DeviceSlots,
     /// Permits, each for one KiB of pixels.
     pub(super) memory: Semaphore,
     jobs: JobCache,
@@ -131,25 +137,27 @@ impl BatchExecutor {
         scratch: PathBuf,
         events: UnboundedSender<BatchEvent>,
     ) -> Self {
-        let (device, memory) = (Semaphore::new(1), Semaphore::new(MEMORY_KIB as usize));
+        let (device, memory) = (DeviceSlots::new(renderer.overlapping()), Semaphore::new(MEMORY_KIB as usize));
         Self { link, store, scratch, renderer, encoders, device, memory, jobs: JobCache::default(), events }
     }
 
-    /// Number of batches, or tiles of a batch, delivered concurrently.
+    /// Number of batches, or tiles of a batch, delivered concurrently: one for each thread that encodes, and a few that
+    /// are fetched or stored in the meantime.
     pub(super) fn max_uploads(&self) -> usize {
-        self.encoders.count().clamp(2, MAX_CONCURRENT_UPLOADS)
+        let threads = self.encoders.count();
+        (threads + threads / 2).clamp(2, MAX_CONCURRENT_UPLOADS)
     }
 
     /// Executes a batch; every lease ends in a report, unless it was dropped.
     pub(super) async fn execute(self: Arc<Self>, run: Batch, holds: Vec<LeaseHandle>) {
         let job = tokio::select! {
             job = self.job(run.job) => job,
-            () = all_dropped(&holds) => return self.send(BatchEvent::Rendered(None)),
+            () = all_dropped(&holds) => return self.send(BatchEvent::Rendered { took: None, frame_of: None }),
         };
         let job = match job {
             Ok(job) => job,
             Err(error) => {
-                self.send(BatchEvent::Rendered(None));
+                self.send(BatchEvent::Rendered { took: None, frame_of: None });
                 return self.fail_all(&holds, &error);
             }
         };

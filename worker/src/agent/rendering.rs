@@ -1,17 +1,19 @@
 //! Renders batches: sends tiles to the device, as many at a time as the renderer prefers, and delivers finished
 //! ones while the next render. Leases and the server are known here only as receivers of results.
 
+use std::pin::pin;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use proto::Rect;
 use proto::fail_point::{self, FailPoint};
 use proto::worker_protocol::{LeaseOutcome, Phase};
+use proto::{JobId, Rect};
 use scene::Job;
-use tokio::sync::SemaphorePermit;
+use tokio::sync::{SemaphorePermit, oneshot};
 use tokio::task::{JoinError, JoinSet, spawn_blocking};
 use tracing::Instrument;
 
+use super::device_use::DeviceUse;
 use super::executor::{
     BatchEvent, BatchExecutor, CancelOnDrop, FrameTask, LeaseHandle, MEMORY_KIB, all_dropped, chain, panic_message,
 };
@@ -55,14 +57,16 @@ impl BatchExecutor {
     /// Renders tiles, each delivered as a blob while the next ones render.
     pub(super) async fn render_tiles(self: &Arc<Self>, frame: FrameTask, places: &[TileTask]) {
         let memory = self.reserve(&frame.job, places).await;
-        let mut device = Some(self.device.acquire().await.expect("the semaphore is never closed"));
-        let (start, mut deliveries) = (Instant::now(), JoinSet::new());
+        let mut stage = Some(self.device.stage().await);
+        let mut device = self.prepared(&frame, places, None).await;
+        let mut deliveries = JoinSet::new();
         let mut chunks = self.chunks(&frame.job, places).peekable();
         while let Some(chunk) = chunks.next() {
-            let rendered = self.render_chunk(&frame, chunk).await;
-            if chunks.peek().is_none() {
-                device = None;
-                self.send(BatchEvent::Rendered(Some(start.elapsed())));
+            let is_last = chunks.peek().is_none();
+            let rendered = self.render_chunk(&frame, chunk, &mut device, is_last).await;
+            if is_last {
+                device.release();
+                stage = None;
             }
             for rendered in rendered {
                 while deliveries.len() >= self.max_uploads() {
@@ -72,10 +76,10 @@ impl BatchExecutor {
                 deliveries.spawn(self.clone().upload_blob(rendered).instrument(span));
             }
         }
-        debug_assert!(device.is_none(), "a run has a tile");
-        let render_ms = milliseconds(start.elapsed());
+        debug_assert!(stage.is_none(), "a batch has a tile");
+        let render_ms = milliseconds(device.elapsed());
         while deliveries.join_next().await.is_some() {}
-        let total_ms = milliseconds(start.elapsed());
+        let total_ms = milliseconds(device.elapsed());
         tracing::debug!(job = %frame.id, frame = frame.number, tiles = places.len(), render_ms, total_ms, "tiles rendered");
         drop(memory);
     }
@@ -84,14 +88,16 @@ impl BatchExecutor {
     /// the others are delivered as blobs.
     pub(super) async fn render_whole(self: &Arc<Self>, frame: FrameTask, places: &[TileTask]) {
         let memory = self.reserve(&frame.job, places).await;
-        let device = self.device.acquire().await.expect("the semaphore is never closed");
-        let (start, mut rendered) = (Instant::now(), Vec::with_capacity(places.len()));
-        for chunk in self.chunks(&frame.job, places) {
-            rendered.extend(self.render_chunk(&frame, chunk).await);
+        let stage = self.device.stage().await;
+        let mut device = self.prepared(&frame, places, Some(frame.id)).await;
+        let mut rendered = Vec::with_capacity(places.len());
+        let mut chunks = self.chunks(&frame.job, places).peekable();
+        while let Some(chunk) = chunks.next() {
+            rendered.extend(self.render_chunk(&frame, chunk, &mut device, chunks.peek().is_none()).await);
         }
-        drop(device);
-        let render = start.elapsed();
-        self.send(BatchEvent::Rendered(Some(render)));
+        device.release();
+        drop(stage);
+        let render = device.elapsed();
         if rendered.len() == places.len() {
             self.upload_frame(&frame, rendered, render).await;
         } else {
@@ -101,6 +107,23 @@ impl BatchExecutor {
             }
         }
         drop(memory);
+    }
+
+    /// Waits for the device, while the batch's frame is prepared for it.
+    async fn prepared(&self, frame: &FrameTask, places: &[TileTask], frame_of: Option<JobId>) -> DeviceUse<'_> {
+        if self.renderer.overlapping() > 1
+            && let Some(TileTask { rect, .. }) = places.first()
+        {
+            let (renderer, job, number, rect) = (self.renderer.clone(), frame.job.clone(), frame.number, *rect);
+            let preparing = spawn_blocking(move || renderer.prepare(&TileRequest { job: &job, frame: number, rect }));
+            if let Ok(Err(error)) = preparing.await {
+                // The render fails for the same reason, and reports it.
+                tracing::debug!(%error, "could not prepare a frame");
+            }
+        }
+        let mut device = DeviceUse::new(self, frame_of);
+        device.acquire().await;
+        device
     }
 
     /// Waits until there is memory for a batch's pixels.
@@ -115,14 +138,21 @@ impl BatchExecutor {
         places.chunks(chunk_length(&*self.renderer, job, places.iter().map(|place| place.rect)))
     }
 
-    /// Renders tiles together, without those that were dropped or failed; failures are reported.
-    async fn render_chunk(&self, frame: &FrameTask, chunk: &[TileTask]) -> Vec<Rendered> {
+    /// Renders tiles together, without those that were dropped or failed; failures are reported. After the last tiles,
+    /// the device is released as early as possible.
+    async fn render_chunk(
+        &self,
+        frame: &FrameTask,
+        chunk: &[TileTask],
+        device: &mut DeviceUse<'_>,
+        is_last: bool,
+    ) -> Vec<Rendered> {
         let wanted: Vec<TileTask> = chunk.iter().filter(|place| !place.hold.dropped.is_cancelled()).cloned().collect();
         if wanted.is_empty() || self.report_if_device_lost() {
             return Vec::new();
         }
         let span = tracing::info_span!("render", tile = wanted[0].hold.tile, tiles = wanted.len());
-        let message = match self.launch(frame, &wanted).instrument(span).await {
+        let message = match self.launch(frame, &wanted, device, is_last).instrument(span).await {
             RenderOutcome::Pixels(pixels) => {
                 let pairs = pixels.into_iter().zip(wanted);
                 return pairs.map(|(pixels, TileTask { hold, .. })| Rendered { pixels, hold }).collect();
@@ -145,8 +175,8 @@ impl BatchExecutor {
             // Rendering each tile alone shows which one causes the error.
             tracing::debug!(message, tiles = wanted.len(), "could not render tiles together; rendering each alone");
             let mut rendered = Vec::with_capacity(wanted.len());
-            for place in &wanted {
-                rendered.extend(Box::pin(self.render_chunk(frame, std::slice::from_ref(place))).await);
+            for place in wanted.chunks(1) {
+                rendered.extend(Box::pin(self.render_chunk(frame, place, device, false)).await);
             }
             return rendered;
         };
@@ -162,47 +192,76 @@ impl BatchExecutor {
         true
     }
 
-    /// Gives tiles to the device until all their leases are dropped.
-    async fn launch(&self, frame: &FrameTask, places: &[TileTask]) -> RenderOutcome {
+    /// Gives tiles to the device until all their leases are dropped. After a batch's last tiles, the device is released
+    /// as soon as another render may start.
+    async fn launch(
+        &self,
+        frame: &FrameTask,
+        places: &[TileTask],
+        device: &mut DeviceUse<'_>,
+        is_last: bool,
+    ) -> RenderOutcome {
+        device.acquire().await;
         let (rects, holds): (Vec<Rect>, Vec<LeaseHandle>) =
             places.iter().map(|TileTask { rect, hold }| (*rect, hold.clone())).unzip();
         let rays = rects.iter().map(|rect| rect.pixels()).sum::<u64>() as f64 * f64::from(frame.job.image.samples);
         let stop = CancelOnDrop::default();
         let (renderer, job, number, cancel) = (self.renderer.clone(), frame.job.clone(), frame.number, stop.0.clone());
         let start = Instant::now();
+        let (free, mut freed) = oneshot::channel();
+        let mut free = Some(free).filter(|_| is_last);
+        let mut on_device_free = move || {
+            if let Some(free) = free.take() {
+                // Without a receiver the render was dropped, and its end frees the device.
+                free.send(start.elapsed()).unwrap_or_default();
+            }
+        };
         let mut rendering = spawn_blocking(move || {
             fail_point::trigger_infallible(FailPoint::Rendering);
             let runs: Vec<TileRequest<'_>> =
                 rects.iter().map(|&rect| TileRequest { job: &job, frame: number, rect }).collect();
-            let rendered = renderer.render_tiles(&runs, &cancel, &|_| {})?;
+            let rendered = renderer.render_overlapped(&runs, &cancel, &|_| {}, &mut on_device_free)?;
             assert_eq!(rendered.len(), runs.len(), "a renderer renders all tiles or none");
             Ok(rendered)
         });
-        let over_limit = tokio::select! {
-            rendered = &mut rendering => return self.outcome(rendered, rays, start, &stop.0, None),
-            () = all_dropped(&holds) => None,
-            message = over_limit(frame.tile_seconds) => Some(message),
+        let (mut dropped, mut limit) = (pin!(all_dropped(&holds)), pin!(over_limit(frame.tile_seconds)));
+        let mut on_device = None;
+        let over_limit = loop {
+            tokio::select! {
+                rendered = &mut rendering => {
+                    let spent = on_device.or(freed.try_recv().ok()).unwrap_or_else(|| start.elapsed());
+                    return self.outcome(rendered, rays, spent, &stop.0, None);
+                }
+                Ok(spent) = &mut freed, if on_device.is_none() => {
+                    on_device = Some(spent);
+                    device.release();
+                }
+                () = &mut dropped => break None,
+                message = &mut limit => break Some(message),
+            }
         };
         stop.0.cancel();
         match tokio::time::timeout(STOP_TIMEOUT, rendering).await {
-            Ok(rendered) => self.outcome(rendered, rays, start, &stop.0, over_limit),
+            Ok(rendered) => {
+                self.outcome(rendered, rays, on_device.unwrap_or_else(|| start.elapsed()), &stop.0, over_limit)
+            }
             Err(_) => RenderOutcome::Stuck(over_limit),
         }
     }
 
-    /// Outcome of a render that has ended, and reports its speed. A cancelled one was over its limit, with this
-    /// message, or its leases were dropped.
+    /// Outcome of a render that has ended and `spent` this time on the device, and reports its speed. A cancelled one was
+    /// over its limit, with this message, or its leases were dropped.
     fn outcome(
         &self,
         rendered: Result<Result<Vec<TilePixels>, RenderError>, JoinError>,
         rays: f64,
-        start: Instant,
+        spent: Duration,
         stop: &CancelFlag,
         over_limit: Option<String>,
     ) -> RenderOutcome {
         match rendered {
             Ok(Ok(pixels)) => {
-                let spent = start.elapsed().saturating_sub(self.renderer.take_setup_time());
+                let spent = spent.saturating_sub(self.renderer.take_setup_time());
                 self.send(BatchEvent::Speed { rays, seconds: spent.as_secs_f64().max(1e-6) });
                 self.send(BatchEvent::Timed { phase: Phase::Render, took: spent, rays: rays as u64 });
                 RenderOutcome::Pixels(pixels)

@@ -6,9 +6,11 @@ use std::pin::Pin;
 use std::sync::Arc;
 use std::time::Duration;
 
-use proto::LeaseId;
 use proto::bounded::RaysPerSecond;
-use proto::worker_protocol::{Batch, LeaseOutcome, LeaseReport, RegisterResponse, SyncRequest, SyncResponse};
+use proto::worker_protocol::{
+    Batch, BatchWork, LeaseOutcome, LeaseReport, RegisterResponse, SyncRequest, SyncResponse, TracedBatch,
+};
+use proto::{JobId, LeaseId};
 use tokio::sync::mpsc::{self, UnboundedReceiver, UnboundedSender};
 use tokio::task::{JoinError, JoinSet};
 use tokio::time::{Instant, sleep_until};
@@ -28,6 +30,10 @@ use crate::renderer::Renderer;
 /// A batch that used the device for at most this long is short: the next one is requested while it renders, so
 /// that the device does not wait for the server. After longer batches nothing is requested ahead.
 const SHORT_BATCH: Duration = Duration::from_millis(50);
+/// Device time of the short batches that are requested ahead.
+const AHEAD: Duration = Duration::from_millis(100);
+/// Maximum number of short batches that wait for the device or use it.
+const MAX_AHEAD: usize = 16;
 /// How long a call may take beyond the wait requested of the server.
 const TIMEOUT_MARGIN: Duration = Duration::from_secs(10);
 /// Minimum time between the starts of two waiting calls.
@@ -64,8 +70,12 @@ pub(super) struct Session {
     runs: JoinSet<()>,
     /// Number of batches still rendering.
     rendering: usize,
-    /// Whether the last batch was short.
-    last_batch_was_short: bool,
+    /// How long the last batch used the device, if it was short.
+    last_short_batch: Option<Duration>,
+    /// Job of the last batch rendered, if it was a whole frame.
+    rendered_frame_of: Option<JobId>,
+    /// Job of the last batch accepted, if it is a whole frame.
+    accepted_frame_of: Option<JobId>,
     /// Reason to end the session at once, if there is one.
     broken: Option<SessionEnd>,
     holds: HashMap<LeaseId, LeaseHandle>,
@@ -151,7 +161,9 @@ impl Session {
             _events: sender,
             runs: JoinSet::new(),
             rendering: 0,
-            last_batch_was_short: false,
+            last_short_batch: None,
+            rendered_frame_of: None,
+            accepted_frame_of: None,
             broken: None,
             holds: HashMap::new(),
             pending_reports: Vec::new(),
@@ -238,7 +250,7 @@ impl Session {
     }
 
     fn wants_work(&self, now: Instant) -> bool {
-        self.has_room() && (self.holds.is_empty() || !self.awaits_change) && !self.draining && now >= self.claim_after
+        self.room() > 0 && (self.holds.is_empty() || !self.awaits_change) && !self.draining && now >= self.claim_after
     }
 
     /// Whether reports wait for those of unfinished leases.
@@ -277,6 +289,7 @@ impl Session {
             held_leases: holding,
             reports: results,
             wants_work,
+            max_batches: self.room().clamp(1, self.registration.max_batches.max(1)),
             wait_ms: wait.as_millis() as u64,
             shutting_down: false,
             metrics: self.measurements.take(),
@@ -286,11 +299,19 @@ impl Session {
         Some(self.call(request, wait + TIMEOUT_MARGIN))
     }
 
-    /// Whether another batch would start rendering soon.
-    fn has_room(&self) -> bool {
-        let rendering = if self.last_batch_was_short { 2 } else { 1 };
+    /// Number of further batches that would start rendering soon. Of short frames of one job several are requested in one
+    /// call, once half of the last ones have been rendered. Of other batches one is requested ahead: several workers may
+    /// share a frame, and another job may be heavier.
+    fn room(&self) -> u32 {
+        let most = self.last_short_batch.map_or(1, |last| {
+            let ahead = AHEAD.as_secs_f64() / last.as_secs_f64().max(1e-3);
+            let is_stream = self.accepted_frame_of.is_some() && self.accepted_frame_of == self.rendered_frame_of;
+            let most = if self.registration.max_batches > 1 && is_stream { MAX_AHEAD } else { 2 };
+            (ahead as usize).clamp(2, most)
+        });
         let delivering = self.runs.len().saturating_sub(self.rendering);
-        self.rendering < rendering && delivering < self.workbench.max_uploads()
+        let deliverable = self.workbench.max_uploads().saturating_sub(delivering);
+        if self.rendering > most / 2 { 0 } else { (most - self.rendering).min(deliverable) as u32 }
     }
 
     fn call(&self, request: SyncRequest, timeout: Duration) -> PendingSync {
@@ -345,6 +366,9 @@ impl Session {
             // Soon a waiting call will be open, and its response would name revoked leases.
             self.heartbeat_at = self.heartbeat_at.min(Instant::now() + MIN_SYNC_INTERVAL);
             self.accept_batch(run, reply.trace);
+            for TracedBatch { batch, trace } in reply.more {
+                self.accept_batch(batch, trace);
+            }
         }
     }
 
@@ -368,6 +392,8 @@ impl Session {
             self.pending_reports.extend(holds.iter().map(|hold| hold.report(LeaseOutcome::Released)));
             return;
         }
+        let is_frame = matches!(run.work, BatchWork::Render { whole_frame: true, .. });
+        self.accepted_frame_of = is_frame.then_some(run.job);
         self.holds.extend(holds.iter().map(|hold| (hold.lease, hold.clone())));
         self.rendering += 1;
         let span = tracing::info_span!("batch", job = %run.job, frame = run.frame, worker = %self.registration.worker);
@@ -381,7 +407,7 @@ impl Session {
         // Only an event that frees memory can make room for another batch.
         self.awaits_change &= !matches!(
             event,
-            BatchEvent::Rendered(_) | BatchEvent::DeviceLost(_) | BatchEvent::Stuck(_) | BatchEvent::NotStored
+            BatchEvent::Rendered { .. } | BatchEvent::DeviceLost(_) | BatchEvent::Stuck(_) | BatchEvent::NotStored
         );
         match event {
             BatchEvent::Finished(reports) => {
@@ -389,9 +415,12 @@ impl Session {
                 let wanted = reports.into_iter().filter(|report| self.holds.remove(&report.lease).is_some());
                 self.pending_reports.extend(wanted);
             }
-            BatchEvent::Rendered(render) => {
+            BatchEvent::Rendered { took, frame_of } => {
                 self.rendering = self.rendering.saturating_sub(1);
-                self.last_batch_was_short = render.map_or(self.last_batch_was_short, |render| render < SHORT_BATCH);
+                if let Some(took) = took {
+                    self.last_short_batch = (took < SHORT_BATCH).then_some(took);
+                    self.rendered_frame_of = frame_of;
+                }
             }
             BatchEvent::DeviceLost(reason) => self.broken = Some(SessionEnd::DeviceLost(reason)),
             BatchEvent::Stuck(reason) => self.broken = Some(SessionEnd::Stuck(reason)),
@@ -433,6 +462,7 @@ impl Session {
             held_leases: Vec::new(),
             reports: std::mem::take(&mut self.pending_reports),
             wants_work: false,
+            max_batches: 1,
             wait_ms: 0,
             shutting_down: true,
             metrics: self.measurements.take(),

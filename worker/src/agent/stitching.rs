@@ -29,12 +29,12 @@ impl BatchExecutor {
         let start = Instant::now();
         let fetched = tokio::select! {
             fetched = self.fetch(&frame.job, parts) => fetched,
-            () = hold.dropped.cancelled() => return self.send(BatchEvent::Rendered(None)),
+            () = hold.dropped.cancelled() => return self.send(BatchEvent::Rendered { took: None, frame_of: None }),
         };
         let (file, places) = match fetched {
             Ok(fetched) => fetched,
             Err(outcome) => {
-                self.send(BatchEvent::Rendered(None));
+                self.send(BatchEvent::Rendered { took: None, frame_of: None });
                 if let LeaseOutcome::Released = outcome {
                     self.send(BatchEvent::NotStored);
                 }
@@ -46,13 +46,13 @@ impl BatchExecutor {
         let (stop, encoders, scratch) = (CancelOnDrop::default(), self.encoders.clone(), self.scratch.clone());
         let (job, number, cancel) = (frame.job.clone(), frame.number, stop.0.clone());
         let encoding = spawn_blocking(move || {
-            encoders.run(|| encode(&job, number, &mut BlobRows::new(file, places), &scratch, &cancel))
+            encoders.run(|threads| encode(&job, number, &mut BlobRows::new(file, places), &scratch, threads, &cancel))
         });
         let encoded = tokio::select! {
-            () = hold.dropped.cancelled() => return self.send(BatchEvent::Rendered(None)),
+            () = hold.dropped.cancelled() => return self.send(BatchEvent::Rendered { took: None, frame_of: None }),
             encoded = encoding.instrument(tracing::info_span!("encode")) => encoded,
         };
-        self.send(BatchEvent::Rendered(Some(start.elapsed())));
+        self.send(BatchEvent::Rendered { took: Some(start.elapsed()), frame_of: None });
         let delivered = self.upload_picture(encoded, std::slice::from_ref(hold)).await;
         if let Some(UploadTimes { encode_ms, put_ms, size_bytes }) = delivered {
             let (job, tiles) = (frame.id, parts.len());

@@ -21,7 +21,7 @@ use super::executor::{
 use super::rendering::{Rendered, milliseconds};
 use super::server_client::{PictureBytes, ServerError};
 use crate::blob;
-use crate::image::{ImageError, PictureSpec};
+use crate::image::{EncodeThreads, ImageError, PictureSpec};
 use crate::renderer::{CancelFlag, TilePixels};
 use crate::stitch::{RowSource, TileRows};
 
@@ -52,11 +52,12 @@ pub(super) fn encode(
     frame: u32,
     source: &mut dyn RowSource,
     scratch: &Path,
+    threads: EncodeThreads,
     cancel: &CancelFlag,
 ) -> Result<Encoded, ImageError> {
     let start = Instant::now();
     let mut out = BufWriter::with_capacity(1 << 18, tempfile::spooled_tempfile_in(MAX_IN_MEMORY_BYTES, scratch));
-    PictureSpec::new(&job.at(frame).map_err(ImageError::from)?).write(source, &mut out, cancel)?;
+    PictureSpec::new(&job.at(frame).map_err(ImageError::from)?).write_on(threads, source, &mut out, cancel)?;
     let (content, hash, size_bytes) = match out.into_inner().map_err(std::io::IntoInnerError::into_error)?.into_inner()
     {
         SpooledData::InMemory(bytes) => {
@@ -124,7 +125,8 @@ impl BatchExecutor {
         let (encoders, renderer, scratch) = (self.encoders.clone(), self.renderer.clone(), self.scratch.clone());
         let (job, number, cancel) = (frame.job.clone(), frame.number, stop.0.clone());
         let encoding = spawn_blocking(move || {
-            let encoded = encoders.run(|| encode(&job, number, &mut TileRows(&tiles), &scratch, &cancel));
+            let encoded =
+                encoders.run(|threads| encode(&job, number, &mut TileRows(&tiles), &scratch, threads, &cancel));
             renderer.recycle(tiles);
             encoded
         });

@@ -190,6 +190,8 @@ pub struct Resources {
 pub(super) struct Buffer {
     device: CudaSlice<f32>,
     host: PinnedHostSlice<f32>,
+    /// Recorded after the last copy to the host.
+    copied: CudaEvent,
 }
 
 /// Blocks and samples of a launch.
@@ -302,7 +304,8 @@ impl Device {
         // the copied part of the host's is read.
         let allocate = || unsafe {
             let host = self.context.alloc_pinned_with_flags(numbers, 0)?;
-            Ok(Buffer { device: self.compute.alloc(numbers)?, host })
+            let copied = self.context.new_event(Some(CUevent_flags::CU_EVENT_BLOCKING_SYNC))?;
+            Ok(Buffer { device: self.compute.alloc(numbers)?, host, copied })
         };
         allocate().map_err(|error: cudarc::driver::DriverError| match error.0 {
             sys::CUresult::CUDA_ERROR_OUT_OF_MEMORY => CudaError::OutOfMemory { bytes: numbers * size_of::<f32>() },
@@ -356,7 +359,8 @@ impl Device {
             rows: block.rows,
         };
         let (first, end, is_last) = (part.first_sample as f32, part.end_sample as f32, u32::from(part.is_last));
-        let event = || self.compute.record_event(Some(CUevent_flags::CU_EVENT_DEFAULT));
+        // A thread that waits sleeps, because the cores are needed for encoding.
+        let event = || self.compute.record_event(Some(CUevent_flags::CU_EVENT_BLOCKING_SYNC));
         let mut launch = || {
             let start = event()?;
             let mut render = self.compute.launch_builder(&program.render);
@@ -380,15 +384,16 @@ impl Device {
     pub(super) fn start_copy(&self, buffer: &mut Buffer, numbers: usize) -> Result<(), CudaError> {
         let mut fetch = || {
             let source = buffer.device.slice(..numbers);
-            self.copies.memcpy_dtoh(&source, &mut buffer.host.as_mut_slice()?[..numbers])
+            self.copies.memcpy_dtoh(&source, &mut buffer.host.as_mut_slice()?[..numbers])?;
+            buffer.copied.record(&self.copies)
         };
         fetch().map_err(CudaError::driver_error("copy pixels from the GPU"))
     }
 
-    /// Waits for copies; returns the numbers of a buffer.
-    pub(super) fn wait_copy<'a>(&self, buffer: &'a Buffer) -> Result<&'a [f32], CudaError> {
+    /// Waits for the copy of a buffer, and for no later one; returns its numbers.
+    pub(super) fn wait_copy(buffer: &Buffer) -> Result<&[f32], CudaError> {
         let wait = || {
-            self.copies.synchronize()?;
+            buffer.copied.synchronize()?;
             buffer.host.as_slice()
         };
         wait().map_err(CudaError::driver_error("copy pixels from the GPU"))

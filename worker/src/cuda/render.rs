@@ -1,6 +1,7 @@
 //! The launches that render some tiles, and the copies of their pixels.
 
 use std::collections::VecDeque;
+use std::sync::TryLockError;
 
 use proto::Rect;
 use rayon::prelude::*;
@@ -8,7 +9,7 @@ use scene::Image;
 use scene::real::Table;
 
 use super::cells::{Cells, Made};
-use super::device::{self, Buffer, PendingLaunch};
+use super::device::{self, Buffer, Device, PendingLaunch};
 use super::launches::{self, Launches};
 use super::{CudaError, CudaRenderer, KernelSource, KernelState, lock};
 use crate::renderer::{CancelFlag, RenderError, TilePixels, TileRequest};
@@ -23,12 +24,14 @@ struct InFlight {
 }
 
 impl CudaRenderer {
-    /// Renders tiles, as many at a time as the buffers hold; one group is copied while the next renders.
+    /// Renders tiles, as many at a time as the buffers hold; one group is copied while the next renders. Calls
+    /// `on_device_free` once the last group has been rendered and its copy has been started.
     pub(super) fn render_groups(
         &self,
         runs: &[TileRequest<'_>],
         cancel: &CancelFlag,
         progress: &(dyn Fn(u64) + Sync),
+        on_device_free: &mut dyn FnMut(),
         finished: &mut Vec<TilePixels>,
     ) -> Result<(), CudaError> {
         let Some(first) = runs.first() else { return Ok(()) };
@@ -57,6 +60,7 @@ impl CudaRenderer {
             underway = Some(next?);
             rest = others;
         }
+        on_device_free();
         if let Some(last) = underway {
             finished.extend(self.collect(last, &first.job.image, progress)?);
         }
@@ -149,7 +153,7 @@ impl CudaRenderer {
     ) -> Result<Vec<TilePixels>, CudaError> {
         let InFlight { rects, buffer } = underway;
         let planes = image.channels().len();
-        let mut rest = self.device.wait_copy(&buffer)?;
+        let mut rest = Device::wait_copy(&buffer)?;
         let parts: Vec<(Rect, &[f32])> = rects
             .into_iter()
             .map(|rect| {
@@ -158,14 +162,23 @@ impl CudaRenderer {
                 (rect, own)
             })
             .collect();
-        let finished = parts
-            .into_par_iter()
-            .map(|(rect, numbers)| {
-                let planes = numbers.par_chunks(rect.pixels() as usize).map(|plane| self.copy_plane(plane)).collect();
-                progress(rect.pixels() * u64::from(image.samples));
-                TilePixels { rect, planes }
-            })
-            .collect();
+        // While the next tiles render, nothing waits for these but encoding, which needs the other cores.
+        let is_overlapped = matches!(self.launching.try_lock(), Err(TryLockError::WouldBlock));
+        let arrange = |(rect, numbers): (Rect, &[f32])| {
+            let length = rect.pixels() as usize;
+            let planes = if is_overlapped {
+                numbers.chunks(length).map(|plane| self.copy_plane(plane)).collect()
+            } else {
+                numbers.par_chunks(length).map(|plane| self.copy_plane(plane)).collect()
+            };
+            progress(rect.pixels() * u64::from(image.samples));
+            TilePixels { rect, planes }
+        };
+        let finished = if is_overlapped {
+            parts.into_iter().map(arrange).collect()
+        } else {
+            parts.into_par_iter().map(arrange).collect()
+        };
         lock(&self.buffers).push(buffer);
         Ok(finished)
     }

@@ -20,7 +20,7 @@ use rayon::prelude::*;
 use scene::Precision;
 
 use super::PROVENANCE_KEYWORD;
-use super::{ImageError, PictureSpec};
+use super::{EncodeThreads, ImageError, PictureSpec};
 use crate::renderer::CancelFlag;
 use crate::stitch::{RowBand, RowSource};
 
@@ -34,15 +34,20 @@ const REC_709: Chromaticities =
     Chromaticities { red: Vec2(0.64, 0.33), green: Vec2(0.3, 0.6), blue: Vec2(0.15, 0.06), white: Vec2(0.3127, 0.329) };
 
 /// Rows read at a time: two blocks for each thread, if memory allows.
-pub fn band_rows(picture: &PictureSpec) -> u32 {
+pub fn band_rows(picture: &PictureSpec, threads: EncodeThreads) -> u32 {
     let row_bytes = u64::from(picture.width) * picture.channels.len() as u64 * size_of::<f32>() as u64;
     let fits = (BAND_BYTES / row_bytes) as u32 / BLOCK_ROWS * BLOCK_ROWS;
-    (rayon::current_num_threads() as u32).saturating_mul(2 * BLOCK_ROWS).min(fits).max(BLOCK_ROWS)
+    let count = match threads {
+        EncodeThreads::All => rayon::current_num_threads() as u32,
+        EncodeThreads::One => 1,
+    };
+    count.saturating_mul(2 * BLOCK_ROWS).min(fits).max(BLOCK_ROWS)
 }
 
 /// Writes a picture, reading this many rows at a time, rounded up to whole blocks.
 pub fn write(
     picture: &PictureSpec,
+    threads: EncodeThreads,
     source: &mut dyn RowSource,
     out: &mut (impl Write + Seek),
     cancel: &CancelFlag,
@@ -62,7 +67,11 @@ pub fn write(
                 return Err(exr::error::Error::Aborted);
             }
             let blocks: Vec<u32> = rows.step_by(BLOCK_ROWS as usize).collect();
-            let chunks = blocks.par_iter().map(|&y| channels.compress(header, &band, y)).collect::<Vec<_>>();
+            let compress = |&y: &u32| channels.compress(header, &band, y);
+            let chunks: Vec<_> = match threads {
+                EncodeThreads::All => blocks.par_iter().map(compress).collect(),
+                EncodeThreads::One => blocks.iter().map(compress).collect(),
+            };
             for (y, chunk) in blocks.into_iter().zip(chunks) {
                 file.write_chunk((y / BLOCK_ROWS) as usize, chunk?)?;
             }

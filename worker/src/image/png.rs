@@ -15,21 +15,25 @@ use std::ops::Range;
 use png::{BitDepth, ColorType, DeflateCompression, Encoder, Filter, SrgbRenderingIntent};
 use rayon::prelude::*;
 use scene::Bits;
-use scene::color::level_of_256;
-use scene::sampling::thresholds;
 
 use super::PROVENANCE_KEYWORD;
-use super::{ImageError, PictureSpec};
+use super::{EncodeThreads, ImageError, PictureSpec};
 use crate::renderer::CancelFlag;
-use crate::srgb::SrgbEncoder;
+use crate::srgb::{RowMemory, SrgbEncoder};
 use crate::stitch::{RowBand, RowSource, StitchError};
 
-/// Number of rows read at a time.
-pub const BAND_ROWS: u32 = 64;
+/// Number of rows read at a time: for one thread so few that they stay in its cache.
+pub fn band_rows(threads: EncodeThreads) -> u32 {
+    match threads {
+        EncodeThreads::All => 64,
+        EncodeThreads::One => 16,
+    }
+}
 
 /// Writes a picture, reading this many rows at a time.
 pub fn write(
     picture: &PictureSpec,
+    threads: EncodeThreads,
     source: &mut dyn RowSource,
     out: &mut (impl Write + Send),
     cancel: &CancelFlag,
@@ -51,7 +55,7 @@ pub fn write(
     let mut header = encoder.write_header()?;
     let mut stream = header.stream_writer_with_size(CHUNK_BYTES)?;
 
-    let mut rows = Rows { layout, srgb, source, band: RowBand::new(picture.width, picture.channels.len()) };
+    let mut rows = Rows { layout, threads, srgb, source, band: RowBand::new(picture.width, picture.channels.len()) };
     let (mut ready, mut next) = (Vec::new(), Vec::new());
     let mut bands = bands(picture.height, band_rows);
     rows.encode(bands.next(), &mut ready)?;
@@ -59,7 +63,11 @@ pub fn write(
         if cancel.is_cancelled() {
             return Err(ImageError::Cancelled);
         }
-        let (written, encoded) = rayon::join(|| stream.write_all(&ready), || rows.encode(bands.next(), &mut next));
+        let band = bands.next();
+        let (written, encoded) = match threads {
+            EncodeThreads::All => rayon::join(|| stream.write_all(&ready), || rows.encode(band, &mut next)),
+            EncodeThreads::One => (stream.write_all(&ready), rows.encode(band, &mut next)),
+        };
         written?;
         encoded?;
         std::mem::swap(&mut ready, &mut next);
@@ -76,6 +84,7 @@ fn bands(height: u32, band_rows: u32) -> impl Iterator<Item = Range<u32>> + Send
 /// Converts a picture's rows to bytes.
 struct Rows<'a> {
     layout: PixelLayout,
+    threads: EncodeThreads,
     srgb: SrgbEncoder,
     source: &'a mut dyn RowSource,
     band: RowBand,
@@ -88,13 +97,24 @@ impl Rows<'_> {
             bytes.clear();
             return Ok(());
         };
-        let Self { layout, srgb, source, band } = self;
+        let Self { layout, threads, srgb, source, band } = self;
         bytes.resize(rows.len() * layout.row_bytes(), 0);
         source.read(rows, band)?;
-        bytes
-            .par_chunks_exact_mut(layout.row_bytes())
-            .enumerate()
-            .for_each_init(Vec::new, |samples, (row, bytes)| layout.encode_row(srgb, band, row, samples, bytes));
+        let memory = || (Vec::new(), srgb.memory());
+        let encode = |memory: &mut (Vec<f32>, RowMemory), (row, bytes): (usize, &mut [u8])| {
+            layout.encode_row(srgb, band, row, memory, bytes);
+        };
+        match threads {
+            EncodeThreads::All => {
+                bytes.par_chunks_exact_mut(layout.row_bytes()).enumerate().for_each_init(memory, encode);
+            }
+            EncodeThreads::One => {
+                let mut memory = memory();
+                for row in bytes.chunks_exact_mut(layout.row_bytes()).enumerate() {
+                    encode(&mut memory, row);
+                }
+            }
+        }
         Ok(())
     }
 }
@@ -125,7 +145,14 @@ impl PixelLayout {
         self.width * self.channels() * sample_bytes
     }
 
-    fn encode_row(self, srgb: &SrgbEncoder, band: &RowBand, row: usize, samples: &mut Vec<f32>, bytes: &mut [u8]) {
+    fn encode_row(
+        self,
+        srgb: &SrgbEncoder,
+        band: &RowBand,
+        row: usize,
+        (samples, memory): &mut (Vec<f32>, RowMemory),
+        bytes: &mut [u8],
+    ) {
         samples.clear();
         for color in 0..3 {
             let linear = band.row(color, row);
@@ -136,34 +163,23 @@ impl PixelLayout {
                 samples.extend(pairs.map(|(&value, &alpha)| finite_or_zero(unpremultiply(value, alpha))));
             }
         }
-        srgb.encode(samples);
+        match self.bits {
+            Bits::Eight => srgb.dither(samples, band.rows().start + row as u32, memory),
+            Bits::Sixteen => srgb.encode(samples, memory),
+        }
         if !self.opaque {
             samples.extend(band.row(3, row).iter().map(|&alpha| clamp_unit(alpha)));
         }
         match self.bits {
             Bits::Eight => {
-                self.choose_levels(samples, band.rows().start + row as u32);
+                for alpha in &mut samples[3 * self.width..] {
+                    *alpha = *alpha * 255.0 + 0.5;
+                }
                 self.interleave(samples, bytes, |value| [truncate(value) as u8]);
             }
             Bits::Sixteen => {
                 self.interleave(samples, bytes, |value| (truncate(value * 65535.0 + 0.5) as u16).to_be_bytes());
             }
-        }
-    }
-
-    /// Dithers colors by the pixel's position in the picture; rounds alpha to the nearest level.
-    fn choose_levels(self, samples: &mut [f32], y: u32) {
-        let (colors, alpha) = samples.split_at_mut(3 * self.width);
-        let (red, others) = colors.split_at_mut(self.width);
-        let (green, blue) = others.split_at_mut(self.width);
-        for (x, ((red, green), blue)) in red.iter_mut().zip(green).zip(blue).enumerate() {
-            let [at_red, at_green, at_blue] = thresholds(x as f32, y as f32);
-            *red = level_of_256(*red, at_red);
-            *green = level_of_256(*green, at_green);
-            *blue = level_of_256(*blue, at_blue);
-        }
-        for value in alpha {
-            *value = *value * 255.0 + 0.5;
         }
     }
 
@@ -207,16 +223,21 @@ fn unpremultiply(premultiplied: f32, alpha: f32) -> f32 {
 
 #[cfg(test)]
 mod tests {
+    use scene::color::{DisplayTransform, linear_from_srgb};
+
     use super::*;
 
     /// The levels of a square of one color, by channel.
     fn levels(srgb: f32) -> [Vec<u32>; 3] {
         const WIDTH: usize = 64;
-        let layout = PixelLayout { width: WIDTH, opaque: true, bits: Bits::Eight };
+        let image = r#"{ "width": 1, "height": 1 }"#;
+        let transform = DisplayTransform::new(&serde_json::from_str(image).expect("an image"));
+        let encoder = SrgbEncoder::new(transform).expect("a tape");
+        let mut memory = encoder.memory();
         let mut levels = [const { Vec::new() }; 3];
         for y in 0..64 {
-            let mut samples = vec![srgb; 3 * WIDTH];
-            layout.choose_levels(&mut samples, y);
+            let mut samples = vec![linear_from_srgb(srgb); 3 * WIDTH];
+            encoder.dither(&mut samples, y, &mut memory);
             for (levels, plane) in levels.iter_mut().zip(samples.chunks(WIDTH)) {
                 levels.extend(plane.iter().map(|&value| u32::from(truncate(value) as u8)));
             }

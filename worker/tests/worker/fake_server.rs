@@ -14,7 +14,7 @@ use axum::routing::{get, post, put};
 use axum::{Json, Router};
 use proto::worker_protocol::{
     self, Batch, BatchWork, LeaseOutcome, LeaseReport, LeasedTile, RegisterRequest, RegisterResponse, SyncRequest,
-    SyncResponse,
+    SyncResponse, TracedBatch,
 };
 use proto::{JobId, LeaseId, Rect, WorkerId};
 use tokio::runtime::Runtime;
@@ -27,6 +27,8 @@ const DEADLINE: Duration = Duration::from_secs(20);
 #[derive(Default)]
 pub(crate) struct Farm {
     pub(crate) lease_ms: u64,
+    /// Maximum number of batches in a response; 0 is one.
+    pub(crate) max_batches: u32,
     /// Time limit for a tile of the batches given from now on.
     pub(crate) tile_seconds: Option<u32>,
     pub(crate) jobs: HashMap<JobId, String>,
@@ -194,7 +196,8 @@ async fn register(State(shared): State<Shared>, Json(hello): Json<RegisterReques
         farm.hellos.push(hello);
         let worker = WorkerId::new();
         farm.workers.insert(worker);
-        Json(RegisterResponse { worker, lease_ms: farm.lease_ms, folders: None }).into_response()
+        let max_batches = farm.max_batches.max(1);
+        Json(RegisterResponse { worker, lease_ms: farm.lease_ms, folders: None, max_batches }).into_response()
     })
 }
 
@@ -223,8 +226,14 @@ async fn sync(State(shared): State<Shared>, Json(sync): Json<SyncRequest>) -> Re
         shared.farm().waiting += 1;
         shared.farm.1.notify_all();
         if tokio::time::timeout_at(end, rung).await.is_err() {
-            return Json(SyncResponse { batch: None, revoked_leases: Vec::new(), drain: false, trace: None })
-                .into_response();
+            return Json(SyncResponse {
+                batch: None,
+                revoked_leases: Vec::new(),
+                drain: false,
+                trace: None,
+                more: Vec::new(),
+            })
+            .into_response();
         }
     }
 }
@@ -234,11 +243,16 @@ fn answer(shared: &Shared, sync: &SyncRequest) -> Option<SyncResponse> {
     let mut farm = shared.farm();
     let lost = farm.lost(sync);
     let run = if sync.wants_work && !farm.drain { farm.queue.pop_front() } else { None };
-    match run.as_ref().map(|run| &run.work) {
-        Some(BatchWork::Render { tiles, .. }) => farm.live.extend(tiles.iter().map(|tile| tile.lease)),
-        Some(BatchWork::Stitch { lease, .. }) => _ = farm.live.insert(*lease),
-        None => {}
+    let more = if run.is_some() { sync.max_batches as usize - 1 } else { 0 };
+    let count = more.min(farm.queue.len());
+    let more: Vec<Batch> = farm.queue.drain(..count).collect();
+    for batch in run.iter().chain(&more) {
+        match &batch.work {
+            BatchWork::Render { tiles, .. } => farm.live.extend(tiles.iter().map(|tile| tile.lease)),
+            BatchWork::Stitch { lease, .. } => _ = farm.live.insert(*lease),
+        }
     }
+    let more = more.into_iter().map(|batch| TracedBatch { batch, trace: None }).collect();
     let drain = farm.drain;
     shared.farm.1.notify_all();
     (run.is_some() || !lost.is_empty() || drain).then_some(SyncResponse {
@@ -246,6 +260,7 @@ fn answer(shared: &Shared, sync: &SyncRequest) -> Option<SyncResponse> {
         revoked_leases: lost,
         drain,
         trace: None,
+        more,
     })
 }
 

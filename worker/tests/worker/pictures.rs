@@ -5,7 +5,7 @@ use std::io::Cursor;
 use proto::Rect;
 use scene::{Format, Job};
 use worker::blob;
-use worker::image::{ImageError, PictureSpec, Provenance, exr, png};
+use worker::image::{EncodeThreads, ImageError, PictureSpec, Provenance, exr, png};
 use worker::stitch::{BlobRows, RowSource, StitchError, TileRows};
 use worker::{CancelFlag, TilePixels};
 
@@ -34,8 +34,8 @@ pub(crate) fn encode(job: &Job, source: &mut dyn RowSource, band_rows: u32) -> R
     let picture = PictureSpec::new(&job.at(3).unwrap());
     let mut out = Cursor::new(Vec::new());
     match picture.format {
-        Format::Png => png::write(&picture, source, &mut out, &CancelFlag::new(), band_rows)?,
-        Format::Exr => exr::write(&picture, source, &mut out, &CancelFlag::new(), band_rows)?,
+        Format::Png => png::write(&picture, EncodeThreads::All, source, &mut out, &CancelFlag::new(), band_rows)?,
+        Format::Exr => exr::write(&picture, EncodeThreads::All, source, &mut out, &CancelFlag::new(), band_rows)?,
     }
     Ok(out.into_inner())
 }
@@ -64,12 +64,15 @@ fn the_bytes_do_not_depend_on_the_number_of_threads() {
     let pool = rayon::ThreadPoolBuilder::new().num_threads(3).build().unwrap();
     for job in jobs() {
         let tiles = tiles(&job, &[Rect::full(job.image.width, job.image.height)]);
-        let mut files = [Cursor::new(Vec::new()), Cursor::new(Vec::new())];
-        let [one, other] = &mut files;
-        PictureSpec::new(&job.at(3).unwrap()).write(&mut TileRows(&tiles), one, &CancelFlag::new()).unwrap();
-        pool.install(|| PictureSpec::new(&job.at(3).unwrap()).write(&mut TileRows(&tiles), other, &CancelFlag::new()))
-            .unwrap();
-        assert_eq!(files[0], files[1]);
+        let picture = PictureSpec::new(&job.at(3).unwrap());
+        let write = |threads| {
+            let mut file = Cursor::new(Vec::new());
+            picture.write_on(threads, &mut TileRows(&tiles), &mut file, &CancelFlag::new()).unwrap();
+            file.into_inner()
+        };
+        let expected = write(EncodeThreads::All);
+        assert_eq!(pool.install(|| write(EncodeThreads::All)), expected);
+        assert_eq!(write(EncodeThreads::One), expected);
     }
 }
 

@@ -11,10 +11,8 @@ use proto::worker_protocol::{Batch, BatchWork, LeaseOutcome, LeaseReport};
 use proto::{JobId, LeaseId, WorkerId};
 
 use super::model::{Model, TILES};
-use super::{Fixture, leases, new_job, turn};
-use crate::queue::{
-    BacklogLimits, DeleteOutcome, FrameOpening, LeaseEnd, NewJob, NewWebhook, NextWork, SubmitOptions, SyncInput,
-};
+use super::{Fixture, leases, new_job, opening, turn};
+use crate::queue::{BacklogLimits, DeleteOutcome, LeaseEnd, NewJob, NewWebhook, NextWork, SubmitOptions, SyncInput};
 
 /// Number of sequences in every run of the tests.
 const SEQUENCES: u32 = 100;
@@ -154,10 +152,12 @@ impl Pair {
             held_leases: holding.clone(),
             wants_work: claim.is_some(),
             rays_per_second: claim.and_then(RaysPerSecond::new),
+            // The second worker takes several frames at a time.
+            max_batches: if index == 1 { 3 } else { 1 },
             ..turn(id)
         };
         let mut lost = Vec::new();
-        let run = loop {
+        let runs: Vec<Batch> = loop {
             let Some(turned) = self.bench.queue.turn(said.clone()).await.expect("a sync") else {
                 let (takes_large, pool) = (worker.takes_large, worker.pool);
                 let id = self.register(takes_large, pool).await;
@@ -166,11 +166,15 @@ impl Pair {
             };
             lost.extend(turned.revoked_leases);
             let NextWork::OpenFrame { job, frame, plan } = turned.next else {
-                break if let NextWork::Run(run) = turned.next { Some(run) } else { None };
+                break if let NextWork::Run(run) = turned.next {
+                    std::iter::once(run).chain(turned.more).collect()
+                } else {
+                    Vec::new()
+                };
             };
-            let picture_key = format!("key {job} {frame}");
             said.reports.clear();
-            said.opening = Some(FrameOpening { job, frame, picture_key, tiles: plan.tiles(), samples: plan.samples });
+            said.opening = Some(opening(job, frame, plan));
+            said.next_openings = (frame + 1..plan.frames).map(|frame| opening(job, frame, plan)).collect();
         };
         let mut expected = self.model.report(id, &results, &holding);
         lost.sort();
@@ -178,7 +182,7 @@ impl Pair {
         expected.sort();
         assert_eq!(lost, expected, "leases revoked from worker {index}");
         let worker = &mut self.workers[index];
-        if let Some(run) = &run {
+        for run in &runs {
             self.model.grant(id, worker.takes_large, run);
             worker.runs.push(run.clone());
         }
@@ -186,7 +190,7 @@ impl Pair {
         if index == 0 {
             worker.runs.retain(|run| !leases(run).all(|lease| lost.contains(&lease)));
         }
-        run
+        runs.into_iter().next()
     }
 
     async fn report(&mut self, index: usize, run: usize, die: u8) {

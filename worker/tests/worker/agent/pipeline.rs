@@ -250,7 +250,7 @@ fn pictures_are_delivered_while_others_render() {
     });
     let (putting, waiting) = server.change(|farm| (farm.putting, farm.queue.len()));
     assert!(
-        putting <= ENCODERS + 1 && putting + waiting == leases.len(),
+        putting <= ENCODERS + ENCODERS / 2 + 1 && putting + waiting == leases.len(),
         "{putting} are being delivered, {waiting} wait"
     );
     server.change(|farm| farm.hold_puts = false);
@@ -264,5 +264,144 @@ fn a_renderers_limits_are_reported_to_the_server() {
     let mut agent = Agent::start(&server, Together(|_: &[TileRequest<'_>], _: &CancelFlag| Ok(())));
     let hello = server.until("the worker registers", |farm| farm.hellos.pop());
     assert_eq!(hello.max_nodes, Some(500));
+    agent.stop().unwrap();
+}
+
+/// Frees its device before it has the pixels, which it returns after a function.
+struct Overlapping<F>(F);
+
+impl<F> Renderer for Overlapping<F>
+where
+    F: Fn(&[TileRequest<'_>], &CancelFlag) -> Result<(), RenderError> + Send + Sync,
+{
+    fn device(&self) -> String {
+        "overlapping".to_owned()
+    }
+
+    fn render(&self, _: &TileRequest<'_>, _: &CancelFlag, _: &(dyn Fn(u64) + Sync)) -> Result<TilePixels, RenderError> {
+        panic!("tiles must be rendered together")
+    }
+
+    fn render_overlapped(
+        &self,
+        runs: &[TileRequest<'_>],
+        cancel: &CancelFlag,
+        progress: &(dyn Fn(u64) + Sync),
+        on_device_free: &mut dyn FnMut(),
+    ) -> Result<Vec<TilePixels>, RenderError> {
+        on_device_free();
+        (self.0)(runs, cancel)?;
+        runs.iter().map(|run| FakeRenderer.render(run, &CancelFlag::new(), progress)).collect()
+    }
+
+    fn overlapping(&self) -> usize {
+        3
+    }
+
+    fn preferred_tiles(&self) -> usize {
+        BATCH
+    }
+
+    fn encoder_threads(&self) -> usize {
+        ENCODERS
+    }
+}
+
+#[test]
+fn the_next_batch_renders_while_pixels_are_fetched() {
+    let server = FakeServer::start(30_000);
+    let (go, count) = (Happening::default(), Arc::new(Mutex::new(0)));
+    let (goes, counts) = (go.clone(), count.clone());
+    let mut agent = Agent::start(
+        &server,
+        Overlapping(move |_: &[TileRequest<'_>], _: &CancelFlag| {
+            *counts.lock().unwrap() += 1;
+            goes.wait();
+            Ok(())
+        }),
+    );
+    let (id, _) = add_job(&server, 32, 32, "");
+    let leases: Vec<LeaseId> = (0..8).flat_map(|_| give(&server, id)).collect();
+    server.until("the worker has as many batches in stages as it may, and requests no more", |farm| {
+        let sync = farm.syncs.last()?;
+        (*count.lock().unwrap() == 3 && sync.held_leases.len() > 3 && !sync.wants_work).then_some(())
+    });
+    go.happen();
+    assert!(server.outcomes(&leases).iter().all(is_picture));
+    agent.stop().unwrap();
+}
+
+#[test]
+fn a_batch_whose_pixels_cannot_be_fetched_is_rendered_tile_by_tile() {
+    let server = FakeServer::start(30_000);
+    let fails = |runs: &[TileRequest<'_>], _: &CancelFlag| {
+        let is_bad = runs.len() > 1 || runs[0].rect.x == 32;
+        let error = || RenderError::Device { device: "the card".to_owned(), reason: "no".to_owned() };
+        if is_bad { Err(error()) } else { Ok(()) }
+    };
+    let mut agent = Agent::start(&server, Overlapping(fails));
+    let ((id, _), (small, _)) = (add_job(&server, 96, 32, ""), add_job(&server, 32, 32, ""));
+    for whole_frame in [false, true] {
+        let leases = server.change(|farm| farm.give(id, &cut(96, 32, 32, 32), whole_frame));
+        let next: Vec<LeaseId> = (0..4).flat_map(|_| give(&server, small)).collect();
+        let outcomes = server.outcomes(&leases);
+        let [LeaseOutcome::Blob { .. }, LeaseOutcome::Failed { message }, LeaseOutcome::Blob { .. }] = &outcomes[..]
+        else {
+            panic!("{outcomes:?}")
+        };
+        assert_eq!(message, "the card could not render: no");
+        assert!(server.outcomes(&next).iter().all(is_picture));
+    }
+    agent.stop().unwrap();
+}
+
+#[test]
+fn a_revoked_batch_is_cancelled_while_its_pixels_are_fetched() {
+    let server = FakeServer::start(30_000);
+    let hangs = |runs: &[TileRequest<'_>], cancel: &CancelFlag| {
+        if runs.len() > 1 { Err(until_cancelled(cancel)) } else { Ok(()) }
+    };
+    let mut agent = Agent::start(&server, Overlapping(hangs));
+    let ((id, _), (small, _)) = (add_job(&server, 96, 32, ""), add_job(&server, 32, 32, ""));
+    let leases = server.change(|farm| farm.give(id, &cut(96, 32, 32, 32), true));
+    let next = give(&server, small);
+    assert!(server.outcomes(&next).iter().all(is_picture), "it does not wait for the other's pixels");
+    server.change(|farm| leases.iter().for_each(|lease| _ = farm.live.remove(lease)));
+    server.until("the worker has dropped them", |farm| {
+        farm.syncs.last().is_some_and(|sync| sync.held_leases.is_empty()).then_some(())
+    });
+    agent.stop().unwrap();
+}
+
+#[test]
+fn several_short_batches_are_requested_in_one_call() {
+    let server = FakeServer::start(30_000);
+    server.change(|farm| farm.max_batches = 4);
+    let (begun, go, count) = (Happening::default(), Happening::default(), Arc::new(Mutex::new(0)));
+    let (begins, goes) = (begun.clone(), go.clone());
+    let mut agent = Agent::start(
+        &server,
+        Together(move |_: &[TileRequest<'_>], _: &CancelFlag| {
+            let mut count = count.lock().unwrap();
+            *count += 1;
+            if *count > 1 {
+                begins.happen();
+                goes.wait();
+            }
+            Ok(())
+        }),
+    );
+    let (id, _) = add_job(&server, 32, 32, "");
+    assert!(server.outcomes(&give(&server, id)).iter().all(is_picture));
+    let leases = server.change(|farm| (0..20).flat_map(|_| farm.give(id, &[TILE], true)).collect::<Vec<_>>());
+    begun.wait();
+    server.until("the worker has some batches ahead and requests no more", |farm| {
+        let sync = farm.syncs.last()?;
+        (sync.held_leases.len() > 2 && !sync.wants_work).then_some(())
+    });
+    let (most, left) = server.change(|farm| (farm.syncs.iter().map(|sync| sync.max_batches).max(), farm.queue.len()));
+    assert!(most == Some(4) && left > 0, "{most:?} at a time, {left} left");
+    go.happen();
+    assert!(server.outcomes(&leases).iter().all(is_picture));
     agent.stop().unwrap();
 }
