@@ -1,15 +1,19 @@
 //! A farm's database on a PostgreSQL server, version 15 or newer: opened, migrated, and connected to again after the
 //! server, or the network, has failed.
+//!
+//! The farm's advisory locks are (1396983361, 1), which whoever writes holds during a transaction, and (1396983361, 2), which
+//! the farm's server holds as long as it is connected. The first number is `SDFA` in ASCII.
 
 #[cfg(test)]
 pub(crate) mod tests;
 
 use std::time::Duration;
 
-use super::{DatabaseError, OpenError, PostgresAddress};
-use crate::clock::monotonic_now;
 use sqlx::ConnectOptions;
 use sqlx::postgres::{PgConnectOptions, PgConnection, PgPool, PgPoolOptions};
+
+use super::{DatabaseError, OpenError, PostgresAddress};
+use crate::clock::monotonic_now;
 
 /// Begins a transaction of an occasional writer, which waits for the farm's other writers.
 ///
