@@ -14,11 +14,11 @@ pub(crate) struct Arguments {
     #[arg(long, value_name = "FOLDER", env = "SDFARM_DATA", default_value = "./sdfarm-data")]
     data: PathBuf,
     /// Empty database for the farm: its address on a PostgreSQL server, or `file` for a file in the data folder.
-    #[arg(long, value_name = "postgres://USER@HOST/NAME|file", value_parser = target)]
+    #[arg(long, value_name = "postgres://USER@HOST/NAME|file", env = "SDFARM_TO", hide_env_values = true, value_parser = target)]
     to: Target,
     /// Address of the farm's database on a PostgreSQL server, if it needs a password [default: the one that the folder records].
     #[arg(long, value_name = "postgres://USER@HOST/NAME", env = "SDFARM_DATABASE", hide_env_values = true)]
-    from: Option<PostgresAddress>,
+    database: Option<PostgresAddress>,
 }
 
 /// Place to move to.
@@ -42,7 +42,7 @@ pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
         Target::Postgres(address) => Some(address),
     };
     let is_file = to.is_none();
-    let moved = server::move_database(&arguments.data, arguments.from, to).await?;
+    let moved = server::move_database(&arguments.data, arguments.database, to).await?;
     print_line(&format!(
         "moved {} rows to {}; {} is kept: delete it when all is well",
         moved.rows, moved.to, moved.from

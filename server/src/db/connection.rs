@@ -34,7 +34,8 @@ impl Connection {
     /// Runs commands, separated by semicolons, that have no parameters and whose rows do not matter.
     pub(crate) async fn command(&mut self, text: &'static str) -> Result<(), DatabaseError> {
         match self {
-            Self::Sqlite(connection) => sqlx::raw_sql(text).execute(connection).await.map(drop)?,
+            // Kept prepared, which raw SQL is not.
+            Self::Sqlite(connection) => sqlx::query(text).execute(connection).await.map(drop)?,
             Self::Postgres(connection) => sqlx::raw_sql(text).execute(connection).await.map(drop)?,
         }
         Ok(())

@@ -1,7 +1,7 @@
 //! A farm's database on a PostgreSQL server, version 15 or newer: opened, migrated, and connected to again after the
 //! server, or the network, has failed.
 //!
-//! The farm's advisory locks are (1396983361, 1), which whoever writes holds during a transaction, and (1396983361, 2), which
+//! The farm's advisory locks are (1396983361, 1), which each transaction that writes holds, and (1396983361, 2), which
 //! the farm's server holds as long as it is connected. The first number is `SDFA` in ASCII.
 
 #[cfg(test)]
