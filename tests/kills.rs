@@ -32,7 +32,7 @@ fn soak_with_130_kills_finds_no_violation() {
 
 /// Soaks a farm on PostgreSQL while all its connections are cut every now and then.
 fn soak_on_postgresql(worker_kills: &str, server_kills: &str) {
-    if postgres_server::server().is_none() {
+    if postgres_server::required().is_none() {
         return;
     }
     let folder = tempfile::tempdir().expect("a folder");

@@ -1,4 +1,4 @@
-//! A farm that moves to PostgreSQL and back. On a server of `tests/on_postgres`; otherwise these tests do nothing.
+//! A farm that moves to PostgreSQL and back. The tests need the server of `tests/on_postgres`.
 
 use std::path::Path;
 use std::process::Command;
@@ -35,7 +35,7 @@ fn a_farm_moves_to_postgresql_and_back_with_every_row() {
     let folder = tempfile::tempdir().expect("a folder");
     let data = folder.path().join("data");
     let word = data.to_str().expect("plain");
-    let Some(database) = postgres_server::database_of(&data) else { return };
+    let Some(database) = postgres_server::required().and_then(|_| postgres_server::database_of(&data)) else { return };
     let job = jobs::as_png(&jobs::sized(&jobs::named("csg"), 64, 2));
     let farm = start(folder.path(), None);
     let id = farm.accept(&job.to_string());

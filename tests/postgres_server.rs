@@ -4,9 +4,20 @@
 use std::path::Path;
 use std::process::Command;
 
+use crate::skip::skip;
+
 /// Address of the server.
 pub(crate) fn server() -> Option<String> {
     std::env::var("SDFARM_TEST_DATABASE").ok()
+}
+
+/// Address of the server; without it, the test is skipped.
+pub(crate) fn required() -> Option<String> {
+    let address = server();
+    if address.is_none() {
+        skip("on-postgres", "there is no PostgreSQL server for the tests: run them by tests/on_postgres");
+    }
+    address
 }
 
 /// Runs SQL on the database at an address; returns what it prints.

@@ -1,5 +1,5 @@
-//! A farm on PostgreSQL: what its server says of a database that it cannot use, and what a lost connection costs. On a
-//! database server of `tests/on_postgres`; otherwise these tests do nothing.
+//! A farm on PostgreSQL: what its server says of a database that it cannot use, and what a lost connection costs. The tests
+//! need the server of `tests/on_postgres`.
 
 use std::path::Path;
 
@@ -18,7 +18,7 @@ async fn start_error(data: &Path, address: &str) -> String {
 
 #[tokio::test]
 async fn a_database_that_cannot_be_used_is_refused_with_the_cure() {
-    let Some(server) = postgres_server::server() else { return };
+    let Some(server) = postgres_server::required() else { return };
     let folder = tempfile::tempdir().expect("a temporary folder");
     let own = postgres_server::database_of(folder.path()).expect("a database");
     let host = server.rsplit('@').next().expect("an address");
@@ -38,7 +38,7 @@ async fn a_database_that_cannot_be_used_is_refused_with_the_cure() {
 
 #[tokio::test]
 async fn a_lost_table_is_named_and_a_read_only_database_is_refused() {
-    let Some(_) = postgres_server::server() else { return };
+    let Some(_) = postgres_server::required() else { return };
     let folder = Farm::start().await.stop().await;
     let address = postgres_server::database_of(folder.path()).expect("a database");
     let name = address.rsplit('/').next().expect("a name");
@@ -60,7 +60,7 @@ async fn a_lost_table_is_named_and_a_read_only_database_is_refused() {
 
 #[tokio::test]
 async fn a_database_has_one_server_and_a_data_folder_one_database() {
-    let Some(server) = postgres_server::server() else { return };
+    let Some(server) = postgres_server::required() else { return };
     let farm = Farm::start().await;
     let address = postgres_server::database_of(farm.folder.path()).expect("a database");
     let other = tempfile::tempdir().expect("a temporary folder");
@@ -79,7 +79,7 @@ async fn a_database_has_one_server_and_a_data_folder_one_database() {
 
 #[tokio::test]
 async fn connections_that_are_cut_lose_and_double_nothing() {
-    let Some(_) = postgres_server::server() else { return };
+    let Some(_) = postgres_server::required() else { return };
     let farm = Farm::start().await;
     let address = postgres_server::database_of(farm.folder.path()).expect("a database");
     // Between two requests a lost connection costs nothing.
