@@ -172,7 +172,7 @@ pub(crate) async fn start(config: Config, clock: Clock) -> Result<Started, Start
     let explain = database::explainer(&config);
     let database = Arc::new(database::open(&config).await?);
     let open_keys = async || ApiKeys::open(Arc::clone(&database), clock.clone()).await;
-    let api_keys = database::patiently(open_keys).await.map_err(&explain)?;
+    let api_keys = database::patiently(DatabaseError::is_unreachable, open_keys).await.map_err(&explain)?;
     if !listeners.address().ip().is_loopback() && !config.insecure && api_keys.live() == 0 {
         database.close().await;
         return Err(StartError::NoKeysBeyondLoopback(config.listen));
@@ -221,7 +221,7 @@ async fn open_store(config: &Config) -> Result<BlobStore, StartError> {
 async fn open_queue(config: &Config, database: Arc<Database>, clock: Clock) -> Result<Queue, DatabaseError> {
     let lease_ms = i64::try_from(config.lease.as_millis()).unwrap_or(i64::MAX / 4).max(1);
     let open = async || Queue::open(Arc::clone(&database), clock.clone(), lease_ms).await;
-    let (queue, recovered) = database::patiently(open).await?;
+    let (queue, recovered) = database::patiently(DatabaseError::is_unreachable, open).await?;
     tracing::info!(
         data = %config.data.display(), boot = recovered.generation, unfinished_jobs = recovered.jobs,
         handed_back = recovered.leases, "opened the data folder"

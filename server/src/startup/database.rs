@@ -16,13 +16,18 @@ const REACH_FIX: &str = "start its server, or correct the host and port of --dat
 const ATTEMPTS: u32 = 5;
 const PAUSE: Duration = Duration::from_millis(300);
 
-/// Tries again if the connection is lost.
-pub(super) async fn patiently<T>(attempt: impl AsyncFn() -> Result<T, DatabaseError>) -> Result<T, DatabaseError> {
+/// Tries again while an error means that the connection is lost.
+pub(super) async fn patiently<T, E>(
+    is_lost: impl Fn(&E) -> bool,
+    attempt: impl AsyncFn() -> Result<T, E>,
+) -> Result<T, E> {
     for _ in 1..ATTEMPTS {
-        match attempt().await {
-            Err(error) if error.is_unreachable() => tokio::time::sleep(PAUSE).await,
-            done => return done,
+        let done = attempt().await;
+        if !done.as_ref().is_err_and(&is_lost) {
+            return done;
         }
+        tracing::warn!("the database cannot be reached: connecting again");
+        tokio::time::sleep(PAUSE).await;
     }
     attempt().await
 }
@@ -35,15 +40,7 @@ pub(super) async fn open(config: &Config) -> Result<Database, StartError> {
         let given = location.to_string();
         return Err(StartError::OtherDatabase { folder: data.clone(), recorded, given });
     }
-    let mut opened = Database::open_at(&location).await;
-    for _ in 1..ATTEMPTS {
-        if !opened.as_ref().is_err_and(OpenError::is_lost) {
-            break;
-        }
-        tracing::warn!(database = %location, "the database cannot be reached: connecting again");
-        tokio::time::sleep(PAUSE).await;
-        opened = Database::open_at(&location).await;
-    }
+    let opened = patiently(OpenError::is_lost, async || Database::open_at(&location).await).await;
     let database = opened.map_err(|error| open_error(&location, error))?;
     location.record().map_err(folder)?;
     Ok(database)

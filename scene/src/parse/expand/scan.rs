@@ -3,7 +3,7 @@
 use std::ops::Range;
 
 use crate::error::{LineIndex, ValidationError};
-use crate::json_scan::escape;
+use crate::json_scan::{container_end, escape};
 
 /// Position after white space.
 pub(in crate::parse) fn skip_space(text: &str, mut at: usize) -> usize {
@@ -38,25 +38,7 @@ pub(in crate::parse) fn end_of(text: &str, start: usize) -> usize {
     let bytes = text.as_bytes();
     match bytes.get(start) {
         Some(b'"') => string_end(text, start),
-        Some(b'{' | b'[') => {
-            let (mut at, mut depth) = (start, 0_usize);
-            while let Some(byte) = bytes.get(at) {
-                match byte {
-                    b'"' => {
-                        at = string_end(text, at);
-                        continue;
-                    }
-                    b'{' | b'[' => depth += 1,
-                    b'}' | b']' => depth -= 1,
-                    _ => {}
-                }
-                at += 1;
-                if depth == 0 {
-                    return at;
-                }
-            }
-            at
-        }
+        Some(b'{' | b'[') => container_end(bytes, start),
         _ => {
             let rest = bytes.get(start..).unwrap_or_default();
             start + rest.iter().position(|byte| b" \t\r\n,]}".contains(byte)).unwrap_or(rest.len())
