@@ -1,10 +1,12 @@
 //! Kills workers and the server with `kill -9` at random instants and at fail points: nothing is lost, and every
 //! picture is identical to an undisturbed render.
 
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use rustix::process::Signal;
 
+use crate::seaweedfs::SeaweedFs;
 use crate::support::{Farm, eventually, finish, rendered_here, sdfarm, send_signal, text};
 use crate::{jobs, postgres_server};
 
@@ -67,6 +69,59 @@ fn soak_on_postgresql_with_a_few_kills_and_cut_connections_finds_no_violation() 
 #[ignore = "long: 100 kills of workers and 30 of servers, and cut connections; 2 min"]
 fn soak_on_postgresql_with_130_kills_and_cut_connections_finds_no_violation() {
     soak_on_postgresql("100", "30");
+}
+
+/// Soaks a farm of three servers on PostgreSQL and S3, whose servers hear only half of what the others tell, while all
+/// connections to the database are cut every now and then.
+fn soak_three_servers(worker_kills: &str, server_kills: &str, workers: &str) {
+    if postgres_server::required().is_none() {
+        return;
+    }
+    let Some(store) = SeaweedFs::start() else { return };
+    store.make_bucket("soak");
+    let folder = tempfile::tempdir().expect("a folder");
+    let data = folder.path().join("farm");
+    let database = postgres_server::database_of(&data).expect("a database");
+    let (data, seen) = (data.to_str().expect("plain").to_owned(), AtomicBool::new(false));
+    let flags = [
+        ["soak", "--kill", "--servers", "3"],
+        ["--workers", workers, "--data", &data],
+        ["--worker-kills", worker_kills, "--server-kills", server_kills],
+        ["--database", &database, "--store", "s3://soak/farm"],
+    ];
+    let mut soak = sdfarm(&flags.concat());
+    soak.envs(store.environment());
+    let (output, cut) = std::thread::scope(|scope| {
+        let cutter = scope.spawn(|| {
+            let mut cut = 0;
+            for round in 0_u64.. {
+                std::thread::sleep(Duration::from_millis(500 + round * 137 % 900));
+                if seen.load(Ordering::Relaxed) {
+                    break;
+                }
+                cut += postgres_server::cut_connections(&database);
+            }
+            cut
+        });
+        let output = finish(soak, b"");
+        seen.store(true, Ordering::Relaxed);
+        (output, cutter.join().expect("no panic"))
+    });
+    let (table, told) = (text(&output.stdout), text(&output.stderr));
+    assert!(output.status.success(), "{table}\n{told}");
+    eprintln!("{table}\n{cut} connections to the database were cut");
+    assert!(cut > 0 && table.contains("events followed from server to server"), "{table}");
+}
+
+#[test]
+fn soak_of_three_servers_with_a_few_kills_finds_no_violation() {
+    soak_three_servers("6", "4", "3");
+}
+
+#[test]
+#[ignore = "long: 200 kills of ten workers and 100 of three servers, and cut connections; 5 min"]
+fn soak_of_three_servers_with_300_kills_finds_no_violation() {
+    soak_three_servers("200", "100", "10");
 }
 
 #[test]

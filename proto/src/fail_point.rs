@@ -57,6 +57,8 @@ points! {
     DatabaseWrite = "database_write",
     /// Server: a group of operations is about to be committed.
     DatabaseCommit = "database_commit",
+    /// Server: the others are about to be told of a change.
+    Telling = "telling",
     /// Server, or a worker of its pool: bytes are about to be stored.
     StorePut = "store_put",
     /// Server, or a worker of its pool: stored bytes are about to be read.
@@ -82,13 +84,22 @@ enum FailAction {
     Slow(Duration),
 }
 
+/// Passes at which a point triggers, from 1.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Passes {
+    Every,
+    Only(u64),
+    /// Every multiple of this number.
+    EveryNth(u64),
+}
+
 /// Armed fail point.
 #[derive(Debug)]
 struct ArmedFailPoint {
     point: FailPoint,
     action: FailAction,
-    /// Pass at which it triggers, from 1; `None` for every pass.
-    pass: Option<u64>,
+    /// Passes at which it triggers.
+    when: Passes,
     passes: AtomicU64,
 }
 
@@ -100,7 +111,7 @@ pub struct FailPointError(pub FailPoint);
 /// Error returned when [`ENV_VAR`] is not a list of fail points.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "{part:?} is not a fail point: write NAME=kill, NAME=error or NAME=slow:MILLISECONDS, and @N to trigger at pass N only; names are {}",
+    "{part:?} is not a fail point: write NAME=kill, NAME=error or NAME=slow:MILLISECONDS, and @N to trigger at pass N only, or /N at every Nth; names are {}",
     names()
 )]
 pub struct ParseFailPointsError {
@@ -145,7 +156,12 @@ pub fn trigger_infallible(point: FailPoint) {
 impl ArmedFailPoint {
     fn trigger(&self) -> Result<(), FailPointError> {
         let pass = self.passes.fetch_add(1, Ordering::Relaxed) + 1;
-        if self.pass.is_some_and(|wanted| wanted != pass) {
+        let triggers = match self.when {
+            Passes::Every => true,
+            Passes::Only(wanted) => pass == wanted,
+            Passes::EveryNth(number) => pass.is_multiple_of(number),
+        };
+        if !triggers {
             return Ok(());
         }
         eprintln!("{LOG_PREFIX} {} triggered at pass {pass}: {}", self.point.name(), self.action);
@@ -179,9 +195,11 @@ impl FromStr for ArmedFailPoint {
     fn from_str(part: &str) -> Result<Self, ParseFailPointsError> {
         let wrong = || ParseFailPointsError { part: part.to_owned() };
         let (name, rest) = part.split_once('=').ok_or_else(wrong)?;
-        let (action, pass) = match rest.split_once('@') {
-            Some((action, pass)) => (action, Some(pass.parse().map_err(|_| wrong())?)),
-            None => (rest, None),
+        let number = |text: &str| text.parse::<u64>().ok().filter(|number| *number > 0).ok_or_else(wrong);
+        let (action, when) = match (rest.split_once('@'), rest.split_once('/')) {
+            (Some((action, pass)), _) => (action, Passes::Only(number(pass)?)),
+            (None, Some((action, step))) => (action, Passes::EveryNth(number(step)?)),
+            (None, None) => (rest, Passes::Every),
         };
         let action = match action.split_once(':') {
             None if action == "kill" => FailAction::Kill,
@@ -190,7 +208,7 @@ impl FromStr for ArmedFailPoint {
             _ => return Err(wrong()),
         };
         let point = FailPoint::ALL.iter().find(|point| point.name() == name).copied().ok_or_else(wrong)?;
-        Ok(Self { point, action, pass, passes: AtomicU64::new(0) })
+        Ok(Self { point, action, when, passes: AtomicU64::new(0) })
     }
 }
 
@@ -202,14 +220,23 @@ mod tests {
     fn each_action_parses_to_what_it_prints() {
         for text in ["kill", "error", "slow:50"] {
             let trap: ArmedFailPoint = format!("claimed={text}@7").parse().expect("valid");
-            assert_eq!((trap.point, trap.pass, trap.action.to_string().as_str()), (FailPoint::Claimed, Some(7), text));
+            let told = (trap.point, trap.when, trap.action.to_string());
+            assert_eq!(told, (FailPoint::Claimed, Passes::Only(7), text.to_owned()));
         }
     }
 
     #[test]
     fn invalid_points_are_rejected_with_the_valid_names() {
-        for bad in ["claimed", "claimed=", "nowhere=kill", "claimed=kill@x", "claimed=slow", "claimed=slow:x", "=kill"]
-        {
+        for bad in [
+            "claimed",
+            "claimed=",
+            "nowhere=kill",
+            "claimed=kill@x",
+            "claimed=slow",
+            "claimed=slow:x",
+            "=kill",
+            "claimed=kill/0",
+        ] {
             let refused = bad.parse::<ArmedFailPoint>().expect_err(bad).to_string();
             assert!(refused.contains("submit_committed"), "{refused}");
         }
@@ -220,5 +247,8 @@ mod tests {
         let trap: ArmedFailPoint = "store_put=error@2".parse().expect("valid");
         let struck: Vec<bool> = (0..4).map(|_| trap.trigger().is_err()).collect();
         assert_eq!(struck, [false, true, false, false]);
+        let trap: ArmedFailPoint = "store_put=error/2".parse().expect("valid");
+        let struck: Vec<bool> = (0..4).map(|_| trap.trigger().is_err()).collect();
+        assert_eq!(struck, [false, true, false, true]);
     }
 }

@@ -1,11 +1,15 @@
 //! Clocks: leases and back-off use a monotonic clock that starts at 0 with the server, so that a jump of the
-//! wall clock expires no lease; users see the wall clock.
+//! wall clock expires no lease; users see the wall clock. Servers that share a database share its time ([`FarmTime`]).
 //!
 //! Nothing else in this crate reads the system's time of day.
+
+mod farm_time;
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicI64, Ordering};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+
+pub(crate) use farm_time::{FarmTime, TimeReading};
 
 /// Source of time.
 #[derive(Clone, Debug)]
@@ -14,6 +18,7 @@ pub struct Clock(ClockSource);
 #[derive(Clone, Debug)]
 enum ClockSource {
     System(Instant),
+    Farm(Arc<FarmTime>),
     Manual(ManualClock),
 }
 
@@ -29,10 +34,24 @@ impl Clock {
         (Self(ClockSource::Manual(hand.clone())), hand)
     }
 
-    /// Milliseconds since the server started; never decreases.
+    /// The same clock, or the time that the servers of a database share, unless a test sets the time.
+    pub(crate) fn or_shared(self, shared: Option<Arc<FarmTime>>) -> Self {
+        match (&self.0, shared) {
+            (ClockSource::System(_), Some(time)) => Self(ClockSource::Farm(time)),
+            (_, _) => self,
+        }
+    }
+
+    /// Whether it goes on while the server does not run, so that its times hold after a restart.
+    pub(crate) fn is_lasting(&self) -> bool {
+        matches!(self.0, ClockSource::Farm(_))
+    }
+
+    /// Milliseconds since the server, or the farm, started; never decreases.
     pub(crate) fn now_ms(&self) -> i64 {
         match &self.0 {
             ClockSource::System(start) => i64::try_from(start.elapsed().as_millis()).unwrap_or(i64::MAX),
+            ClockSource::Farm(time) => time.now_ms(),
             ClockSource::Manual(hand) => hand.now_ms.load(Ordering::SeqCst),
         }
     }
@@ -41,6 +60,7 @@ impl Clock {
     pub(crate) fn wall_ms(&self) -> i64 {
         match &self.0 {
             ClockSource::System(_) => time_of_day_ms(),
+            ClockSource::Farm(time) => time.wall_ms(),
             ClockSource::Manual(hand) => {
                 hand.now_ms.load(Ordering::SeqCst) + hand.wall_offset_ms.load(Ordering::SeqCst)
             }

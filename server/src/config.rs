@@ -8,6 +8,7 @@ use proto::Secret;
 use proto::pool::MAX_POOL_WORKERS;
 
 use crate::blobs::StoreLocation;
+use crate::cluster_secret::ClusterSecret;
 use crate::db::PostgresAddress;
 use crate::webhooks::AddressRange;
 
@@ -56,6 +57,8 @@ pub struct Config {
     pub data: PathBuf,
     /// Database on a PostgreSQL server; `None` is a file in the data folder.
     pub database: Option<PostgresAddress>,
+    /// Secret that the servers of a farm share, of which there may be several then, on one database and one store.
+    pub cluster_secret: Option<ClusterSecret>,
     /// Where pictures and tiles are stored.
     pub store: StoreLocation,
     /// Whether clients are sent to the store for stored pictures of more than 1 MiB, if it is a bucket of S3.
@@ -137,6 +140,7 @@ impl Default for Config {
             listen: SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), 8080),
             data: PathBuf::from("sdfarm-data"),
             database: None,
+            cluster_secret: None,
             store: StoreLocation::Folder,
             redirect_pictures: false,
             object_sweep_age: None,

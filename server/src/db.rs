@@ -9,6 +9,7 @@ mod dialect;
 mod external;
 mod first_write;
 mod location;
+mod notifications;
 pub(crate) mod postgres;
 mod query;
 mod row;
@@ -31,6 +32,8 @@ pub(crate) use connection::{Connection, Readers, Target};
 pub(crate) use first_write::{FirstWrite, with_first_write};
 pub(crate) use location::DatabaseLocation;
 pub use location::{ParseDatabaseError, PostgresAddress};
+pub(crate) use notifications::Notifications;
+pub(crate) use postgres::Sharing;
 pub(crate) use query::made_query;
 pub(crate) use query::{Changed, Statement, query, query_scalar};
 pub(crate) use row::Row;
@@ -38,6 +41,8 @@ use transaction::WritingConnection;
 use wal::Wal;
 pub(crate) use writer::{CommitTimes, Durability};
 use writer::{Urgency, Writer};
+
+use crate::clock::FarmTime;
 
 /// Number of reading connections.
 const READER_CONNECTIONS: u32 = 4;
@@ -170,6 +175,7 @@ pub(crate) struct Database {
     writer: Writer,
     readers: Readers,
     commits: CommitTimes,
+    time: Option<Arc<FarmTime>>,
 }
 
 impl Database {
@@ -182,7 +188,7 @@ impl Database {
     pub(crate) async fn open(data: &Path) -> Result<Self, OpenError> {
         #[cfg(test)]
         if let Some(address) = crate::postgres_server::database_of(data) {
-            return Self::open_postgres(&address.parse().expect("an address")).await;
+            return Self::open_postgres(&address.parse().expect("an address"), Sharing::Alone).await;
         }
         Self::open_file(data).await
     }
@@ -229,24 +235,30 @@ impl Database {
             .await?;
         let commits = CommitTimes::default();
         let connection = WritingConnection::sqlite(connection, Wal::new(&file, wal::LIMIT_BYTES));
-        Ok(Self { writer: Writer::start(connection, commits.clone()), readers: Readers::Sqlite(readers), commits })
+        let writer = Writer::start(connection, commits.clone());
+        Ok(Self { writer, readers: Readers::Sqlite(readers), commits, time: None })
     }
 
-    /// Opens or creates a database and applies pending migrations.
-    pub(crate) async fn open_at(location: &DatabaseLocation) -> Result<Self, OpenError> {
+    /// Opens or creates a database and applies pending migrations. A file is never shared.
+    pub(crate) async fn open_at(location: &DatabaseLocation, sharing: Sharing) -> Result<Self, OpenError> {
         match &location.postgres {
-            Some(address) => Self::open_postgres(address).await,
+            Some(address) => Self::open_postgres(address, sharing).await,
             None => Self::open_file(&location.data).await,
         }
     }
 
     /// Opens a database on a PostgreSQL server and applies pending migrations.
-    pub(crate) async fn open_postgres(address: &PostgresAddress) -> Result<Self, OpenError> {
-        let (connection, session, readers) = postgres::open(address).await?;
+    pub(crate) async fn open_postgres(address: &PostgresAddress, sharing: Sharing) -> Result<Self, OpenError> {
+        let opened = postgres::open(address, sharing).await?;
         let commits = CommitTimes::default();
-        let connection = WritingConnection::postgres(connection, session);
+        let connection = WritingConnection::postgres(opened.connection, opened.session);
         let writer = Writer::start(connection, commits.clone());
-        Ok(Self { writer, readers: Readers::Postgres(readers), commits })
+        Ok(Self { writer, readers: Readers::Postgres(opened.readers), commits, time: Some(opened.time) })
+    }
+
+    /// The time that this server shares with the others of the database; `None` if it is a file.
+    pub(crate) fn shared_time(&self) -> Option<Arc<FarmTime>> {
+        self.time.clone()
     }
 
     /// Runs `operation` in a transaction of the writer and returns when it is committed. The first one of a task
@@ -296,9 +308,27 @@ impl Database {
         &self.commits
     }
 
-    /// Signal sent after every commit.
+    /// Signal sent after every commit, and after [`Database::announce_commit`].
     pub(crate) fn commit_signal(&self) -> tokio::sync::watch::Receiver<()> {
         self.writer.bell()
+    }
+
+    /// Signal sent after every commit of this server.
+    pub(crate) fn own_commit_signal(&self) -> tokio::sync::watch::Receiver<()> {
+        self.writer.own_bell()
+    }
+
+    /// Sends the signal of a commit for one that another server has made.
+    pub(crate) fn announce_commit(&self) {
+        self.writer.ring();
+    }
+
+    /// Messages between the servers of the database; `None` if it is a file.
+    pub(crate) fn notifications(&self) -> Option<Notifications> {
+        match &self.readers {
+            Readers::Sqlite(_) => None,
+            Readers::Postgres(pool) => Some(Notifications::new(pool.clone())),
+        }
     }
 
     /// Connections for reading.

@@ -9,6 +9,7 @@ use std::path::Path;
 
 use proto::JobId;
 
+use crate::blobs::StoreLocation;
 use crate::db::{self, Connection, DatabaseError, DatabaseLocation};
 
 /// Error that prevents the check.
@@ -106,7 +107,10 @@ pub async fn check_integrity(data: &Path) -> Result<IntegrityReport, IntegrityEr
     for row in done {
         audit.done.insert(row.get("id")?, DoneTile { leases: row.get("epoch")? });
     }
-    check_pictures(&mut connection, data, &mut audit).await?;
+    // Those of a bucket have the hash of their bytes as their name.
+    if StoreLocation::recorded(data)? == StoreLocation::Folder {
+        check_pictures(&mut connection, data, &mut audit).await?;
+    }
     connection.close().await?;
     Ok(audit)
 }

@@ -9,6 +9,8 @@ mod audit_log;
 mod blobs;
 mod budget;
 mod clock;
+mod cluster;
+mod cluster_secret;
 mod config;
 mod counters;
 mod data_folder;
@@ -62,6 +64,7 @@ use tokio_util::sync::CancellationToken;
 pub use api_keys::{OfflineApiKeys, OfflineApiKeysError};
 pub use blobs::{BucketError, ParseStoreError, StoreLocation};
 pub use clock::{Clock, ManualClock};
+pub use cluster_secret::{ClusterSecret, ShortSecretError};
 pub use config::{
     Config, MAX_CONNECTIONS, MAX_JOBS_PER_NAME, MAX_PAUSED_PER_NAME, MAX_QUEUED_JOBS, MAX_RAYS_PER_NAME,
     MAX_REQUESTS_PER_CALLER, MAX_TILE_SECONDS, TlsFiles, VERIFY_NEW_MINUTES, VERIFY_PERCENT,
@@ -124,7 +127,7 @@ impl Server {
         let (address, pool_address) = (listeners.address(), listeners.pool_address());
         let mut serving = tokio::spawn(listeners.serve(router, stages.closing().clone()));
         let tasks = tasks.start(stages.closing());
-        let workers = pool.start(&config, pool_address, queue);
+        let workers = pool.start(&config, pool_address, queue.clone());
         tracing::info!(%address, "serving");
         let failed = tokio::select! {
             () = shutdown.cancelled() => None,
@@ -141,6 +144,9 @@ impl Server {
             if let Err(error) = task.await {
                 tracing::error!(%error, "{name} panicked");
             }
+        }
+        if let Err(error) = queue.end_server().await {
+            tracing::warn!(%error, "the other servers will notice that this one has ended");
         }
         database.close().await;
         drop(lock);

@@ -11,6 +11,8 @@ pub(crate) const LINK_SECRET_FILE: &str = "links.secret";
 pub(crate) const WEBHOOK_SECRET_FILE: &str = "webhook-secret";
 /// File of the space set aside for a full disk.
 pub(crate) const RESERVE_FILE: &str = "reserve";
+/// File with the server's name among those of its database.
+pub(crate) const SERVER_NAME_FILE: &str = "server-name";
 /// Mode of files: their owner can read and write them.
 pub(crate) const FILE_MODE: u32 = 0o600;
 /// Mode of folders: their owner can use them.
@@ -74,7 +76,7 @@ pub(crate) fn restrict(data: &Path) -> Result<(), ExposedFile> {
 fn is_private(name: &str) -> bool {
     name.starts_with("farm.sqlite")
         || name.starts_with("farm-")
-        || ["lock", LINK_SECRET_FILE, WEBHOOK_SECRET_FILE, RESERVE_FILE].contains(&name)
+        || ["lock", LINK_SECRET_FILE, WEBHOOK_SECRET_FILE, RESERVE_FILE, SERVER_NAME_FILE].contains(&name)
 }
 
 fn restrict_one(path: &Path, wanted: u32) -> Result<(), ExposedFile> {

@@ -32,6 +32,7 @@ mod repair;
 mod reported;
 mod retention;
 mod scaling;
+mod servers;
 mod speeds;
 mod stats;
 mod stitch;
@@ -44,13 +45,14 @@ mod tile_results;
 mod trace_context;
 mod undo;
 mod verification;
+mod wake;
 mod webhooks;
 mod workers;
 
 use std::sync::Arc;
 
 use proto::{JobId, WorkerId};
-use tokio::sync::Notify;
+use recover::StartingServer;
 
 use crate::clock::Clock;
 use crate::db::{self, Connection, Database, DatabaseError, Durability};
@@ -71,10 +73,13 @@ pub(crate) use recover::Recovery;
 pub(crate) use repair::{Reopened, absurd_shares, forget_pictures, reset_shares};
 pub(crate) use reported::{RejectedResult, ReportedTile};
 pub(crate) use retention::FinishedJob;
+pub(crate) use servers::SERVER_GONE_MS;
 pub(crate) use stats::QueueStats;
 pub(crate) use submit::NewJob;
 pub(crate) use sync::{NextWork, SyncInput, SyncOutcome};
 pub(crate) use verification::VerificationPolicy;
+pub(crate) use wake::Hints;
+use wake::{Wake, WakeSignals};
 pub(crate) use webhooks::{Attempt, BusyReceivers, Delivery};
 pub(crate) use workers::{LeaseNeed, NewWorker, Registration};
 
@@ -98,36 +103,6 @@ pub(crate) struct TransitionContext {
     verification: VerificationPolicy,
 }
 
-/// Wake signals, sent after commits that others wait for.
-#[derive(Debug, Default)]
-pub(crate) struct WakeSignals {
-    /// Wakes waiters for work.
-    pub(crate) work: Notify,
-    /// Wakes workers whose lease was ended from outside or that must drain.
-    pub(crate) updates: Notify,
-    /// Wakes the task that makes the pieces of large changes.
-    pub(crate) cleanup: Notify,
-}
-
-/// Wake signals requested by a transition, sent after its commit.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(crate) struct Wake {
-    /// There may be work.
-    work: bool,
-    /// A lease was ended from outside, or a worker must drain.
-    news: bool,
-}
-
-impl Wake {
-    const WORK: Self = Self { work: true, news: false };
-    const UPDATES: Self = Self { work: false, news: true };
-
-    fn add(&mut self, other: Self) {
-        self.work |= other.work;
-        self.news |= other.news;
-    }
-}
-
 /// Handle to the queue.
 #[derive(Clone, Debug)]
 pub(crate) struct Queue {
@@ -135,18 +110,31 @@ pub(crate) struct Queue {
     clock: Clock,
     lease_ms: i64,
     generation: i64,
+    server_name: Arc<str>,
     piece_rows: i64,
     verification: VerificationPolicy,
     wake_signals: Arc<WakeSignals>,
 }
 
 impl Queue {
-    /// Opens the queue of a database, after repairing the state that the last server left.
-    pub(crate) async fn open(store: Arc<Database>, clock: Clock, lease_ms: i64) -> Result<(Self, Recovery)> {
-        let now_ms = clock.now_ms();
+    /// Opens the queue of a database, after repairing the state that servers have left which have ended. The server's
+    /// name is that of its data folder, and stays the same.
+    pub(crate) async fn open(
+        store: Arc<Database>,
+        clock: Clock,
+        lease_ms: i64,
+        server_name: &str,
+    ) -> Result<(Self, Recovery)> {
+        let start = StartingServer {
+            name: server_name.to_owned(),
+            may_have_others: clock.is_lasting(),
+            now_ms: clock.now_ms(),
+            wall_ms: clock.wall_ms(),
+            lease_ms,
+        };
         let recovered = store
             .write(Durability::Full, move |connection| {
-                Box::pin(async move { recover::recover(connection, now_ms, lease_ms).await })
+                Box::pin(async move { recover::recover(connection, &start).await })
             })
             .await?;
         let queue = Self {
@@ -154,6 +142,7 @@ impl Queue {
             clock,
             lease_ms,
             generation: recovered.generation,
+            server_name: server_name.into(),
             piece_rows: cleanup::PIECE_ROWS,
             verification: VerificationPolicy::default(),
             wake_signals: Arc::default(),
@@ -175,22 +164,6 @@ impl Queue {
             piece_rows: self.piece_rows,
             verification: self.verification,
         }
-    }
-
-    fn wake(&self, ring: Wake) {
-        if ring.work {
-            self.wake_signals.work.notify_waiters();
-        }
-        if ring.news {
-            self.wake_signals.updates.notify_waiters();
-            // A change that ended leases may have more to void.
-            self.wake_signals.cleanup.notify_one();
-        }
-    }
-
-    /// Wake signals sent after a commit that may add work, ends a lease from outside, or drains a worker.
-    pub(crate) fn wake_signals(&self) -> &WakeSignals {
-        &self.wake_signals
     }
 
     /// Length of a lease, in milliseconds.
@@ -320,10 +293,11 @@ impl Queue {
 
     /// Asks the pool worker with this process id to drain; false if it has not registered yet.
     pub(crate) async fn drain(&self, process: u32) -> Result<bool> {
+        let generation = self.generation;
         let drained = self
             .database
             .write_for_worker(Durability::Relaxed, move |connection| {
-                Box::pin(async move { workers::drain(connection, process).await })
+                Box::pin(async move { workers::drain(connection, process, generation).await })
             })
             .await?;
         self.wake(Wake::UPDATES);

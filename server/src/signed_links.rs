@@ -1,5 +1,5 @@
 //! Signed, expiring links to pictures: HMAC-SHA256 over the content and the expiry, with a secret that is
-//! created at the first start and stored in the data folder.
+//! created at the first start and stored in the data folder, or that the servers of a farm share.
 //!
 //! Does not depend on the current time, or on whether the picture exists.
 
@@ -69,6 +69,11 @@ impl LinkSigner {
             Err(error) => return Err(error),
         }
         Ok(Self { secret })
+    }
+
+    /// Signs with this secret.
+    pub(crate) fn new(secret: [u8; SECRET_BYTES]) -> Self {
+        Self { secret }
     }
 
     /// Signature of a link.

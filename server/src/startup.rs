@@ -6,9 +6,9 @@
 mod database;
 mod services;
 
-use std::io;
+use std::io::{self, Write};
 use std::net::SocketAddr;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use crate::api_keys::ApiKeys;
@@ -103,6 +103,12 @@ pub enum StartError {
         /// Database in the configuration.
         given: String,
     },
+    /// Servers that run have another cluster secret.
+    #[error(
+        "other servers of this database run with another cluster secret: give all the same SDFARM_CLUSTER_SECRET, or \
+         stop them all to change it"
+    )]
+    OtherSecret,
     /// The certificate cannot be used.
     #[error("cannot set up TLS: {0}; pass PEM files with --tls-cert and --tls-key")]
     Tls(String),
@@ -166,11 +172,19 @@ pub(crate) async fn start(config: Config, clock: Clock) -> Result<Started, Start
     })?;
     private_files::restrict(&config.data)?;
     let content = open_store(&config).await?;
-    let links = LinkSigner::open(&config.data).map_err(folder)?;
+    let links = match &config.cluster_secret {
+        Some(secret) => LinkSigner::new(secret.for_links()),
+        None => LinkSigner::open(&config.data).map_err(folder)?,
+    };
+    let server_name = match &config.database {
+        Some(_) => server_name(&config.data).map_err(folder)?,
+        None => "local".to_owned(),
+    };
     let preview_helper = PreviewHelper::open(&config.data, &config.worker_program).map_err(folder)?;
     let listeners = Listeners::open(&config).await?;
     let explain = database::explainer(&config);
     let database = Arc::new(database::open(&config).await?);
+    let clock = clock.or_shared(database.shared_time());
     let open_keys = async || ApiKeys::open(Arc::clone(&database), clock.clone()).await;
     let api_keys = database::patiently(DatabaseError::is_unreachable, open_keys).await.map_err(&explain)?;
     if !listeners.address().ip().is_loopback() && !config.insecure && api_keys.live() == 0 {
@@ -178,7 +192,14 @@ pub(crate) async fn start(config: Config, clock: Clock) -> Result<Started, Start
         return Err(StartError::NoKeysBeyondLoopback(config.listen));
     }
     let audit_log = AuditLog::new(Arc::clone(&database), clock.clone());
-    let queue = open_queue(&config, Arc::clone(&database), clock).await.map_err(&explain)?;
+    let queue = open_queue(&config, Arc::clone(&database), clock, &server_name).await.map_err(&explain)?;
+    if let Some(secret) = &config.cluster_secret
+        && !queue.agrees_on_secret(secret.fingerprint()).await.map_err(&explain)?
+    {
+        queue.end_server().await.map_err(&explain)?;
+        database.close().await;
+        return Err(StartError::OtherSecret);
+    }
     let webhook_addresses = Arc::new(AddressPolicy::new(&config.allowed_webhook_ranges));
     let signer = webhook_signer(&config)?;
     let foundation = Foundation {
@@ -218,9 +239,14 @@ async fn open_store(config: &Config) -> Result<BlobStore, StartError> {
 }
 
 /// Opens the queue, and repairs the state that the last server left.
-async fn open_queue(config: &Config, database: Arc<Database>, clock: Clock) -> Result<Queue, DatabaseError> {
+async fn open_queue(
+    config: &Config,
+    database: Arc<Database>,
+    clock: Clock,
+    server_name: &str,
+) -> Result<Queue, DatabaseError> {
     let lease_ms = i64::try_from(config.lease.as_millis()).unwrap_or(i64::MAX / 4).max(1);
-    let open = async || Queue::open(Arc::clone(&database), clock.clone(), lease_ms).await;
+    let open = async || Queue::open(Arc::clone(&database), clock.clone(), lease_ms, server_name).await;
     let (queue, recovered) = database::patiently(DatabaseError::is_unreachable, open).await?;
     tracing::info!(
         data = %config.data.display(), boot = recovered.generation, unfinished_jobs = recovered.jobs,
@@ -234,9 +260,24 @@ async fn open_queue(config: &Config, database: Arc<Database>, clock: Clock) -> R
 
 /// Signs with the operator's secret or the data folder's own.
 fn webhook_signer(config: &Config) -> Result<Signer, StartError> {
-    let secret = match &config.webhook_secret {
-        Some(secret) => secret.clone(),
-        None => webhook_secret(&config.data)?,
+    let secret = match (&config.webhook_secret, &config.cluster_secret) {
+        (Some(secret), _) => secret.clone(),
+        (None, Some(shared)) => shared.for_webhooks(),
+        (None, None) => webhook_secret(&config.data)?,
     };
     Ok(Signer::new(&secret)?)
+}
+
+/// Name of the server with this data folder: its host's, and a random part that the folder keeps.
+fn server_name(data: &Path) -> io::Result<String> {
+    let file = data.join(private_files::SERVER_NAME_FILE);
+    match std::fs::read_to_string(&file) {
+        Ok(name) if !name.trim().is_empty() => return Ok(name.trim().to_owned()),
+        Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error),
+        Ok(_) | Err(_) => {}
+    }
+    let host = rustix::system::uname().nodename().to_string_lossy().into_owned();
+    let name = format!("{host}-{}", &uuid::Uuid::new_v4().simple().to_string()[..12]);
+    private_files::create_file(&file)?.write_all(format!("{name}\n").as_bytes())?;
+    Ok(name)
 }

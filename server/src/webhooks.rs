@@ -109,10 +109,24 @@ impl Webhooks {
                     return starting;
                 }
             };
-            let before = starting.len();
-            starting.extend(due.into_iter().filter(|delivery| under_way.start(delivery)));
+            let free: Vec<Delivery> = due.into_iter().filter(|delivery| under_way.start(delivery)).collect();
+            if free.is_empty() {
+                return starting;
+            }
+            let claimed = match self.queue.claim_deliveries(free.iter().map(|delivery| delivery.number)).await {
+                Ok(claimed) => claimed,
+                Err(error) => {
+                    tracing::error!(%error, "could not claim due deliveries");
+                    HashSet::new()
+                }
+            };
+            let (claimed, others): (Vec<_>, Vec<_>) =
+                free.into_iter().partition(|delivery| claimed.contains(&delivery.number));
+            others.iter().for_each(|delivery| under_way.end(delivery.number));
+            let is_over = claimed.is_empty() || under_way.free() == 0;
+            starting.extend(claimed);
             // Those that were read and may not start hide others, until they are known to be busy.
-            if starting.len() == before || under_way.free() == 0 {
+            if is_over {
                 return starting;
             }
         }

@@ -33,8 +33,8 @@ use session::{Session, SessionEnd};
 /// Settings of an agent.
 #[derive(Clone, Debug)]
 pub struct AgentConfig {
-    /// The server's address: `http://127.0.0.1:8080`.
-    pub server: String,
+    /// Addresses of the farm's servers: `http://127.0.0.1:8080`. The next one is called once one cannot be reached.
+    pub servers: Vec<String>,
     /// Label for display.
     pub name: String,
     /// Certificates and key for calling the server.
@@ -49,10 +49,10 @@ pub struct AgentConfig {
 }
 
 impl AgentConfig {
-    /// Default settings, with this name and server.
-    pub fn new(server: impl Into<String>, name: impl Into<String>) -> Self {
+    /// Default settings, with this name and servers.
+    pub fn new(servers: Vec<String>, name: impl Into<String>) -> Self {
         Self {
-            server: server.into(),
+            servers,
             name: name.into(),
             auth: ClientAuth::default(),
             scratch: std::env::temp_dir(),
@@ -73,14 +73,14 @@ pub async fn run(
         std::thread::spawn(exit_when_stdin_closes);
     }
     let encoders = Encoders::new(renderer.encoder_threads()).map_err(AgentError::Encoders)?;
-    let link = Arc::new(ServerClient::new(&config.server, config.auth.clone())?);
+    let link = Arc::new(ServerClient::new(&config.servers, config.auth.clone())?);
     loop {
         let registered = tokio::select! {
             registered = register(&link, &config, &*renderer) => registered?,
             () = shutdown.cancelled() => return Ok(()),
         };
         let session = Session::new(&config, registered, link.clone(), renderer.clone(), encoders.clone());
-        match session.work(&shutdown).await.map_err(|error| rejected(&config, &error))? {
+        match session.work(&shutdown).await.map_err(|error| rejected(&link, &error))? {
             SessionEnd::Drained => return Ok(()),
             SessionEnd::DeviceLost(reason) => return Err(AgentError::DeviceLost { reason }),
             SessionEnd::Stuck(reason) => return Err(AgentError::Stuck { reason }),
@@ -106,23 +106,23 @@ async fn register(
     loop {
         match link.register(&hello).await {
             Ok(welcome) => {
-                tracing::info!(worker = %welcome.worker, server = config.server, device = hello.device, "registered");
+                tracing::info!(worker = %welcome.worker, server = link.address(), device = hello.device, "registered");
                 return Ok(welcome);
             }
             Err(error) if error.is_transient() => {
                 if !is_told {
-                    tracing::warn!(error = %error, server = config.server, "waiting for a server: start one with `sdfarm serve`, or pass another address with --server");
+                    tracing::warn!(error = %error, server = link.address(), "waiting for a server: start one with `sdfarm serve`, or pass another address with --server");
                     is_told = true;
                 }
                 back_off.pause().await;
             }
-            Err(error) => return Err(rejected(config, &error)),
+            Err(error) => return Err(rejected(link, &error)),
         }
     }
 }
 
-fn rejected(config: &AgentConfig, error: &ServerError) -> AgentError {
-    AgentError::Refused { server: config.server.clone(), reason: error.to_string() }
+fn rejected(link: &ServerClient, error: &ServerError) -> AgentError {
+    AgentError::Refused { server: link.address().to_owned(), reason: error.to_string() }
 }
 
 fn exit_when_stdin_closes() {

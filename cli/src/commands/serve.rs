@@ -9,9 +9,9 @@ use clap::Args;
 use proto::pool::MAX_POOL_WORKERS;
 use proto::{Retention, Secret};
 use server::{
-    AddressRange, Config, MAX_CONNECTIONS, MAX_JOBS_PER_NAME, MAX_PAUSED_PER_NAME, MAX_QUEUED_JOBS, MAX_RAYS_PER_NAME,
-    MAX_REQUESTS_PER_CALLER, MAX_TILE_SECONDS, PostgresAddress, Server, StoreLocation, TlsFiles, VERIFY_NEW_MINUTES,
-    VERIFY_PERCENT,
+    AddressRange, ClusterSecret, Config, MAX_CONNECTIONS, MAX_JOBS_PER_NAME, MAX_PAUSED_PER_NAME, MAX_QUEUED_JOBS,
+    MAX_RAYS_PER_NAME, MAX_REQUESTS_PER_CALLER, MAX_TILE_SECONDS, PostgresAddress, Server, StoreLocation, TlsFiles,
+    VERIFY_NEW_MINUTES, VERIFY_PERCENT,
 };
 use tokio_util::sync::CancellationToken;
 use worker::{CpuRenderer, RenderError, Simd};
@@ -40,6 +40,9 @@ pub(crate) struct Arguments {
     /// Database on a PostgreSQL server, 15 or newer; a password may also be in PGPASSWORD or ~/.pgpass [default: a file in the data folder].
     #[arg(long, value_name = "postgres://USER@HOST/NAME", env = "SDFARM_DATABASE", hide_env_values = true)]
     database: Option<PostgresAddress>,
+    /// Secret of at least 32 characters that the servers of one farm share, so that several may run on one database and one store.
+    #[arg(long, value_name = "SECRET", env = "SDFARM_CLUSTER_SECRET", hide_env_values = true, requires_all = ["database", "store"])]
+    cluster_secret: Option<ClusterSecret>,
     /// Bucket of an S3 store for pictures and tiles; keys, region and endpoint come from the usual AWS variables [default: the data folder].
     #[arg(long, value_name = "s3://BUCKET/PREFIX", env = "SDFARM_STORE")]
     store: Option<StoreLocation>,
@@ -135,6 +138,7 @@ impl Arguments {
             listen: self.listen,
             data: self.data,
             database: self.database,
+            cluster_secret: self.cluster_secret,
             store: self.store.unwrap_or_default(),
             redirect_pictures: self.redirect_pictures,
             object_sweep_age: self.object_sweep_seconds.map(Duration::from_secs),

@@ -3,6 +3,7 @@
 //!
 //! It uses the public API and the integrity check (`server::audit`); it never helps the farm.
 
+mod cluster;
 mod kills;
 mod overload;
 mod probe;
@@ -19,6 +20,7 @@ use anyhow::Context;
 use clap::Args;
 
 use crate::commands::temporary_farm_folder;
+use crate::error::UsageError;
 use crate::signals::Signals;
 use crate::terminal::{print_line, print_note};
 use kills::SoakPlan;
@@ -64,6 +66,12 @@ pub(crate) struct Arguments {
         conflicts_with = "overload"
     )]
     database: Option<String>,
+    /// Number of servers on that database, whose workers are not theirs, but call any of them.
+    #[arg(long, value_name = "N", env = "SDFARM_SERVERS", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=16))]
+    servers: u32,
+    /// Empty prefix of a bucket for several servers.
+    #[arg(long, value_name = "s3://BUCKET/PREFIX", env = "SDFARM_STORE", requires = "database")]
+    store: Option<String>,
 }
 
 impl Arguments {
@@ -77,12 +85,17 @@ impl Arguments {
             (workers, servers) => (workers.unwrap_or(0), servers.unwrap_or(0), None),
         };
         let (database, kill, workers, seed) = (self.database.clone(), self.kill, self.workers, self.seed);
-        SoakPlan { database, kill, worker_kills, server_kills, time, workers, seed }
+        let (servers, store) = (self.servers, self.store.clone());
+        SoakPlan { database, servers, store, kill, worker_kills, server_kills, time, workers, seed }
     }
 }
 
 /// Runs the soak; any violation is an error.
 pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
+    if arguments.servers > 1 && (arguments.store.is_none() || !arguments.kill) {
+        let message = "several servers are soaked with --kill, and need --database and --store";
+        return Err(UsageError(message.to_owned()).into());
+    }
     let mut signals = Signals::install()?;
     let temporary = temporary_farm_folder()?;
     let data = arguments.data.clone().unwrap_or_else(|| temporary.path().join("data"));
@@ -97,7 +110,10 @@ pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
             let report = overload::overload(&tasks, &data, arguments.time()).await?;
             return anyhow::Ok((report.table(), report.violations));
         }
-        let tally = kills::soak(&plan, &tasks, &data).await?;
+        let tally = match plan.servers {
+            1 => kills::soak(&plan, &tasks, &data).await?,
+            _ => cluster::soak(&plan, &tasks, &data).await?,
+        };
         Ok((tally.table(), tally.violations))
     };
     let (table, violations) = tokio::select! {

@@ -24,9 +24,9 @@ const POOL_NICENESS: i32 = 10;
 /// Arguments of `worker`.
 #[derive(Debug, Args)]
 pub(crate) struct Arguments {
-    /// Address of the server.
-    #[arg(long, value_name = "URL", env = "SDFARM_SERVER", default_value = crate::arguments::DEFAULT_SERVER)]
-    server: String,
+    /// Address of the server, or of each server of the farm: the next one is called once one cannot be reached.
+    #[arg(long, value_name = "URL,…", env = "SDFARM_SERVER", value_delimiter = ',', num_args = 1, default_value = crate::arguments::DEFAULT_SERVER)]
+    server: Vec<String>,
     #[command(flatten)]
     access: AuthArguments,
     #[command(flatten)]

@@ -13,7 +13,7 @@ use super::{ApiKeyError, rows, secret};
 use crate::audit_log::{self, AuditRecord, EntryKind};
 use crate::clock::Clock;
 use crate::db;
-use crate::db::{Database, DatabaseError, DatabaseLocation, OpenError, PostgresAddress};
+use crate::db::{Database, DatabaseError, DatabaseLocation, OpenError, PostgresAddress, Sharing};
 use crate::lock::{FolderLock, LockError};
 use crate::private_files;
 
@@ -83,7 +83,7 @@ impl OfflineApiKeys {
             Ok(lock) => {
                 private_files::restrict(folder)
                     .map_err(|error| wrong(folder, error.to_string(), USE_OTHER_FOLDER_FIX))?;
-                match Database::open_at(&location).await {
+                match Database::open_at(&location, Sharing::Alone).await {
                     Ok(database) => database.close().await,
                     // A server with another data folder uses the database.
                     Err(OpenError::InUse) => {}

@@ -4,7 +4,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use super::DataFolderError;
-use crate::db::{Database, DatabaseLocation, PostgresAddress};
+use crate::db::{Database, DatabaseLocation, PostgresAddress, Sharing};
 use crate::lock::FolderLock;
 
 /// Result of a move.
@@ -43,8 +43,8 @@ pub async fn move_database(
         let database = location.to_string();
         move |source: Box<dyn std::error::Error + Send + Sync>| DataFolderError::Move { database, source }
     };
-    let old = Database::open_at(&source).await.map_err(|error| failed(&source)(error.into()))?;
-    let new = Database::open_at(&target).await.map_err(|error| failed(&target)(error.into()))?;
+    let old = Database::open_at(&source, Sharing::Alone).await.map_err(|error| failed(&source)(error.into()))?;
+    let new = Database::open_at(&target, Sharing::Alone).await.map_err(|error| failed(&target)(error.into()))?;
     let copied = async {
         if !new.is_empty().await.map_err(|error| failed(&target)(error.into()))? {
             return Err(DataFolderError::DatabaseNotEmpty(target.to_string()));

@@ -76,7 +76,7 @@ async fn a_first_release_farm_is_migrated_with_its_data() {
 
     let store = Database::open_file(folder.path()).await.expect("upgrades");
     let (clock, _hand) = crate::clock::Clock::manual();
-    let (queue, recovered) = crate::queue::Queue::open(store.into(), clock, 1000).await.expect("opens");
+    let (queue, recovered) = crate::queue::Queue::open(store.into(), clock, 1000, "test").await.expect("opens");
     assert_eq!((recovered.generation, recovered.jobs, recovered.leases), (5, 1, 1));
     let page = queue.jobs(None, None, 10, None).await.expect("lists");
     let seen: Vec<(&str, &str, u64)> =

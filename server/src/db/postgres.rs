@@ -2,18 +2,37 @@
 //! server, or the network, has failed.
 //!
 //! The farm's advisory locks are (1396983361, 1), which each transaction that writes holds, and (1396983361, 2), which
-//! the farm's server holds as long as it is connected. The first number is `SDFA` in ASCII.
+//! each of the farm's servers holds as long as it is connected. The first number is `SDFA` in ASCII.
 
 #[cfg(test)]
 pub(crate) mod tests;
 
+use std::sync::Arc;
 use std::time::Duration;
 
-use sqlx::ConnectOptions;
-use sqlx::postgres::{PgConnectOptions, PgConnection, PgPool, PgPoolOptions};
+use sqlx::postgres::{PgConnectOptions, PgConnection, PgPool, PgPoolOptions, PgRow};
+use sqlx::{ConnectOptions, Row as _};
 
 use super::{DatabaseError, OpenError, PostgresAddress};
-use crate::clock::monotonic_now;
+use crate::clock::{FarmTime, TimeReading, monotonic_now};
+
+/// Columns of a [`TimeReading`], as texts.
+macro_rules! time_columns {
+    () => {
+        "CAST(floor(extract(epoch FROM clock_timestamp()) * 1000) AS TEXT),
+         (SELECT CAST(value AS TEXT) FROM meta WHERE name = 'clock_offset_ms')"
+    };
+}
+
+macro_rules! group_start {
+    () => {
+        concat!(
+            "SELECT pg_advisory_xact_lock(1396983361, 1); SELECT CAST(pg_current_xact_id() AS TEXT), ",
+            time_columns!(),
+            "; SAVEPOINT operation"
+        )
+    };
+}
 
 /// Begins a transaction of an occasional writer, which waits for the farm's other writers.
 ///
@@ -21,15 +40,12 @@ use crate::clock::monotonic_now;
 pub(super) const BEGIN: &str = "BEGIN ISOLATION LEVEL READ COMMITTED; SELECT pg_advisory_xact_lock(1396983361, 1)";
 /// Begins a transaction that only reads, and sees one state.
 pub(super) const BEGIN_SNAPSHOT: &str = "BEGIN ISOLATION LEVEL REPEATABLE READ READ ONLY";
-/// Begins a transaction of the farm's server, with the number that tells later whether it was committed, and its first
-/// operation's savepoint.
-pub(super) const BEGIN_GROUP: &str =
-    "BEGIN ISOLATION LEVEL READ COMMITTED; SELECT pg_advisory_xact_lock(1396983361, 1);
-     SELECT CAST(pg_current_xact_id() AS TEXT); SAVEPOINT operation";
+/// Begins a transaction of a farm's server, and its first operation's savepoint. It reads the number that tells later
+/// whether it was committed, and the time after the lock was granted.
+pub(super) const BEGIN_GROUP: &str = concat!("BEGIN ISOLATION LEVEL READ COMMITTED; ", group_start!());
 /// The same for operations that need not survive a power cut.
 pub(super) const BEGIN_RELAXED_GROUP: &str =
-    "BEGIN ISOLATION LEVEL READ COMMITTED; SET LOCAL synchronous_commit = off; SELECT pg_advisory_xact_lock(1396983361, 1);
-     SELECT CAST(pg_current_xact_id() AS TEXT); SAVEPOINT operation";
+    concat!("BEGIN ISOLATION LEVEL READ COMMITTED; SET LOCAL synchronous_commit = off; ", group_start!());
 
 /// Number of reading connections.
 const READER_CONNECTIONS: u32 = 8;
@@ -57,16 +73,35 @@ const KEEP_ALIVE: [(&str, &str); 4] = [
 
 pub(super) static MIGRATIONS: sqlx::migrate::Migrator = sqlx::migrate!("../migrations/postgres");
 
-/// The connection of the farm's server that writes. It holds the farm's lock, so that a database has one server.
+/// How a server uses a database.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Sharing {
+    /// It is the only one.
+    Alone,
+    /// Other servers of the farm may use it at the same time.
+    Shared,
+}
+
+/// The connection of a farm's server that writes. It holds the farm's lock.
 #[derive(Debug)]
 pub(super) struct Session {
     options: PgConnectOptions,
+    sharing: Sharing,
+    time: Arc<FarmTime>,
     /// Number of the current transaction.
     transaction: Option<String>,
 }
 
+/// An opened database.
+pub(super) struct OpenedDatabase {
+    pub(super) connection: PgConnection,
+    pub(super) session: Session,
+    pub(super) readers: PgPool,
+    pub(super) time: Arc<FarmTime>,
+}
+
 /// Opens a database and applies pending migrations.
-pub(super) async fn open(address: &PostgresAddress) -> Result<(PgConnection, Session, PgPool), OpenError> {
+pub(super) async fn open(address: &PostgresAddress, sharing: Sharing) -> Result<OpenedDatabase, OpenError> {
     let options = address.options().clone().statement_cache_capacity(PREPARED_STATEMENTS).options(KEEP_ALIVE);
     let mut connection = connect(&options).await?;
     let version: i32 = sqlx::query_scalar("SELECT CAST(current_setting('server_version_num') AS INTEGER)")
@@ -80,18 +115,31 @@ pub(super) async fn open(address: &PostgresAddress) -> Result<(PgConnection, Ses
     }
     // The process of a server that was killed may not have noticed yet that its client is gone.
     let deadline = monotonic_now() + LOCK_PATIENCE;
-    while !lock_farm(&mut connection).await? {
+    while !lock_farm(&mut connection, sharing).await? {
         if monotonic_now() > deadline {
             return Err(OpenError::InUse);
         }
         tokio::time::sleep(PAUSE).await;
     }
     MIGRATIONS.run(&mut connection).await?;
+    let read = sqlx::raw_sql(concat!("SELECT ", time_columns!())).fetch_one(&mut connection).await?;
+    let time = Arc::new(FarmTime::new(time_reading(&read, 0)?));
     let readers = PgPoolOptions::new()
         .max_connections(READER_CONNECTIONS)
         .acquire_timeout(READ_PATIENCE)
         .connect_lazy_with(options.clone());
-    Ok((connection, Session { options, transaction: None }, readers))
+    let session = Session { options, sharing, time: Arc::clone(&time), transaction: None };
+    Ok(OpenedDatabase { connection, session, readers, time })
+}
+
+/// Reads the columns of a reading, from this one on.
+fn time_reading(row: &PgRow, first: usize) -> Result<TimeReading, sqlx::Error> {
+    let number = |column: usize| {
+        let text: String = row.try_get(column)?;
+        text.parse::<i64>()
+            .map_err(|error| sqlx::Error::ColumnDecode { index: column.to_string(), source: error.into() })
+    };
+    Ok(TimeReading { clock_ms: number(first)?, offset_ms: number(first + 1)? })
 }
 
 /// Connects for an occasional write beside the farm's server; changes no tables.
@@ -104,9 +152,13 @@ async fn connect(options: &PgConnectOptions) -> Result<PgConnection, sqlx::Error
     connecting.await.unwrap_or_else(|_| Err(sqlx::Error::Io(std::io::ErrorKind::TimedOut.into())))
 }
 
-/// Takes the lock of the farm's server for as long as the connection lives; false if another one has it.
-async fn lock_farm(connection: &mut PgConnection) -> Result<bool, sqlx::Error> {
-    sqlx::query_scalar("SELECT pg_try_advisory_lock(1396983361, 2)").fetch_one(connection).await
+/// Takes the lock of the farm's servers for as long as the connection lives; false if another one excludes it.
+async fn lock_farm(connection: &mut PgConnection, sharing: Sharing) -> Result<bool, sqlx::Error> {
+    let text = match sharing {
+        Sharing::Alone => "SELECT pg_try_advisory_lock(1396983361, 2)",
+        Sharing::Shared => "SELECT pg_try_advisory_lock_shared(1396983361, 2)",
+    };
+    sqlx::query_scalar(text).fetch_one(connection).await
 }
 
 impl Session {
@@ -120,13 +172,19 @@ impl Session {
         let begun = match sqlx::raw_sql(text).fetch_all(&mut *connection).await {
             Err(error) if is_lost(&error) => {
                 self.reconnect(connection).await?;
-                sqlx::raw_sql(text).fetch_all(connection).await
+                sqlx::raw_sql(text).fetch_all(&mut *connection).await
             }
             begun => begun,
         };
         let rows = begun?;
-        let number = rows.last().ok_or(sqlx::Error::RowNotFound)?;
-        self.transaction = Some(sqlx::Row::try_get(number, 0)?);
+        let started = rows.last().ok_or(sqlx::Error::RowNotFound)?;
+        self.transaction = Some(started.try_get(0)?);
+        if let Some(offset_ms) = self.time.take(time_reading(started, 1)?) {
+            sqlx::query("UPDATE meta SET value = $1 WHERE name = 'clock_offset_ms'")
+                .bind(offset_ms)
+                .execute(connection)
+                .await?;
+        }
         Ok(())
     }
 
@@ -165,7 +223,7 @@ impl Session {
         loop {
             let attempt = async {
                 let mut new = connect(&self.options).await?;
-                Ok(lock_farm(&mut new).await?.then_some(new))
+                Ok(lock_farm(&mut new, self.sharing).await?.then_some(new))
             };
             let last: Result<Option<PgConnection>, sqlx::Error> = attempt.await;
             match last {

@@ -80,7 +80,16 @@ struct Senders {
 pub(super) struct Writer {
     operations: std::sync::Mutex<Option<Senders>>,
     task: Mutex<Option<JoinHandle<()>>>,
-    bell: watch::Sender<()>,
+    bells: Bells,
+}
+
+/// Signals of commits.
+#[derive(Clone, Debug, Default)]
+struct Bells {
+    /// Every commit that is known.
+    every: watch::Sender<()>,
+    /// Commits of this writer.
+    own: watch::Sender<()>,
 }
 
 impl Writer {
@@ -89,11 +98,11 @@ impl Writer {
         let (worker, urgent) = mpsc::channel(QUEUE_CAPACITY);
         let (ordinary, rest) = mpsc::channel(QUEUE_CAPACITY);
         let waiting = Waiting { urgent: WaitingQueue::new(urgent), ordinary: WaitingQueue::new(rest) };
-        let bell = watch::Sender::new(());
-        let task = WriterTask { connection, times, bell: bell.clone() };
+        let bells = Bells::default();
+        let task = WriterTask { connection, times, bells: bells.clone() };
         let task = tokio::spawn(task.run(waiting));
         let operations = Senders { worker, ordinary };
-        Self { operations: std::sync::Mutex::new(Some(operations)), task: Mutex::new(Some(task)), bell }
+        Self { operations: std::sync::Mutex::new(Some(operations)), task: Mutex::new(Some(task)), bells }
     }
 
     /// Runs one operation; see [`super::Database::write`].
@@ -118,9 +127,19 @@ impl Writer {
         answer.await.map_err(|_| DatabaseError::Closed)?
     }
 
-    /// Signal sent after every commit.
+    /// Signal sent after every commit, and by [`Writer::ring`].
     pub(super) fn bell(&self) -> watch::Receiver<()> {
-        self.bell.subscribe()
+        self.bells.every.subscribe()
+    }
+
+    /// Signal sent after every commit of this writer.
+    pub(super) fn own_bell(&self) -> watch::Receiver<()> {
+        self.bells.own.subscribe()
+    }
+
+    /// Signals a commit that was made elsewhere.
+    pub(super) fn ring(&self) {
+        self.bells.every.send_replace(());
     }
 
     /// Stops the task after the waiting operations.
@@ -274,7 +293,7 @@ impl Turn {
 struct WriterTask {
     connection: WritingConnection,
     times: CommitTimes,
-    bell: watch::Sender<()>,
+    bells: Bells,
 }
 
 impl WriterTask {
@@ -302,7 +321,8 @@ impl WriterTask {
                 // A shorter WAL leaves room for the operations that delete something.
                 self.connection.checkpoint().await;
             }
-            self.bell.send_replace(());
+            self.bells.every.send_replace(());
+            self.bells.own.send_replace(());
             fail_point::trigger_infallible(FailPoint::GroupCommitted);
             for operation in group {
                 operation.reply(committed.clone());

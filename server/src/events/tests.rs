@@ -24,7 +24,7 @@ impl Fixture {
         let folder = tempfile::tempdir().expect("a temporary folder");
         let store = std::sync::Arc::new(Database::open(folder.path()).await.expect("opens"));
         let (clock, hand) = Clock::manual();
-        let (queue, _) = Queue::open(std::sync::Arc::clone(&store), clock, 1000).await.expect("opens");
+        let (queue, _) = Queue::open(std::sync::Arc::clone(&store), clock, 1000, "test").await.expect("opens");
         Self { events: EventHub::new(queue.clone()), queue, hand, store, _folder: folder }
     }
 

@@ -5,7 +5,7 @@
 //! that needs the frame's cache key, which the caller computes outside the transaction.
 
 use crate::db;
-use crate::db::{Row, Statement};
+use crate::db::{Readers, Row, Statement};
 use proto::bounded::RaysPerSecond;
 use proto::worker_protocol::{Batch, BatchWork, LeasedTile, StitchInput};
 use proto::{JobId, LeaseId, Rect, WorkerId};
@@ -167,6 +167,12 @@ pub(super) async fn claim(
         job_transitions::start(connection, job.number, moment).await?;
     }
     Ok(ClaimOutcome::Run(Batch { job: job.id, frame, tile_seconds: Some(job.tile_seconds), work }, time))
+}
+
+/// Whether there is work for a worker that can render any scene and need avoid none.
+pub(super) async fn has_work(readers: &Readers, now_ms: i64) -> Result<bool> {
+    let anyone = ClaimFilter { now_ms, worker: String::new(), others_max_nodes: ANY_NODES, max_nodes: ANY_NODES };
+    Ok(anyone.bind(NEXT_JOB_SQL).fetch_optional(readers).await?.is_some())
 }
 
 /// Called if no tile is ready: searches for a straggler to duplicate.

@@ -69,7 +69,9 @@ pub(super) async fn void(connection: &mut Connection, leases: &str) -> Result<()
 pub(super) async fn interrupt_pool(connection: &mut Connection) -> Result<Vec<i64>> {
     let statement = db::query(concat!(
         "UPDATE lease SET ended = 'interrupted'
-         WHERE ended IS NULL AND worker IN (SELECT id FROM worker WHERE pool = 1) RETURNING ",
+         WHERE ended IS NULL AND worker IN (
+             SELECT id FROM worker WHERE pool = 1
+             AND NOT EXISTS (SELECT 1 FROM server WHERE server.generation = worker.generation)) RETURNING ",
         ended_lease_columns!()
     ));
     Ok(end(connection, statement).await?.iter().map(|lease| lease.tile).collect())

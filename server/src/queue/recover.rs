@@ -1,6 +1,6 @@
 //! Recovery at startup: repairs the state that the last server left, and prunes old rows.
 
-use super::{Connection, Result, exclusion, fair_share, json_numbers, lease_ends, row_count, speeds, verification};
+use super::{Connection, Result, exclusion, fair_share, servers, speeds, verification};
 use crate::db;
 
 /// Retention of ended leases, to recognize late results.
@@ -17,37 +17,48 @@ pub(crate) struct Recovery {
     pub(crate) leases: i64,
 }
 
-/// Repairs the state at startup. The old pool exited with its server, so its leases end at once. Leases of
-/// remote workers last for one more lease length on the clock that starts now.
-pub(super) async fn recover(connection: &mut Connection, now_ms: i64, lease_ms: i64) -> Result<Recovery> {
+/// A server that starts.
+#[derive(Clone, Debug)]
+pub(super) struct StartingServer {
+    /// Name of its data folder.
+    pub(super) name: String,
+    /// Whether other servers may use the database: then the times in it last.
+    pub(super) may_have_others: bool,
+    /// The time.
+    pub(super) now_ms: i64,
+    /// The wall clock.
+    pub(super) wall_ms: i64,
+    /// Length of a lease.
+    pub(super) lease_ms: i64,
+}
+
+/// Repairs the state at startup. A server that has ended took its pool with it, so its pool's leases end at once. If no
+/// other server runs, no worker could renew a lease: those of remote workers last for one more lease length from now, on
+/// a clock that may have started now.
+pub(super) async fn recover(connection: &mut Connection, start: &StartingServer) -> Result<Recovery> {
+    let &StartingServer { now_ms, lease_ms, .. } = start;
     let generation: i64 =
         db::query_scalar("UPDATE meta SET value = value + 1 WHERE name = 'boot_generation' RETURNING value")
             .fetch_one(&mut *connection)
             .await?;
-    let tiles = lease_ends::interrupt_pool(connection).await?;
-    db::query(
-        "UPDATE tile SET state = 'ready', interrupts = interrupts + 1
-         WHERE state = 'leased' AND id IN (SELECT value FROM @numbers(?))
-           AND NOT EXISTS (SELECT 1 FROM lease WHERE lease.tile = tile.id AND ended IS NULL)",
-    )
-    .bind(json_numbers(tiles.iter().copied()))
-    .execute(&mut *connection)
-    .await?;
-    db::query("UPDATE lease SET granted_ms = ?, expires_ms = ? WHERE ended IS NULL")
-        .bind(now_ms)
-        .bind(now_ms + lease_ms)
-        .execute(&mut *connection)
-        .await?;
-    db::query("UPDATE worker SET state = 'gone' WHERE pool = 1 AND state <> 'gone'").execute(&mut *connection).await?;
-    db::query("UPDATE worker SET seen_ms = ? WHERE state <> 'gone'").bind(now_ms).execute(&mut *connection).await?;
-    db::query("UPDATE tile SET not_before_ms = 0 WHERE state = 'ready' AND not_before_ms > 0")
-        .execute(&mut *connection)
-        .await?;
-    exclusion::recover(connection, now_ms).await?;
-    speeds::recover(connection, now_ms).await?;
-    verification::reset_after_restart(connection, now_ms).await?;
+    let others = servers::begin(connection, start, generation).await?;
+    let leases = servers::hand_back(connection).await?;
+    if others == 0 {
+        db::query("UPDATE lease SET granted_ms = ?, expires_ms = ? WHERE ended IS NULL")
+            .bind(now_ms)
+            .bind(now_ms + lease_ms)
+            .execute(&mut *connection)
+            .await?;
+        db::query("UPDATE worker SET seen_ms = ? WHERE state <> 'gone'").bind(now_ms).execute(&mut *connection).await?;
+        db::query("UPDATE tile SET not_before_ms = 0 WHERE state = 'ready' AND not_before_ms > 0")
+            .execute(&mut *connection)
+            .await?;
+        exclusion::recover(connection, now_ms).await?;
+        speeds::recover(connection, now_ms).await?;
+        verification::reset_after_restart(connection, now_ms).await?;
+    }
     let jobs = db::query("SELECT count(*) AS jobs FROM job WHERE finished_at_ms IS NULL").fetch_one(connection).await?;
-    Ok(Recovery { generation, jobs: jobs.get("jobs")?, leases: row_count(tiles.len()) })
+    Ok(Recovery { generation, jobs: jobs.get("jobs")?, leases })
 }
 
 /// Deletes leases that ended long ago, and workers that are gone and have none: at most `limit` of each. Returns

@@ -143,7 +143,7 @@ mod tests {
         }
         let folder = tempfile::tempdir().expect("a temporary folder");
         let store = Database::open(folder.path()).await.expect("opens");
-        let (queue, _) = Queue::open(store.into(), Clock::manual().0, 1000).await.expect("opens");
+        let (queue, _) = Queue::open(store.into(), Clock::manual().0, 1000, "test").await.expect("opens");
         for statement in [OVER_SQL, OLD_SQL, OLDEST_SQL, FREED_SQL] {
             let plan = format!("EXPLAIN QUERY PLAN {statement}");
             let rows = db::made_query(plan).fetch_all(queue.readers()).await.expect("explains");

@@ -50,7 +50,7 @@ impl Fixture {
 
     async fn with_store(store: Database, folder: tempfile::TempDir) -> Self {
         let (clock, hand) = Clock::manual();
-        let (queue, _) = Queue::open(store.into(), clock, LEASE_MS).await.expect("opens");
+        let (queue, _) = Queue::open(store.into(), clock, LEASE_MS, "test").await.expect("opens");
         Self { queue, hand, folder }
     }
 
@@ -59,7 +59,7 @@ impl Fixture {
         self.queue.database.close().await;
         let store = Database::open(self.folder.path()).await.expect("opens again");
         let (clock, hand) = Clock::manual();
-        let (queue, _) = Queue::open(store.into(), clock, LEASE_MS).await.expect("opens again");
+        let (queue, _) = Queue::open(store.into(), clock, LEASE_MS, "test").await.expect("opens again");
         (self.queue, self.hand) = (queue, hand);
     }
 

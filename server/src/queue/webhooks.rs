@@ -2,19 +2,22 @@
 //!
 //! `effects` creates them, in the transaction of the event.
 
+use std::collections::HashSet;
 use std::time::Duration;
 
 use db::Row;
 use proto::JobId;
 use proto::webhook::{DeliveryState, DeliveryView};
 
-use super::{Queue, Result, expect_rows, json_list, json_numbers, parse_column};
+use super::{Queue, Result, json_list, json_numbers, parse_column};
 use crate::clock::rfc3339;
 use crate::db;
 use crate::db::Durability;
 
 /// Retention of finished deliveries.
 const RETENTION_MS: i64 = 7 * 24 * 3_600_000;
+/// Time in which the server that makes an attempt records its outcome, which is longer than an attempt takes.
+const ATTEMPT_MS: i64 = 60_000;
 /// Number of deliveries deleted in one transaction.
 const DROP_BATCH: i64 = 1_000;
 /// Maximum number of listed deliveries of a job.
@@ -80,11 +83,11 @@ impl Queue {
     pub(crate) async fn due_deliveries(&self, busy: &BusyReceivers, limit: u32) -> Result<Vec<Delivery>> {
         let rows = db::query(
             "SELECT number, id, event, url, target, submitter, job, name, body, attempts FROM delivery
-             WHERE state = 'pending' AND next_at_ms <= ?
-               AND submitter NOT IN (SELECT value FROM @texts(?))
-               AND target NOT IN (SELECT value FROM @texts(?))
-               AND number NOT IN (SELECT value FROM @numbers(?))
-             ORDER BY next_at_ms LIMIT ?",
+             WHERE state = 'pending' AND next_at_ms <= ?1 AND coalesce(claimed_until_ms, 0) <= ?1
+               AND submitter NOT IN (SELECT value FROM @texts(?2))
+               AND target NOT IN (SELECT value FROM @texts(?3))
+               AND number NOT IN (SELECT value FROM @numbers(?4))
+             ORDER BY next_at_ms LIMIT ?5",
         )
         .bind(self.clock.wall_ms())
         .bind(json_list(&busy.submitters))
@@ -111,7 +114,30 @@ impl Queue {
             .collect()
     }
 
-    /// Records the outcome of an attempt.
+    /// Claims deliveries for an attempt each; returns those that no other server attempts.
+    pub(crate) async fn claim_deliveries(&self, numbers: impl IntoIterator<Item = i64>) -> Result<HashSet<i64>> {
+        let (numbers, now_ms) = (json_numbers(numbers), self.clock.wall_ms());
+        self.database
+            .write(Durability::Relaxed, move |connection| {
+                Box::pin(async move {
+                    let claimed = db::query(
+                        "UPDATE delivery SET claimed_until_ms = ?1
+                         WHERE number IN (SELECT value FROM @numbers(?2)) AND state = 'pending'
+                           AND coalesce(claimed_until_ms, 0) <= ?3 RETURNING number",
+                    )
+                    .bind(now_ms + ATTEMPT_MS)
+                    .bind(numbers)
+                    .bind(now_ms)
+                    .scalar::<i64>()
+                    .fetch_all(connection)
+                    .await?;
+                    Ok(claimed.into_iter().collect())
+                })
+            })
+            .await
+    }
+
+    /// Records the outcome of an attempt. If it took so long that another server has recorded one, it does not count.
     pub(crate) async fn record_attempt(&self, number: i64, attempt: Attempt) -> Result<()> {
         let wall_ms = self.clock.wall_ms();
         let (state, status, error, again_in) = match attempt {
@@ -125,9 +151,9 @@ impl Queue {
         self.database
             .write(Durability::Relaxed, move |connection| {
                 Box::pin(async move {
-                    let done = db::query(
+                    db::query(
                         "UPDATE delivery SET state = ?, attempts = attempts + 1, status = ?, error = ?,
-                                             next_at_ms = ?, finished_at_ms = ?
+                                             next_at_ms = ?, finished_at_ms = ?, claimed_until_ms = NULL
                          WHERE number = ? AND state = 'pending'",
                     )
                     .bind(state)
@@ -138,7 +164,7 @@ impl Queue {
                     .bind(number)
                     .execute(connection)
                     .await?;
-                    expect_rows("delivery: attempted", 1, done)
+                    Ok(())
                 })
             })
             .await

@@ -99,19 +99,20 @@ pub(crate) enum LeaseNeed<'a> {
     Blob(&'a str),
 }
 
-/// Asks the pool worker with this process id to drain; false if there is none yet.
-pub(super) async fn drain(connection: &mut Connection, process: u32) -> Result<bool> {
+/// Asks the worker of this server's pool with this process id to drain; false if there is none yet.
+pub(super) async fn drain(connection: &mut Connection, process: u32, generation: i64) -> Result<bool> {
     let drained = db::query(
-        "UPDATE worker SET state = 'draining' WHERE process = ? AND pool = 1
+        "UPDATE worker SET state = 'draining' WHERE process = ? AND pool = 1 AND generation = ?
          AND state IN ('starting', 'ready', 'quarantined')",
     )
     .bind(process)
+    .bind(generation)
     .execute(connection)
     .await?;
     Ok(drained.rows_affected() > 0)
 }
 
-/// Records that a pool worker's process has ended, and ends its leases.
+/// Records that a process of this server's pool has ended, and ends its leases.
 pub(super) async fn reaped(
     connection: &mut Connection,
     process: u32,
@@ -119,11 +120,14 @@ pub(super) async fn reaped(
     message: &str,
     moment: TransitionContext,
 ) -> Result<(Option<WorkerId>, Wake)> {
-    let rows =
-        db::query("UPDATE worker SET state = 'gone' WHERE process = ? AND pool = 1 AND state <> 'gone' RETURNING id")
-            .bind(process)
-            .fetch_all(&mut *connection)
-            .await?;
+    let rows = db::query(
+        "UPDATE worker SET state = 'gone' WHERE process = ? AND pool = 1 AND generation = ? AND state <> 'gone'
+         RETURNING id",
+    )
+    .bind(process)
+    .bind(moment.generation)
+    .fetch_all(&mut *connection)
+    .await?;
     let mut ring = Wake::default();
     let mut worker = None;
     for row in rows {

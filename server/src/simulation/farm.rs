@@ -94,7 +94,7 @@ impl SimulatedFarm {
     pub(super) async fn new(folder: &Path, scenario: &Scenario, seed: u64) -> Result<Self, SimulationError> {
         let database = Database::open(folder).await.map_err(|error| SimulationError::Open(Box::new(error)))?;
         let (database, (clock, hand)) = (Arc::new(database), Clock::manual());
-        let (queue, _) = Queue::open(Arc::clone(&database), clock, LEASE_MS).await?;
+        let (queue, _) = Queue::open(Arc::clone(&database), clock, LEASE_MS, "simulated").await?;
         let mut workers = Vec::with_capacity(scenario.workers.len());
         for plan in &scenario.workers {
             let request = RegisterRequest {

@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use crate::config::Config;
-use crate::db::{Database, DatabaseError, DatabaseLocation, OpenError};
+use crate::db::{Database, DatabaseError, DatabaseLocation, OpenError, Sharing};
 use crate::startup::StartError;
 
 const RESTORE_FIX: &str = "restore it from a backup, or move it away to start with an empty farm";
@@ -11,6 +11,9 @@ const MAKE_ROOM_FIX: &str = "free space on its disk";
 const MAKE_WRITABLE_FIX: &str = "make it and its folder writable, or pass another folder with --data";
 const UPGRADE_FIX: &str = "it may be from a newer release: run that one";
 const REACH_FIX: &str = "start its server, or correct the host and port of --database";
+
+const IN_USE_FIX: &str = "stop that server, or give another database with --database; to run several servers of one \
+                          farm, start each with the same SDFARM_CLUSTER_SECRET and the same --store";
 
 /// Attempts to use a database whose server does not answer, or ends the connection.
 const ATTEMPTS: u32 = 5;
@@ -40,7 +43,8 @@ pub(super) async fn open(config: &Config) -> Result<Database, StartError> {
         let given = location.to_string();
         return Err(StartError::OtherDatabase { folder: data.clone(), recorded, given });
     }
-    let opened = patiently(OpenError::is_lost, async || Database::open_at(&location).await).await;
+    let sharing = if config.cluster_secret.is_some() { Sharing::Shared } else { Sharing::Alone };
+    let opened = patiently(OpenError::is_lost, async || Database::open_at(&location, sharing).await).await;
     let database = opened.map_err(|error| open_error(&location, error))?;
     location.record().map_err(folder)?;
     Ok(database)
@@ -66,9 +70,7 @@ fn open_error(location: &DatabaseLocation, error: OpenError) -> StartError {
         OpenError::Damaged(verdict) => because(format!("it is damaged ({verdict})"), RESTORE_FIX),
         error @ OpenError::OldServer(_) => because(error.to_string(), "use PostgreSQL 15 or newer"),
         error @ OpenError::Replica => because(error.to_string(), "give the address of the primary with --database"),
-        error @ OpenError::InUse => {
-            because(error.to_string(), "stop that server, or give another database with --database")
-        }
+        error @ OpenError::InUse => because(error.to_string(), IN_USE_FIX),
     }
 }
 
@@ -101,7 +103,7 @@ fn of_postgres(error: &DatabaseError) -> &'static str {
         Some("42501") => "give the user of --database all rights on it (ALTER DATABASE NAME OWNER TO USER)",
         Some("42P01" | "42703") => "a table or column of it is missing: restore it from a backup (pg_restore)",
         Some("25006") => "it is read-only: give the address of the primary with --database",
-        Some("53300") => "raise max_connections of its server: a farm uses 9",
+        Some("53300") => "raise max_connections of its server: each server of a farm uses 9",
         _ => REACH_FIX,
     }
 }

@@ -11,6 +11,7 @@ use crate::admission::{RateLimits, Shares};
 use crate::api_keys::ApiKeys;
 use crate::audit_log::AuditLog;
 use crate::blobs::BlobStore;
+use crate::cluster::Cluster;
 use crate::config::Config;
 use crate::counters::ServerCounters;
 use crate::db::Database;
@@ -74,6 +75,7 @@ pub(super) struct Foundation {
 /// Background tasks of a server.
 #[derive(Debug)]
 pub(crate) struct BackgroundTasks {
+    cluster: Cluster,
     maintenance: Maintenance,
     candidates: mpsc::UnboundedReceiver<OrphanCandidates>,
     events: Arc<EventHub>,
@@ -86,7 +88,7 @@ pub(crate) struct BackgroundTasks {
 impl BackgroundTasks {
     /// Starts all tasks, which end at `end`; returns each with its name.
     pub(crate) fn start(self, end: &CancellationToken) -> Vec<(JoinHandle<()>, &'static str)> {
-        let Self { maintenance, candidates, events, webhooks, api_keys, audit_log, rate_limits } = self;
+        let Self { cluster, maintenance, candidates, events, webhooks, api_keys, audit_log, rate_limits } = self;
         let admission = {
             let end = end.clone();
             async move {
@@ -98,6 +100,7 @@ impl BackgroundTasks {
             async move { events.run(end).await }
         };
         vec![
+            (tokio::spawn(cluster.run(end.clone())), "contact with other servers"),
             (tokio::spawn(maintenance.run(candidates, end.clone())), "maintenance"),
             (tokio::spawn(publishing), "event distribution"),
             (tokio::spawn(webhooks.run(end.clone())), "webhook delivery"),
@@ -122,6 +125,7 @@ impl Foundation {
         let counters = Arc::clone(&self.counters);
         let webhooks = Webhooks::new(queue.clone(), Arc::clone(&webhook_addresses), signer, counters);
         let tasks = BackgroundTasks {
+            cluster: Cluster::new(queue.clone(), Arc::clone(&database)),
             maintenance: self.maintenance(&orphans, Arc::clone(&retention)),
             candidates,
             events: Arc::clone(&events),

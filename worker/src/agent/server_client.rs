@@ -2,6 +2,7 @@
 
 use std::fs::File;
 use std::io::{self, Seek};
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
 
 use bytes::Bytes;
@@ -38,42 +39,78 @@ impl PictureBytes {
     }
 }
 
-/// Client of one server.
+/// Client of a farm: calls one of its servers, and the next one once that cannot be reached.
 #[derive(Debug)]
 pub(super) struct ServerClient {
-    client: Client,
-    server: String,
+    servers: Vec<Server>,
+    /// Number of changes of the server.
+    changes: AtomicUsize,
     access: ClientAuth,
 }
 
+/// One server.
+#[derive(Debug)]
+struct Server {
+    client: Client,
+    url: String,
+}
+
+/// A request, and the number of changes before it.
+struct ServerRequest {
+    request: RequestBuilder,
+    changes: usize,
+}
+
+impl ServerRequest {
+    fn with(self, change: impl FnOnce(RequestBuilder) -> RequestBuilder) -> Self {
+        Self { request: change(self.request), ..self }
+    }
+}
+
 impl ServerClient {
-    pub(super) fn new(server: &str, access: ClientAuth) -> Result<Self, AgentError> {
-        let builder = access.client(&server_url(server)?);
-        let client = builder.no_proxy().connect_timeout(SHORT_TIMEOUT).build().map_err(AgentError::Client)?;
-        Ok(Self { client, server: server.trim_end_matches('/').to_owned(), access })
+    pub(super) fn new(servers: &[String], access: ClientAuth) -> Result<Self, AgentError> {
+        let connect = |server: &String| {
+            let builder = access.client(&server_url(server)?);
+            let client = builder.no_proxy().connect_timeout(SHORT_TIMEOUT).build().map_err(AgentError::Client)?;
+            Ok(Server { client, url: server.trim_end_matches('/').to_owned() })
+        };
+        let servers = servers.iter().map(connect).collect::<Result<Vec<_>, AgentError>>()?;
+        Ok(Self { servers, changes: AtomicUsize::new(0), access })
+    }
+
+    /// Address of the server that is called now.
+    pub(super) fn address(&self) -> &str {
+        &self.server(self.changes.load(Ordering::Relaxed)).url
+    }
+
+    fn server(&self, changes: usize) -> &Server {
+        &self.servers[changes % self.servers.len()]
     }
 
     pub(super) async fn register(&self, hello: &RegisterRequest) -> Result<RegisterResponse, ServerError> {
-        read_json(self.request(Method::POST, worker_protocol::REGISTER_PATH, SHORT_TIMEOUT).json(hello)).await
+        let request = self.request(Method::POST, worker_protocol::REGISTER_PATH, SHORT_TIMEOUT);
+        self.read_json(request.with(|request| request.json(hello))).await
     }
 
     pub(super) async fn sync(&self, sync: &SyncRequest, timeout: Duration) -> Result<SyncResponse, ServerError> {
-        read_json(self.request(Method::POST, worker_protocol::SYNC_PATH, timeout).json(sync)).await
+        let request = self.request(Method::POST, worker_protocol::SYNC_PATH, timeout);
+        self.read_json(request.with(|request| request.json(sync))).await
     }
 
     pub(super) async fn job(&self, job: JobId) -> Result<Bytes, ServerError> {
         let request = self.request(Method::GET, &worker_protocol::job_path(job), TRANSFER_TIMEOUT);
-        Ok(send(request).await?.bytes().await?)
+        Ok(self.send(request).await?.bytes().await?)
     }
 
     pub(super) async fn put_blob(&self, hash: &str, bytes: Bytes) -> Result<(), ServerError> {
         let request = self.request(Method::PUT, &worker_protocol::blob_path(hash), TRANSFER_TIMEOUT);
-        send(request.body(bytes)).await.map(drop)
+        self.send(request.with(|request| request.body(bytes))).await.map(drop)
     }
 
     /// Fetches a blob; `None` if the server's blob is not longer than `size_bytes` but has other bytes.
     pub(super) async fn blob(&self, hash: &str, size_bytes: u64) -> Result<Option<Vec<u8>>, ServerError> {
-        let mut response = send(self.request(Method::GET, &worker_protocol::blob_path(hash), TRANSFER_TIMEOUT)).await?;
+        let request = self.request(Method::GET, &worker_protocol::blob_path(hash), TRANSFER_TIMEOUT);
+        let mut response = self.send(request).await?;
         let mut bytes = Vec::new();
         while let Some(chunk) = response.chunk().await? {
             if (bytes.len() + chunk.len()) as u64 > size_bytes {
@@ -98,21 +135,49 @@ impl ServerClient {
             }
         };
         let request = self.request(Method::PUT, &worker_protocol::picture_path(hash), TRANSFER_TIMEOUT);
-        send(request.header(header::CONTENT_LENGTH, size_bytes).body(body)).await.map(drop)
+        let request = request.with(|request| request.header(header::CONTENT_LENGTH, size_bytes).body(body));
+        self.send(request).await.map(drop)
     }
 
-    fn request(&self, method: Method, path: &str, timeout: Duration) -> RequestBuilder {
-        let request = self.client.request(method, format!("{}{path}", self.server)).timeout(timeout);
-        self.access.authorize(match proto::trace_context::current_traceparent() {
+    fn request(&self, method: Method, path: &str, timeout: Duration) -> ServerRequest {
+        let changes = self.changes.load(Ordering::Relaxed);
+        let Server { client, url } = self.server(changes);
+        let request = client.request(method, format!("{url}{path}")).timeout(timeout);
+        let request = self.access.authorize(match proto::trace_context::current_traceparent() {
             Some(trace) => request.header(proto::trace_context::TRACEPARENT, trace),
             None => request,
-        })
+        });
+        ServerRequest { request, changes }
     }
-}
 
-async fn read_json<T: DeserializeOwned>(request: RequestBuilder) -> Result<T, ServerError> {
-    let body = send(request).await?.bytes().await?;
-    serde_json::from_slice(&body).map_err(ServerError::InvalidResponse)
+    async fn read_json<T: DeserializeOwned>(&self, request: ServerRequest) -> Result<T, ServerError> {
+        let changes = request.changes;
+        let body = self.send(request).await?.bytes().await;
+        let body = body.map_err(ServerError::from).inspect_err(|_| self.leave(changes))?;
+        serde_json::from_slice(&body).map_err(ServerError::InvalidResponse)
+    }
+
+    async fn send(&self, request: ServerRequest) -> Result<Response, ServerError> {
+        let sent = send(request.request).await;
+        if sent.as_ref().is_err_and(ServerError::is_unavailable) {
+            self.leave(request.changes);
+        }
+        sent
+    }
+
+    /// Calls the next server from now on, unless another call has changed it already.
+    fn leave(&self, changes: usize) {
+        let next = changes.wrapping_add(1);
+        if self.changes.compare_exchange(changes, next, Ordering::Relaxed, Ordering::Relaxed).is_ok()
+            && self.servers.len() > 1
+        {
+            tracing::warn!(
+                server = self.server(changes).url,
+                next = self.server(next).url,
+                "the server cannot be reached"
+            );
+        }
+    }
 }
 
 async fn send(request: RequestBuilder) -> Result<Response, ServerError> {

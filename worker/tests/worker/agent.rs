@@ -32,8 +32,11 @@ impl Agent {
 
     fn with_grace(server: &FakeServer, renderer: impl Renderer + 'static, grace: Duration) -> Self {
         let scratch = tempfile::tempdir().unwrap();
-        let config =
-            AgentConfig { scratch: scratch.path().to_owned(), grace, ..AgentConfig::new(server.url(), "tester") };
+        let config = AgentConfig {
+            scratch: scratch.path().to_owned(),
+            grace,
+            ..AgentConfig::new(vec![server.url().to_owned()], "tester")
+        };
         let shutdown = CancellationToken::new();
         let token = shutdown.clone();
         let thread = std::thread::spawn(move || {

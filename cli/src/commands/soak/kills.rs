@@ -8,8 +8,8 @@ use std::time::{Duration, Instant};
 
 use anyhow::Context;
 use proto::job::JobState;
-use proto::{ClientError, JobId};
-use server::{DoneTile, check_integrity};
+use proto::{Client, ClientError, JobId};
+use server::{DoneTile, IntegrityReport, check_integrity};
 
 use super::processes;
 use super::report::SoakReport;
@@ -23,7 +23,7 @@ const READY_LIMIT: Duration = Duration::from_secs(2);
 /// Additional time if its connections to a database server are cut.
 const CONNECTING_LIMIT: Duration = Duration::from_secs(5);
 /// Attempts at the integrity check if its connection is cut.
-const CHECK_ATTEMPTS: usize = 10;
+pub(super) const CHECK_ATTEMPTS: usize = 10;
 /// Target number of unfinished jobs in the queue.
 const TARGET_QUEUE: usize = 4;
 /// Maximum pause before a kill.
@@ -37,7 +37,7 @@ const WORKERS_A_SERVER: u64 = 3;
 /// Workers killed per server process after the last server kill.
 const WORKERS_LAST: u64 = 20;
 /// Fail points that kill the server, in addition to random instants.
-const SERVER_POINTS: [&str; 9] = [
+pub(super) const SERVER_POINTS: [&str; 9] = [
     "migrating",
     "migrated",
     "submit_committed",
@@ -56,6 +56,10 @@ const WORKER_POINTS: [&str; 3] = ["blob_put", "picture_put", "stitching"];
 pub(super) struct SoakPlan {
     /// Address of the database, unless it is a file.
     pub(super) database: Option<String>,
+    /// Number of servers on that database.
+    pub(super) servers: u32,
+    /// Store of several servers.
+    pub(super) store: Option<String>,
     /// Whether to kill processes.
     pub(super) kill: bool,
     /// Number of workers to kill.
@@ -81,9 +85,38 @@ struct Soak<'a> {
     accepted: BTreeSet<JobId>,
     /// Accepted jobs that are not checked yet, with their task.
     waiting: BTreeMap<JobId, usize>,
-    done: BTreeMap<i64, DoneTile>,
+    checks: Checks,
     tally: SoakReport,
     next_task: usize,
+}
+
+/// Integrity checks, each compared with the last one.
+#[derive(Debug, Default)]
+pub(super) struct Checks {
+    done: BTreeMap<i64, DoneTile>,
+}
+
+impl Checks {
+    /// Counts a check, and its violations.
+    pub(super) fn take(&mut self, found: IntegrityReport, accepted: &BTreeSet<JobId>, tally: &mut SoakReport) {
+        tally.integrity_checks += 1;
+        for violation in found.violations {
+            tally.violation(violation);
+        }
+        let lost = accepted.difference(&found.jobs).count();
+        if lost > 0 {
+            tally.violation(format!("{lost} jobs that were accepted with 201 are lost"));
+        }
+        for (tile, was) in &self.done {
+            match found.done.get(tile) {
+                None => tally.violation(format!("tile {tile} was done, and no longer is")),
+                Some(is) if is != was => tally.violation(format!("tile {tile} was done, and was leased again")),
+                Some(_) => {}
+            }
+        }
+        tally.tiles = found.done.len();
+        self.done = found.done;
+    }
 }
 
 /// Submits jobs and kills processes until the plan is fulfilled, then waits for all jobs.
@@ -97,7 +130,7 @@ pub(super) async fn soak(plan: &SoakPlan, tasks: &[ReferenceJob], data: &Path) -
         start: Instant::now(),
         accepted: BTreeSet::new(),
         waiting: BTreeMap::new(),
-        done: BTreeMap::new(),
+        checks: Checks::default(),
         tally: SoakReport::default(),
         next_task: 0,
     };
@@ -114,6 +147,46 @@ pub(super) async fn soak(plan: &SoakPlan, tasks: &[ReferenceJob], data: &Path) -
     soak.finish().await?;
     soak.tally.took = soak.start.elapsed();
     Ok(soak.tally)
+}
+
+/// Returns whether a job is finished; if so, any picture that differs from the expected one is a violation.
+pub(super) async fn check_pictures(
+    client: &Client,
+    id: JobId,
+    expected: &ReferenceJob,
+    tally: &mut SoakReport,
+) -> Result<bool, ClientError> {
+    let job = client.job(id).await?;
+    match job.state {
+        JobState::Queued | JobState::Running => return Ok(false),
+        JobState::Failed | JobState::Cancelled => {
+            tally.violation(format!("job {id} is {}: {}", job.state.name(), job.errors.join("; ")));
+            return Ok(true);
+        }
+        JobState::Succeeded => {}
+    }
+    for (frame, wanted) in expected.pictures.iter().enumerate() {
+        let mut picture = Vec::new();
+        client.image(id, frame as u32, &mut picture).await?;
+        tally.pictures += 1;
+        if blake3::hash(&picture) != *wanted {
+            tally.violation(format!("frame {frame} of job {id} differs from an undisturbed render"));
+        }
+    }
+    tally.succeeded += 1;
+    Ok(true)
+}
+
+/// Counts panics and differences in the logs of processes as violations.
+pub(super) fn count_log(log: &ServerLog, tally: &mut SoakReport) {
+    for (count, what) in [
+        (log.panics.load(Ordering::Relaxed), "panics"),
+        (log.differences.load(Ordering::Relaxed), "tiles or pictures that differed when rendered again"),
+    ] {
+        if count > 0 {
+            tally.violation(format!("{count} {what}"));
+        }
+    }
 }
 
 /// Whether a server refused a request because it could not reach its database.
@@ -201,6 +274,7 @@ impl Soak<'_> {
     async fn start(&mut self, fail_points: &str) -> anyhow::Result<Option<ServerProcess>> {
         let launch = Launch {
             data: self.data,
+            listen: 0,
             database: self.plan.database.as_deref(),
             workers: self.plan.workers,
             flags: &[],
@@ -225,24 +299,7 @@ impl Soak<'_> {
             }
             found = check_integrity(self.data).await;
         }
-        let found = found?;
-        self.tally.integrity_checks += 1;
-        for violation in found.violations {
-            self.tally.violation(violation);
-        }
-        let lost = self.accepted.difference(&found.jobs).count();
-        if lost > 0 {
-            self.tally.violation(format!("{lost} jobs that were accepted with 201 are lost"));
-        }
-        for (tile, was) in &self.done {
-            match found.done.get(tile) {
-                None => self.tally.violation(format!("tile {tile} was done, and no longer is")),
-                Some(is) if is != was => self.tally.violation(format!("tile {tile} was done, and was leased again")),
-                Some(_) => {}
-            }
-        }
-        self.tally.tiles = found.done.len();
-        self.done = found.done;
+        self.checks.take(found?, &self.accepted, &mut self.tally);
         Ok(())
     }
 
@@ -251,7 +308,7 @@ impl Soak<'_> {
     async fn submit(&mut self, server: &mut ServerProcess) -> anyhow::Result<()> {
         server.refresh_workers();
         for (id, task) in self.waiting.clone() {
-            match self.check_job(server, id, task).await {
+            match check_pictures(&server.client, id, &self.reference_jobs[task], &mut self.tally).await {
                 Ok(true) => drop(self.waiting.remove(&id)),
                 Ok(false) => {}
                 Err(error) if is_cut_off(&error) => return Ok(()),
@@ -285,29 +342,6 @@ impl Soak<'_> {
         Ok(())
     }
 
-    /// Returns whether a job is finished; if so, any picture that differs from the expected one is a violation.
-    async fn check_job(&mut self, server: &ServerProcess, id: JobId, task: usize) -> Result<bool, ClientError> {
-        let job = server.client.job(id).await?;
-        match job.state {
-            JobState::Queued | JobState::Running => return Ok(false),
-            JobState::Failed | JobState::Cancelled => {
-                self.tally.violation(format!("job {id} is {}: {}", job.state.name(), job.errors.join("; ")));
-                return Ok(true);
-            }
-            JobState::Succeeded => {}
-        }
-        for (frame, wanted) in self.reference_jobs[task].pictures.iter().enumerate() {
-            let mut picture = Vec::new();
-            server.client.image(id, frame as u32, &mut picture).await?;
-            self.tally.pictures += 1;
-            if blake3::hash(&picture) != *wanted {
-                self.tally.violation(format!("frame {frame} of job {id} differs from an undisturbed render"));
-            }
-        }
-        self.tally.succeeded += 1;
-        Ok(true)
-    }
-
     async fn end(&mut self, server: ServerProcess) -> anyhow::Result<()> {
         if !server.terminate().await? {
             self.tally.violation("a server did not shut down gracefully after SIGTERM".to_owned());
@@ -326,7 +360,7 @@ impl Soak<'_> {
         let start = Instant::now();
         while !self.waiting.is_empty() && start.elapsed() < LAST_JOBS_TIMEOUT {
             for (id, task) in self.waiting.clone() {
-                match self.check_job(&server, id, task).await {
+                match check_pictures(&server.client, id, &self.reference_jobs[task], &mut self.tally).await {
                     Ok(true) => drop(self.waiting.remove(&id)),
                     Ok(false) => {}
                     Err(error) if is_cut_off(&error) => {}
@@ -341,14 +375,7 @@ impl Soak<'_> {
         }
         self.audit().await?;
         self.end(server).await?;
-        for (count, what) in [
-            (self.log.panics.load(Ordering::Relaxed), "panics"),
-            (self.log.differences.load(Ordering::Relaxed), "tiles or pictures that differed when rendered again"),
-        ] {
-            if count > 0 {
-                self.tally.violation(format!("{count} {what}"));
-            }
-        }
+        count_log(&self.log, &mut self.tally);
         self.count_fail_points();
         Ok(())
     }

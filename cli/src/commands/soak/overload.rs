@@ -78,7 +78,7 @@ impl OverloadReport {
 pub(super) async fn overload(tasks: &[ReferenceJob], data: &Path, time: Duration) -> anyhow::Result<OverloadReport> {
     let said = Arc::<ServerLog>::default();
     let flags = ["--max-queued-jobs", MAX_QUEUED_JOBS];
-    let launch = Launch { data, database: None, workers: 1, flags: &flags, fail_points: "" };
+    let launch = Launch { data, listen: 0, database: None, workers: 1, flags: &flags, fail_points: "" };
     let server = ServerProcess::start(&launch, &said).await?.context("the server exited right after its start")?;
     print_note(&format!("{CLIENTS} clients submit jobs for {time:?}"));
     let counts = Arc::<Counts>::default();

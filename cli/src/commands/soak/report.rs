@@ -22,6 +22,8 @@ pub(super) struct SoakReport {
     pub(super) succeeded: usize,
     /// Pictures compared with undisturbed ones.
     pub(super) pictures: usize,
+    /// Events received by followers, if there are several servers.
+    pub(super) followed: usize,
     /// Number of integrity checks.
     pub(super) integrity_checks: u32,
     /// Done tiles compared between two integrity checks.
@@ -66,6 +68,9 @@ impl SoakReport {
         row("jobs accepted, jobs succeeded", format!("{}, {}", self.accepted, self.succeeded));
         row("jobs whose response was lost with the server", self.unanswered.to_string());
         row("pictures identical to undisturbed renders", self.pictures.to_string());
+        if self.followed > 0 {
+            row("events followed from server to server", self.followed.to_string());
+        }
         row("integrity checks of database and pictures", self.integrity_checks.to_string());
         row("done tiles, none rendered again", self.tiles.to_string());
         row("server ready after a start, mean and maximum", format!("{:.0?}, {:.0?}", mean, self.slowest_ready));

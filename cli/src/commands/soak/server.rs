@@ -52,6 +52,8 @@ pub(super) struct ServerProcess {
 pub(super) struct Launch<'a> {
     /// Its data folder.
     pub(super) data: &'a Path,
+    /// Port to listen on; 0 is any.
+    pub(super) listen: u16,
     /// Address of its database, unless it is a file.
     pub(super) database: Option<&'a str>,
     /// Workers of its pool.
@@ -67,14 +69,7 @@ impl ServerProcess {
     pub(super) async fn start(launch: &Launch<'_>, said: &Arc<ServerLog>) -> anyhow::Result<Option<Self>> {
         let start = Instant::now();
         let mut child = KillOnDrop(spawn(launch)?);
-        let errors = child.0.stderr.take().context("the server has no standard error")?;
-        let log = File::options()
-            .create(true)
-            .append(true)
-            .open(launch.data.join("soak.log"))
-            .context("could not open the log in the data folder")?;
-        let said = Arc::clone(said);
-        std::thread::spawn(move || listen(errors, log, &said));
+        listen_to(&mut child.0, &launch.data.join("soak.log"), said)?;
         let Some(address) = address(&mut child.0)? else {
             child.0.wait().context("could not wait for the server")?;
             return Ok(None);
@@ -148,7 +143,7 @@ impl ServerProcess {
 
 /// Child process that is killed on drop.
 #[derive(Debug)]
-struct KillOnDrop(Child);
+pub(super) struct KillOnDrop(pub(super) Child);
 
 impl Drop for KillOnDrop {
     fn drop(&mut self) {
@@ -163,7 +158,8 @@ fn spawn(launch: &Launch<'_>) -> anyhow::Result<Child> {
     for (name, _) in std::env::vars_os().filter(|(name, _)| name.to_string_lossy().starts_with("SDFARM_")) {
         command.env_remove(name);
     }
-    command.args(["serve", "--listen", "127.0.0.1:0", "--device", "cpu", "--tile", "64", "--data"]).arg(launch.data);
+    command.args(["serve", "--listen", &format!("127.0.0.1:{}", launch.listen)]);
+    command.args(["--device", "cpu", "--tile", "64", "--data"]).arg(launch.data);
     command.args(["--workers", &launch.workers.to_string()]).args(launch.flags);
     command.envs(launch.database.map(|address| ("SDFARM_DATABASE", address)));
     if !launch.fail_points.is_empty() {
@@ -186,6 +182,16 @@ fn address(child: &mut Child) -> anyhow::Result<Option<String>> {
     });
     let line = receiver.recv_timeout(START_TIMEOUT).context("the server printed no address")?;
     Ok(line.split_whitespace().find(|word| word.starts_with("http://")).map(str::to_owned))
+}
+
+/// Appends the standard error of a process to a log, and counts what it says.
+pub(super) fn listen_to(child: &mut Child, log: &Path, said: &Arc<ServerLog>) -> anyhow::Result<()> {
+    let errors = child.stderr.take().context("the process has no standard error")?;
+    let log =
+        File::options().create(true).append(true).open(log).context("could not open the log in the data folder")?;
+    let said = Arc::clone(said);
+    std::thread::spawn(move || listen(errors, log, &said));
+    Ok(())
 }
 
 fn listen(errors: ChildStderr, mut log: File, said: &ServerLog) {

@@ -26,7 +26,7 @@ const RULES: [Rule; 14] = [
     Rule {
         start: "UPDATE tile SET",
         sets: &[" state ="],
-        owners: &["tile_results.rs", "claim.rs", "cleanup.rs", "lease.rs", "recover.rs", "stitch.rs", "undo.rs"],
+        owners: &["tile_results.rs", "claim.rs", "cleanup.rs", "lease.rs", "servers.rs", "stitch.rs", "undo.rs"],
     },
     Rule { start: "UPDATE frame SET", sets: &["'stored'"], owners: &["picture.rs"] },
     Rule { start: "INSERT INTO frame", sets: &["'stored'"], owners: &["open_frame.rs"] },

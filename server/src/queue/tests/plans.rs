@@ -24,7 +24,7 @@ use crate::postgres_server;
 const SEQUENCES: usize = 40;
 /// Tables that may be scanned: they have one row for each meta value, worker, or submitter, or for each worker in an
 /// unfinished job.
-const SMALL: [&str; 5] = ["meta", "worker", "share", "strike", "speed"];
+const SMALL: [&str; 6] = ["meta", "server", "worker", "share", "strike", "speed"];
 /// Indexes that contain only unfinished work, or are read in order up to the first match.
 const SHORT: [&str; 9] = [
     "job_to_clean_up",

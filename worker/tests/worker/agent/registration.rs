@@ -58,8 +58,12 @@ fn a_worker_unknown_to_the_server_registers_again() {
 #[tokio::test]
 async fn an_invalid_address_is_rejected() {
     for server in ["", "farm", "ftp://farm", "http://", "file:///tmp"] {
-        let ended =
-            run(AgentConfig::new(server, "x"), std::sync::Arc::new(FakeRenderer), CancellationToken::default()).await;
+        let ended = run(
+            AgentConfig::new(vec![server.to_owned()], "x"),
+            std::sync::Arc::new(FakeRenderer),
+            CancellationToken::default(),
+        )
+        .await;
         assert!(matches!(ended, Err(AgentError::Access(_))), "{server}");
     }
 }

@@ -1,0 +1,135 @@
+//! This server among the others of its database: it renews its row, tells the others of changes, and hears of theirs.
+//!
+//! What it is told are hints that may be lost. Once a second the database is asked, which decides.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+use proto::fail_point::{self, FailPoint};
+use tokio_util::sync::CancellationToken;
+
+use crate::clock::monotonic_now;
+use crate::db::{Database, DatabaseError, Notifications};
+use crate::queue::{Hints, Queue, SERVER_GONE_MS};
+
+/// Interval between two renewals, and two questions to the database.
+const INTERVAL: Duration = Duration::from_secs(1);
+/// A server whose renewals were further apart did not reach the database in between.
+const MAX_RENEWAL_GAP: Duration = Duration::from_secs(3);
+/// A server that has reached the database for this long may judge that others have ended: they had time to renew their
+/// rows, if they could not reach it either.
+const BEFORE_JUDGING: Duration = Duration::from_millis(SERVER_GONE_MS.unsigned_abs() + 2_000);
+/// Changes within this time are told together.
+const TELL_INTERVAL: Duration = Duration::from_millis(10);
+/// Delay before a lost listener is made again.
+const LISTEN_AGAIN: Duration = Duration::from_millis(300);
+
+/// Task of a server among others.
+#[derive(Debug)]
+pub(crate) struct Cluster {
+    queue: Queue,
+    database: Arc<Database>,
+    has_others: AtomicBool,
+}
+
+impl Cluster {
+    /// Connects the server of this queue with others.
+    pub(crate) fn new(queue: Queue, database: Arc<Database>) -> Self {
+        Self { queue, database, has_others: AtomicBool::new(true) }
+    }
+
+    /// Runs until the server ends; a farm in a file has no other servers.
+    pub(crate) async fn run(self, end: CancellationToken) {
+        let Some(notifications) = self.database.notifications() else { return };
+        let tasks = async { tokio::join!(self.renew(), self.tell(&notifications), self.hear(&notifications)) };
+        tokio::select! {
+            _ = tasks => {}
+            () = end.cancelled() => {}
+        }
+    }
+
+    /// Renews this server's row, and asks the database what others may have changed.
+    async fn renew(&self) {
+        let mut ticks = tokio::time::interval(INTERVAL);
+        ticks.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
+        let (mut reached_since, mut renewed, mut newest) = (monotonic_now(), monotonic_now(), 0);
+        loop {
+            ticks.tick().await;
+            if renewed.elapsed() > MAX_RENEWAL_GAP {
+                reached_since = monotonic_now();
+            }
+            match self.queue.renew_server(reached_since.elapsed() >= BEFORE_JUDGING).await {
+                Ok(others) => {
+                    renewed = monotonic_now();
+                    self.has_others.store(others > 0, Ordering::Relaxed);
+                    if others > 0
+                        && let Err(error) = self.ask(&mut newest).await
+                    {
+                        tracing::warn!(%error, "could not ask the database for changes of other servers");
+                    }
+                }
+                Err(error) => tracing::warn!(%error, "could not renew this server's row"),
+            }
+        }
+    }
+
+    /// Sends the signals of changes that no message told of.
+    async fn ask(&self, newest: &mut i64) -> Result<(), DatabaseError> {
+        let found = self.queue.newest_event().await?;
+        if found != *newest {
+            *newest = found;
+            self.database.announce_commit();
+        }
+        if self.queue.has_claimable_work().await? {
+            self.queue.take_hints(Hints::WORK);
+        }
+        Ok(())
+    }
+
+    /// Tells the others of this server's changes.
+    async fn tell(&self, notifications: &Notifications) {
+        let mut commits = self.database.own_commit_signal();
+        loop {
+            tokio::select! {
+                changed = commits.changed() => if changed.is_err() { return },
+                () = self.queue.hints_added() => {}
+            }
+            tokio::time::sleep(TELL_INTERVAL).await;
+            commits.borrow_and_update();
+            let hints = self.queue.drain_hints();
+            if !self.has_others.load(Ordering::Relaxed) || fail_point::trigger(FailPoint::Telling).is_err() {
+                continue;
+            }
+            let message = format!("{} {}", self.queue.generation(), hints.as_bits());
+            if let Err(error) = notifications.send(&message).await {
+                tracing::debug!(%error, "could not tell the other servers of a change");
+            }
+        }
+    }
+
+    /// Hears of the others' changes.
+    async fn hear(&self, notifications: &Notifications) {
+        loop {
+            if let Err(error) = self.listen(notifications).await {
+                tracing::debug!(%error, "cannot hear the other servers");
+            }
+            tokio::time::sleep(LISTEN_AGAIN).await;
+        }
+    }
+
+    async fn listen(&self, notifications: &Notifications) -> Result<(), DatabaseError> {
+        let mut listener = notifications.listen().await?;
+        loop {
+            // Without a message, some may have been lost.
+            let message = listener.next().await?;
+            let hints = match message.as_deref().map(|text| text.split_once(' ')) {
+                Some(Some((server, _))) if server.parse() == Ok(self.queue.generation()) => continue,
+                Some(Some((_, bits))) => bits.parse().map_or(Hints::ALL, Hints::from_bits),
+                Some(None) | None => Hints::ALL,
+            };
+            self.database.announce_commit();
+            self.queue.take_hints(hints);
+        }
+    }
+}
