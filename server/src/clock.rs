@@ -34,6 +34,13 @@ impl Clock {
         (Self(ClockSource::Manual(hand.clone())), hand)
     }
 
+    /// Like [`Clock::manual`], for several servers.
+    #[cfg(test)]
+    pub(crate) fn manual_lasting() -> (Self, ManualClock) {
+        let hand = ManualClock { is_lasting: true, ..ManualClock::default() };
+        (Self(ClockSource::Manual(hand.clone())), hand)
+    }
+
     /// The same clock, or the time that the servers of a database share, unless a test sets the time.
     pub(crate) fn or_shared(self, shared: Option<Arc<FarmTime>>) -> Self {
         match (&self.0, shared) {
@@ -44,7 +51,11 @@ impl Clock {
 
     /// Whether it goes on while the server does not run, so that its times hold after a restart.
     pub(crate) fn is_lasting(&self) -> bool {
-        matches!(self.0, ClockSource::Farm(_))
+        match &self.0 {
+            ClockSource::System(_) => false,
+            ClockSource::Farm(_) => true,
+            ClockSource::Manual(hand) => hand.is_lasting,
+        }
     }
 
     /// Milliseconds since the server, or the farm, started; never decreases.
@@ -86,6 +97,7 @@ pub struct ManualClock {
     now_ms: Arc<AtomicI64>,
     /// Offset of the wall clock from the monotonic clock.
     wall_offset_ms: Arc<AtomicI64>,
+    is_lasting: bool,
 }
 
 impl ManualClock {

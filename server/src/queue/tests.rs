@@ -8,6 +8,7 @@ mod model;
 mod owners;
 mod plans;
 mod sequences;
+mod servers;
 mod several_batches;
 mod sharing;
 mod workers;

@@ -14,7 +14,7 @@ use crate::tile_plan::TilePlan;
 /// Longer than any back-off.
 const BACK_OFF: Duration = Duration::from_mins(1);
 
-async fn claim(bench: &Fixture, worker: WorkerId) -> Option<Batch> {
+pub(super) async fn claim(bench: &Fixture, worker: WorkerId) -> Option<Batch> {
     claim_at(bench, worker, None).await
 }
 
@@ -28,7 +28,7 @@ async fn claim_at(bench: &Fixture, worker: WorkerId, rays_per_second: Option<f64
 }
 
 /// Reports these outcomes, in the order of a batch's leases; leases beyond them are released.
-async fn report(bench: &Fixture, worker: WorkerId, run: &Batch, outcomes: Vec<LeaseOutcome>) -> SyncOutcome {
+pub(super) async fn report(bench: &Fixture, worker: WorkerId, run: &Batch, outcomes: Vec<LeaseOutcome>) -> SyncOutcome {
     let outcomes = outcomes.into_iter().chain(std::iter::repeat(LeaseOutcome::Released));
     let reports = leases(run).zip(outcomes).map(|(lease, outcome)| LeaseReport { lease, outcome }).collect();
     bench.turn(SyncInput { reports, ..turn(worker) }).await.expect("known")
@@ -51,7 +51,7 @@ async fn fail_thrice(bench: &Fixture, worker: WorkerId) {
     bench.hand.advance(BACK_OFF);
 }
 
-async fn state(bench: &Fixture, worker: WorkerId) -> String {
+pub(super) async fn state(bench: &Fixture, worker: WorkerId) -> String {
     let state = db::query_scalar("SELECT state FROM worker WHERE id = ?").bind(worker.to_string());
     state.fetch_one(bench.queue.readers()).await.expect("reads")
 }
