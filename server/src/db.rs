@@ -8,6 +8,7 @@ mod copy;
 mod dialect;
 mod external;
 mod first_write;
+mod identity;
 mod location;
 mod notifications;
 pub(crate) mod postgres;

@@ -12,6 +12,7 @@ mod cleanup;
 mod deliver;
 mod durations;
 mod effects;
+mod event_gaps;
 mod events;
 mod exclusion;
 mod fair_share;
@@ -59,6 +60,7 @@ use crate::db::{self, Connection, Database, DatabaseError, Durability};
 
 pub(crate) use backlog::{BacklogLimits, ExceededLimit};
 pub(crate) use cleanup::RemovedContent;
+pub(crate) use event_gaps::mark_restored;
 pub(crate) use events::Event;
 pub(crate) use finish::{CancelOutcome, DeleteOutcome};
 pub(crate) use frames::{FrameSet, StoredFrame};

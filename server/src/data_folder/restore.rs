@@ -2,12 +2,14 @@
 
 use std::fs;
 use std::path::Path;
+use std::time::Duration;
 
 use super::manifest::Manifest;
 use super::{DataFolderError, database, hashed_files};
-use crate::db::Database;
+use crate::db::{Connection, Database, DatabaseError, DatabaseLocation};
 use crate::lock::FolderLock;
 use crate::private_files;
+use crate::queue::mark_restored;
 
 /// Result of a restore.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -67,8 +69,17 @@ pub async fn restore(folder: &Path, data: &Path) -> Result<Restored, DataFolderE
         Ok(false) => return Err(damaged("it changed while it was copied".to_owned())),
         Err(error) => return Err(DataFolderError::file("write", &file)(error)),
     }
+    mark(data).await.map_err(DataFolderError::database(&file))?;
     private_files::restrict(data)?;
     hashed_files::sync_folder(data).map_err(DataFolderError::file("write", data))?;
     drop(lock);
     Ok(restored)
+}
+
+/// Records in the database of a data folder that it was restored.
+async fn mark(data: &Path) -> Result<(), DatabaseError> {
+    let location = DatabaseLocation { data: data.to_owned(), postgres: None };
+    let mut connection = Connection::beside_server(&location, Duration::ZERO).await?;
+    mark_restored(&mut connection).await?;
+    connection.close().await
 }

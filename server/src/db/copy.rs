@@ -186,22 +186,27 @@ fn value(cell: Cell, kind: &str) -> Result<Value, DatabaseError> {
 /// Has the engine number new rows after the newest one.
 async fn continue_numbers(connection: &mut Connection, table: &Table, newest: i64) -> Result<(), DatabaseError> {
     let (Some(number), true) = (&table.number, newest > 0) else { return Ok(()) };
-    let statement = match connection {
-        Connection::Sqlite(_) => {
-            query("UPDATE sqlite_sequence SET seq = ?1 WHERE name = ?2").bind(newest).bind(&table.name)
+    connection.number_after(&table.name, number, newest).await
+}
+
+impl Connection {
+    /// Has the engine number new rows of a table after this number; a table that it does not number is left alone.
+    pub(crate) async fn number_after(&mut self, table: &str, column: &str, newest: i64) -> Result<(), DatabaseError> {
+        let statement = match self {
+            Self::Sqlite(_) => query("UPDATE sqlite_sequence SET seq = ?1 WHERE name = ?2").bind(newest).bind(table),
+            Self::Postgres(_) => {
+                query("SELECT setval(pg_get_serial_sequence(?2, ?3), ?1)").bind(newest).bind(table).bind(column)
+            }
+        };
+        let changed = statement.execute(&mut *self).await?;
+        if let Self::Sqlite(_) = self
+            && changed.rows_affected() == 0
+        {
+            // Only tables with AUTOINCREMENT have a row there, and only after their first row.
+            let insert = "INSERT INTO sqlite_sequence (name, seq) SELECT name, ? FROM sqlite_master
+                          WHERE name = ? AND sql LIKE '%AUTOINCREMENT%'";
+            query(insert).bind(newest).bind(table).execute(self).await?;
         }
-        Connection::Postgres(_) => {
-            query("SELECT setval(pg_get_serial_sequence(?2, ?3), ?1)").bind(newest).bind(&table.name).bind(number)
-        }
-    };
-    let changed = statement.execute(&mut *connection).await?;
-    if let Connection::Sqlite(_) = connection
-        && changed.rows_affected() == 0
-    {
-        // Only tables with AUTOINCREMENT have a row there, and only after their first row.
-        let insert = "INSERT INTO sqlite_sequence (name, seq) SELECT name, ? FROM sqlite_master
-                      WHERE name = ? AND sql LIKE '%AUTOINCREMENT%'";
-        query(insert).bind(newest).bind(&table.name).execute(connection).await?;
+        Ok(())
     }
-    Ok(())
 }

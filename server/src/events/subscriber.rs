@@ -53,14 +53,14 @@ impl EventSubscriber {
         ending: CancellationToken,
     ) -> Result<SubscribeOutcome, DatabaseError> {
         let queue = events.queue.clone();
-        let Some(found) = queue.event_position(job).await? else { return Ok(SubscribeOutcome::UnknownJob) };
+        let mut last = after.unwrap_or(0);
+        let Some(found) = queue.event_position(job, last).await? else { return Ok(SubscribeOutcome::UnknownJob) };
         let topic = events.topic(found.job).await?;
         let bell = topic.changes();
-        let mut last = after.unwrap_or(0);
         let mut first = Bytes::from_static(KEEP_ALIVE_COMMENT);
         let mut ended = false;
         // A number that was not assigned yet is from another farm, or from before a restore.
-        if last < found.pruned || last > found.newest {
+        if last < found.pruned || last > found.newest || found.is_in_gap {
             let Some((newest, snapshot)) = queue.snapshot(found.job).await? else {
                 return Ok(SubscribeOutcome::UnknownJob);
             };

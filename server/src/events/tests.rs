@@ -79,7 +79,7 @@ async fn told(follower: &mut EventSubscriber, count: usize) -> Vec<SseMessage> {
 async fn a_slow_subscriber_reads_missed_events_from_the_database() {
     let bench = Fixture::new().await;
     let id = bench.submit().await;
-    let job = bench.queue.event_position(id).await.expect("reads").expect("there").job;
+    let job = bench.queue.event_position(id, 0).await.expect("reads").expect("there").job;
     let mut slow = bench.follow(id, None).await.expect("a job");
     let mut quick = bench.follow(id, None).await.expect("a job");
     assert_eq!(told(&mut quick, 1).await[0].event, "state");
@@ -116,7 +116,7 @@ async fn events_of_old_finished_jobs_are_replaced_by_a_snapshot() {
 async fn the_oldest_events_beyond_the_maximum_are_pruned() {
     let bench = Fixture::new().await;
     let id = bench.submit().await;
-    let job = bench.queue.event_position(id).await.expect("reads").expect("there").job;
+    let job = bench.queue.event_position(id, 0).await.expect("reads").expect("there").job;
     bench.happen(job, 100).await;
     let dropped = bench.queue.prune_surplus(10).await.expect("prunes");
     assert_eq!(dropped, 91);
@@ -124,4 +124,42 @@ async fn the_oldest_events_beyond_the_maximum_are_pruned() {
     assert_eq!(told(&mut follower, 1).await[0].event, "snapshot");
     let mut follower = bench.follow(id, Some(91)).await.expect("nothing was missed");
     assert_eq!(told(&mut follower, 10).await.len(), 10);
+}
+
+/// A backup is restored, and events that clients have received are undone.
+#[tokio::test]
+async fn a_client_that_has_seen_undone_events_gets_a_snapshot() {
+    let bench = Fixture::new().await;
+    let id = bench.submit().await;
+    let job = bench.queue.event_position(id, 0).await.expect("reads").expect("there").job;
+    bench.happen(job, 10).await;
+    let restored = bench.store.write(Durability::Full, |connection| {
+        Box::pin(async move {
+            db::query("DELETE FROM outbox WHERE number > 6").execute(&mut *connection).await?;
+            crate::queue::mark_restored(connection).await
+        })
+    });
+    restored.await.expect("written");
+    let (queue, _) =
+        Queue::open(std::sync::Arc::clone(&bench.store), Clock::manual().0, 1000, "test").await.expect("opens");
+    let bench = Fixture { events: EventHub::new(queue.clone()), queue, ..bench };
+    bench.happen(job, 10).await;
+    let mut follower = bench.follow(id, Some(6)).await.expect("nothing was missed");
+    let numbers: Vec<i64> = told(&mut follower, 10)
+        .await
+        .iter()
+        .map(|told| told.id.as_deref().expect("an id").parse().expect("a number"))
+        .collect();
+    assert_eq!(numbers, ((1 << 32)..(1 << 32) + 10).collect::<Vec<i64>>());
+    for undone in [7, 11, 12, (1 << 32) - 1] {
+        let mut follower = bench.follow(id, Some(undone)).await.expect("a snapshot");
+        let first = told(&mut follower, 1).await.remove(0);
+        assert_eq!((first.event.as_str(), first.id), ("snapshot", Some(((1_i64 << 32) + 9).to_string())));
+    }
+    // Another start is no restore.
+    let opened =
+        Queue::open(std::sync::Arc::clone(&bench.store), Clock::manual().0, 1000, "test").await.expect("opens");
+    drop(opened);
+    bench.happen(job, 1).await;
+    assert_eq!(bench.queue.newest_event().await.expect("reads"), (1 << 32) + 10);
 }

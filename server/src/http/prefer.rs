@@ -57,7 +57,7 @@ impl JobWaiter {
 
     async fn wait_until_finished(&self, id: JobId, wait: Duration) -> Result<(), ApiError> {
         let deadline = monotonic_now() + wait;
-        let Some(followed) = self.queue.event_position(id).await? else { return Ok(()) };
+        let Some(followed) = self.queue.event_position(id, 0).await? else { return Ok(()) };
         let topic = self.events.topic(followed.job).await?;
         let mut bell = topic.changes();
         while self.queue.has_ended(followed.job).await? == Some(false) {

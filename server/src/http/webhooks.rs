@@ -19,6 +19,6 @@ use crate::queue::Queue;
 )]
 pub(super) async fn list(State(queue): State<Queue>, Path(id): Path<String>) -> Result<Json<DeliveryList>, ApiError> {
     let job = job_id(&id)?;
-    queue.event_position(job).await?.ok_or(ApiError::UnknownJob(id))?;
+    queue.event_position(job, 0).await?.ok_or(ApiError::UnknownJob(id))?;
     Ok(Json(DeliveryList { deliveries: queue.deliveries(job).await? }))
 }

@@ -75,17 +75,21 @@ pub(crate) struct EventPosition {
     /// Number of the newest event, which may have been pruned. It is read from the rows: a sequence would tell of events
     /// that are not committed yet.
     pub(crate) newest: i64,
+    /// Whether the number that was asked for is in a gap between two epochs.
+    pub(crate) is_in_gap: bool,
 }
 
 impl Queue {
-    /// State that a subscriber to a job needs before its first event.
-    pub(crate) async fn event_position(&self, id: JobId) -> Result<Option<EventPosition>> {
+    /// State that a subscriber to a job, after an event with this number, needs before its first event.
+    pub(crate) async fn event_position(&self, id: JobId, after: i64) -> Result<Option<EventPosition>> {
         let row = db::query(
             "SELECT number, finished_at_ms IS NOT NULL AS ended, events_pruned,
-                    @max(events_pruned, coalesce((SELECT max(number) FROM outbox), 0)) AS newest
-             FROM job WHERE id = ?",
+                    @max(events_pruned, coalesce((SELECT max(number) FROM outbox), 0)) AS newest,
+                    EXISTS (SELECT 1 FROM event_gap WHERE after_number < ?2 AND next_number > ?2) AS is_in_gap
+             FROM job WHERE id = ?1",
         )
         .bind(id.to_string())
+        .bind(after)
         .fetch_optional(self.readers())
         .await?;
         row.map(|row| {
@@ -94,6 +98,7 @@ impl Queue {
                 ended: row.get("ended")?,
                 pruned: row.get("events_pruned")?,
                 newest: row.get("newest")?,
+                is_in_gap: row.get("is_in_gap")?,
             })
         })
         .transpose()

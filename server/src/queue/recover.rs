@@ -1,6 +1,6 @@
 //! Recovery at startup: repairs the state that the last server left, and prunes old rows.
 
-use super::{Connection, Result, exclusion, fair_share, servers, speeds, verification};
+use super::{Connection, Result, event_gaps, exclusion, fair_share, servers, speeds, verification};
 use crate::db;
 
 /// Retention of ended leases, to recognize late results.
@@ -41,6 +41,8 @@ pub(super) async fn recover(connection: &mut Connection, start: &StartingServer)
         db::query_scalar("UPDATE meta SET value = value + 1 WHERE name = 'boot_generation' RETURNING value")
             .fetch_one(&mut *connection)
             .await?;
+    event_gaps::check_restored(connection).await?;
+    event_gaps::check_identity(connection).await?;
     let others = servers::begin(connection, start, generation).await?;
     let leases = servers::hand_back(connection).await?;
     if others == 0 {

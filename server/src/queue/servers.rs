@@ -5,7 +5,8 @@
 
 use super::recover::StartingServer;
 use super::{
-    Connection, Queue, Result, TransitionContext, Wake, claim, json_numbers, lease_ends, row_count, verification,
+    Connection, Queue, Result, TransitionContext, Wake, claim, event_gaps, json_numbers, lease_ends, row_count,
+    verification,
 };
 use crate::db;
 use crate::db::Durability;
@@ -103,6 +104,7 @@ async fn renew(
             .execute(&mut *connection)
             .await?;
     }
+    event_gaps::check_identity(connection).await?;
     let mut wake = Wake::default();
     let mut ended = Vec::new();
     if judges {
