@@ -10,6 +10,7 @@ mod bad_requests;
 mod bit_identical;
 mod bucket;
 mod chart;
+mod cluster;
 mod command_line;
 mod compose;
 mod cuda;
