@@ -78,3 +78,18 @@ fn a_farm_moves_to_postgresql_and_back_with_every_row() {
     let told = succeed(&["doctor", "--data", word]);
     assert!(!told.contains("ERROR"), "{told}");
 }
+
+#[test]
+fn keys_are_not_made_in_another_database_than_the_data_folders() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (data, elsewhere) = (folder.path().join("data"), folder.path().join("elsewhere"));
+    let word = data.to_str().expect("plain");
+    let Some(database) = postgres_server::required().and_then(|_| postgres_server::database_of(&data)) else { return };
+    let other = postgres_server::database_of(&elsewhere).expect("a database");
+    start(folder.path(), Some(&database)).terminate();
+    let key = ["key", "new", "anna", "--scope", "admin", "--data", word, "--database"];
+    let refused = run(&[&key[..], &[&other]].concat());
+    let told = text(&refused.stderr);
+    assert!(told.contains("has its database in postgres://") && told.contains("leave --database out"), "{told}");
+    succeed(&[&key[..], &[&database]].concat());
+}

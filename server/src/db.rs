@@ -250,8 +250,8 @@ impl Database {
 
     /// Opens a database on a PostgreSQL server and applies pending migrations.
     pub(crate) async fn open_postgres(address: &PostgresAddress, sharing: Sharing) -> Result<Self, OpenError> {
-        let opened = postgres::open(address, sharing).await?;
         let commits = CommitTimes::default();
+        let opened = postgres::open(address, sharing, commits.connections_lost.clone()).await?;
         let connection = WritingConnection::postgres(opened.connection, opened.session);
         let writer = Writer::start(connection, commits.clone());
         Ok(Self { writer, readers: Readers::Postgres(opened.readers), commits, time: Some(opened.time) })

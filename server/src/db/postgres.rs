@@ -10,6 +10,7 @@ pub(crate) mod tests;
 use std::sync::Arc;
 use std::time::Duration;
 
+use prometheus_client::metrics::counter::Counter;
 use sqlx::postgres::{PgConnectOptions, PgConnection, PgPool, PgPoolOptions, PgRow};
 use sqlx::{ConnectOptions, Row as _};
 
@@ -88,6 +89,7 @@ pub(super) struct Session {
     options: PgConnectOptions,
     sharing: Sharing,
     time: Arc<FarmTime>,
+    connections_lost: Counter,
     /// Number of the current transaction.
     transaction: Option<String>,
 }
@@ -101,7 +103,11 @@ pub(super) struct OpenedDatabase {
 }
 
 /// Opens a database and applies pending migrations.
-pub(super) async fn open(address: &PostgresAddress, sharing: Sharing) -> Result<OpenedDatabase, OpenError> {
+pub(super) async fn open(
+    address: &PostgresAddress,
+    sharing: Sharing,
+    connections_lost: Counter,
+) -> Result<OpenedDatabase, OpenError> {
     let options = address.options().clone().statement_cache_capacity(PREPARED_STATEMENTS).options(KEEP_ALIVE);
     let mut connection = connect(&options).await?;
     let version: i32 = sqlx::query_scalar("SELECT CAST(current_setting('server_version_num') AS INTEGER)")
@@ -128,7 +134,7 @@ pub(super) async fn open(address: &PostgresAddress, sharing: Sharing) -> Result<
         .max_connections(READER_CONNECTIONS)
         .acquire_timeout(READ_PATIENCE)
         .connect_lazy_with(options.clone());
-    let session = Session { options, sharing, time: Arc::clone(&time), transaction: None };
+    let session = Session { options, sharing, time: Arc::clone(&time), connections_lost, transaction: None };
     Ok(OpenedDatabase { connection, session, readers, time })
 }
 
@@ -219,6 +225,7 @@ impl Session {
     /// Replaces a connection that has ended, and takes the farm's lock again.
     async fn reconnect(&self, connection: &mut PgConnection) -> Result<(), DatabaseError> {
         tracing::warn!("the connection to the database has ended: connecting again");
+        self.connections_lost.inc();
         let deadline = monotonic_now() + PATIENCE;
         loop {
             let attempt = async {

@@ -9,6 +9,7 @@ use std::sync::atomic::AtomicU64;
 use std::time::Duration;
 
 use futures_util::future::BoxFuture;
+use prometheus_client::metrics::counter::Counter;
 use prometheus_client::metrics::gauge::Gauge;
 use prometheus_client::metrics::histogram::Histogram;
 use proto::fail_point::{self, FailPoint};
@@ -60,11 +61,18 @@ pub(crate) struct CommitTimes {
     pub(crate) longest_seconds: Gauge<f64, AtomicU64>,
     /// Number of operations in each commit.
     pub(crate) operations: Histogram,
+    /// Number of connections to a PostgreSQL server that ended.
+    pub(crate) connections_lost: Counter,
 }
 
 impl Default for CommitTimes {
     fn default() -> Self {
-        Self { seconds: seconds(), longest_seconds: Gauge::default(), operations: counts() }
+        Self {
+            seconds: seconds(),
+            longest_seconds: Gauge::default(),
+            operations: counts(),
+            connections_lost: Counter::default(),
+        }
     }
 }
 
