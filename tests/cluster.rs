@@ -219,13 +219,13 @@ fn servers_are_replaced_one_by_one_without_a_failed_request() {
     };
     let accepted: Vec<String> = std::thread::scope(|scope| {
         let clients: Vec<_> = (0..3).map(|number| scope.spawn(client(number))).collect();
-        for place in 0..3 {
+        for (place, server) in servers.iter_mut().enumerate() {
             std::thread::sleep(Duration::from_secs(1));
-            let old = servers[place].take().expect("it runs");
+            let old = server.take().expect("it runs");
             assert!(old.terminate().success());
             let new = cluster.start(place, "0");
             eventually("it is ready", || (new.get("/readyz").status == 200).then_some(()));
-            servers[place] = Some(new);
+            *server = Some(new);
         }
         std::thread::sleep(Duration::from_secs(1));
         is_over.store(true, Ordering::Relaxed);

@@ -10,7 +10,7 @@ use super::workers::{claim, report, state};
 use super::{Fixture, leases};
 use crate::clock::{Clock, ManualClock};
 use crate::db::{self, Database};
-use crate::queue::{LeaseEnd, Queue, SERVER_GONE_MS};
+use crate::queue::{BusyReceivers, LeaseEnd, Queue, SERVER_GONE_MS};
 
 /// Longer than a server may leave its row unrenewed.
 const GONE: Duration = Duration::from_millis(SERVER_GONE_MS.unsigned_abs() + 1);
@@ -135,7 +135,7 @@ async fn one_server_attempts_a_delivery_and_another_after_it_has_ended() {
         .await;
     written.expect("writes");
     let due = async |server: &Fixture| {
-        let due = server.queue.due_deliveries(&Default::default(), 10).await.expect("reads");
+        let due = server.queue.due_deliveries(&BusyReceivers::default(), 10).await.expect("reads");
         due.iter().map(|delivery| delivery.number).collect::<Vec<_>>()
     };
     let numbers = due(&first).await;
