@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use proto::worker_protocol::{MAX_BLOB_BYTES, MAX_PICTURE_BYTES};
 
 /// Kind of content, each in its own folder.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(crate) enum ContentKind {
     /// A frame's picture.
     Picture,

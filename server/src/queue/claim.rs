@@ -432,7 +432,7 @@ async fn grant(
     let tiles = super::json_numbers(grants.iter().map(|grant| grant.tile));
     let leased = db::query(
         "UPDATE tile SET state = 'leased', epoch = epoch + 1, not_before_ms = 0
-         WHERE state = 'ready' AND id IN (SELECT value FROM @numbers(?))",
+         WHERE @unindexed(state) = 'ready' AND id IN (SELECT value FROM @numbers(?))",
     )
     .bind(tiles)
     .execute(&mut *connection)

@@ -85,7 +85,7 @@ const USED_SQL: &str = "SELECT lease.id, lease.worker, tile.job, tile.rays, leas
         @max(lease.granted_ms, worker.delivered_ms) AS since_ms
      FROM @texts(?) @join lease ON lease.id = listed.value
      @join worker ON worker.id = lease.worker @join tile ON tile.id = lease.tile
-     WHERE lease.ended IS NULL AND (?2 IS NULL OR lease.worker = ?2)";
+     WHERE @unindexed(lease.ended) IS NULL AND (?2 IS NULL OR lease.worker = ?2)";
 
 /// Stores the time that a worker used for results, before they end their leases, and its speed in their jobs.
 pub(super) async fn record_delivery(
@@ -164,7 +164,7 @@ async fn store_used_time(
     let pairs: Vec<(&str, i64)> = used.iter().map(|(lease, used_us)| (lease.lease.as_str(), *used_us)).collect();
     let stored = db::query(
         "UPDATE lease SET used_us = CAST(listed.value ->> 1 AS BIGINT) FROM @rows(?)
-         WHERE lease.id = listed.value ->> 0 AND lease.ended IS NULL",
+         WHERE lease.id = listed.value ->> 0 AND @unindexed(lease.ended) IS NULL",
     )
     .bind(serde_json::json!(pairs).to_string())
     .execute(connection)

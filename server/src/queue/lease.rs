@@ -116,7 +116,7 @@ macro_rules! held_where {
             "SELECT lease.id AS lease, lease.worker, tile.id AS tile, tile.job, tile.frame, tile.kind,
                     lease.granted_ms, tile.errors, tile.crashes, tile.lost, tile.interrupts
              FROM lease JOIN tile ON tile.id = lease.tile JOIN job ON job.number = tile.job
-             WHERE lease.ended IS NULL AND job.finished_at_ms IS NULL AND ",
+             WHERE @unindexed(lease.ended) IS NULL AND job.finished_at_ms IS NULL AND ",
             $condition
         )
     };
@@ -148,7 +148,7 @@ pub(super) async fn live_leases_among(
     worker: WorkerId,
     leases: &[LeaseId],
 ) -> Result<Vec<LiveLease>> {
-    let rows = db::query(held_where!("lease.worker = ? AND lease.id IN (SELECT value FROM @texts(?))"))
+    let rows = db::query(held_where!("@unindexed(lease.worker) = ? AND lease.id IN (SELECT value FROM @texts(?))"))
         .bind(worker.to_string())
         .bind(json_list(leases))
         .fetch_all(connection)
@@ -297,12 +297,13 @@ pub(super) async fn renew(connection: &mut Connection, leases: &[&str], moment: 
     if leases.is_empty() {
         return Ok(());
     }
-    let renewed =
-        db::query("UPDATE lease SET expires_ms = ? WHERE ended IS NULL AND id IN (SELECT value FROM @texts(?))")
-            .bind(moment.now_ms + moment.lease_ms)
-            .bind(json_list(leases))
-            .execute(connection)
-            .await?;
+    let renewed = db::query(
+        "UPDATE lease SET expires_ms = ? WHERE @unindexed(ended) IS NULL AND id IN (SELECT value FROM @texts(?))",
+    )
+    .bind(moment.now_ms + moment.lease_ms)
+    .bind(json_list(leases))
+    .execute(connection)
+    .await?;
     expect_rows("lease: renewed", leases.len() as u64, renewed)
 }
 

@@ -49,7 +49,7 @@ pub(super) async fn revoke(connection: &mut Connection, tiles: impl Iterator<Ite
 pub(super) async fn give_up(connection: &mut Connection, lease: &str, ended: &str, used_us: i64) -> Result<()> {
     let statement = db::query(concat!(
         "UPDATE lease SET ended = ?, used_us = @min(charged_us, coalesce(used_us, ?))
-         WHERE id = ? AND ended IS NULL RETURNING ",
+         WHERE id = ? AND @unindexed(ended) IS NULL RETURNING ",
         ended_lease_columns!()
     ));
     let ended = end(connection, statement.bind(ended).bind(used_us).bind(lease)).await?;
@@ -59,7 +59,7 @@ pub(super) async fn give_up(connection: &mut Connection, lease: &str, ended: &st
 /// Ends leases of a job that ended; their used time is stored.
 pub(super) async fn void(connection: &mut Connection, leases: &str) -> Result<()> {
     let statement = db::query(concat!(
-        "UPDATE lease SET ended = 'void' WHERE ended IS NULL AND id IN (SELECT value FROM @texts(?)) RETURNING ",
+        "UPDATE lease SET ended = 'void' WHERE @unindexed(ended) IS NULL AND id IN (SELECT value FROM @texts(?)) RETURNING ",
         ended_lease_columns!()
     ));
     end(connection, statement.bind(leases)).await.map(drop)
