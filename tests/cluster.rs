@@ -3,7 +3,7 @@
 use std::net::TcpListener;
 use std::process::{Child, Command, Stdio};
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use rustix::process::Signal;
 use serde_json::Value;
@@ -45,10 +45,19 @@ impl Cluster {
 
     /// Starts the server of a place.
     fn start(&self, place: usize, workers: &str) -> Farm {
+        self.start_with(place, workers, "")
+    }
+
+    /// Starts the server of a place with fail points.
+    fn start_with(&self, place: usize, workers: &str, fail_points: &str) -> Farm {
         let folder = self.folder.path().join(place.to_string());
         std::fs::create_dir_all(&folder).expect("a folder");
         let flags = ["--device", "cpu", "--workers", workers, "--tile", "32", "--store", "s3://renders/farm"];
-        Farm::start_at(&self.addresses[place], self.command(&["serve"], SECRET), &folder, &flags)
+        let mut command = self.command(&["serve"], SECRET);
+        if !fail_points.is_empty() {
+            command.arg(proto::fail_point::FLAG).env(proto::fail_point::ENV_VAR, fail_points);
+        }
+        Farm::start_at(&self.addresses[place], command, &folder, &flags)
     }
 
     /// Starts a worker that calls any of the servers.
@@ -131,7 +140,7 @@ fn the_pool_of_a_server_that_is_killed_loses_its_leases_and_nothing_else() {
     eventually("it runs", || (state(&second, &id) == "running").then_some(()));
     send_signal(first.process(), Signal::KILL);
     // Leases last for 30 s; those of a pool whose server has ended are handed back within about ten.
-    let start = std::time::Instant::now();
+    let start = Instant::now();
     eventually("its worker is gone", || {
         let workers = second.get("/v1/workers").json();
         workers["workers"]
@@ -143,6 +152,34 @@ fn the_pool_of_a_server_that_is_killed_loses_its_leases_and_nothing_else() {
     second.send("POST", &format!("/v1/jobs/{id}/cancel"), &[], Vec::new());
     second.set_pool(1);
     second.succeeded(&second.accept(&small(3).to_string()));
+}
+
+#[test]
+fn a_server_that_stops_within_a_transaction_delays_the_others_for_ten_seconds() {
+    let Some(cluster) = Cluster::new(2) else { return };
+    let second = cluster.start(1, "0");
+    // Among its first commits is one that takes 20 s.
+    let first = cluster.start_with(0, "0", "database_commit=slow:20000@9");
+    let start = Instant::now();
+    eventually("its ninth commit begins", || first.log().contains("triggered at pass 9").then_some(()));
+    let accepted = second.accept(&small(1).to_string());
+    let waited = start.elapsed();
+    assert!(waited < Duration::from_secs(18), "{waited:?}");
+    // Its transaction was rolled back, and it goes on.
+    eventually("it is ready again", || (first.get("/readyz").status == 200).then_some(()));
+    let answer = ask(
+        &cluster.addresses[..1],
+        0,
+        "POST",
+        "/v1/jobs",
+        &[("content-type", "application/json")],
+        small(2).to_string().as_bytes(),
+    );
+    assert_eq!(answer.status, 201, "{}", answer.text());
+    let listed = second.get("/v1/jobs").json();
+    assert_eq!(listed["jobs"].as_array().map(Vec::len), Some(2), "{listed}");
+    assert!(listed.to_string().contains(&accepted));
+    assert!(first.log().contains("the connection to the database has ended"), "{}", first.log());
 }
 
 #[test]

@@ -365,9 +365,29 @@ impl WriterTask {
         group: &mut Vec<Box<dyn WriteOperation>>,
     ) -> Result<(), DatabaseError> {
         let durable = waiting.urgent.is_durable() || waiting.ordinary.is_durable();
+        let begun = self.connection.begin(if durable { Durability::Full } else { Durability::Relaxed }).await;
+        let limit = self.connection.time_limit();
+        let operations = self.run_operations(waiting, group, begun);
+        match limit {
+            None => operations.await?,
+            Some(limit) => match tokio::time::timeout(limit, operations).await {
+                Ok(done) => done?,
+                Err(_) => return Err(self.connection.give_up().await),
+            },
+        }
+        fail_point::trigger(FailPoint::DatabaseCommit).map_err(struck_down)?;
+        self.connection.commit().await
+    }
+
+    /// Runs some of the waiting operations in the transaction that has begun; if it has not, the first one fails.
+    async fn run_operations(
+        &mut self,
+        waiting: &mut Waiting,
+        group: &mut Vec<Box<dyn WriteOperation>>,
+        begun: Result<(), DatabaseError>,
+    ) -> Result<(), DatabaseError> {
         let mut turn = Turn { begun: monotonic_now(), ordinary_begun: None, count: 0 };
         let mut was_kept = None;
-        let begun = self.connection.begin(if durable { Durability::Full } else { Durability::Relaxed }).await;
         while let Some(operation) = turn.next(waiting) {
             group.push(operation);
             if let Err(error) = &begun {
@@ -382,8 +402,7 @@ impl WriterTask {
         if was_kept == Some(false) {
             self.connection.undo_operation().await?;
         }
-        fail_point::trigger(FailPoint::DatabaseCommit).map_err(struck_down)?;
-        self.connection.commit().await
+        Ok(())
     }
 }
 
