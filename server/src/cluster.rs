@@ -18,8 +18,8 @@ use crate::queue::{Hints, Queue, SERVER_GONE_MS};
 const INTERVAL: Duration = Duration::from_secs(1);
 /// A server whose renewals were further apart did not reach the database in between.
 const MAX_RENEWAL_GAP: Duration = Duration::from_secs(3);
-/// A server that has reached the database for this long may judge that others have ended: they had time to renew their
-/// rows, if they could not reach it either.
+/// A server that has reached the database for this long may judge that others have ended, and that workers have: they had
+/// time to renew their rows and leases, if they could not do so before either.
 const BEFORE_JUDGING: Duration = Duration::from_millis(SERVER_GONE_MS.unsigned_abs() + 2_000);
 /// Changes within this time are told together.
 const TELL_INTERVAL: Duration = Duration::from_millis(10);
@@ -60,7 +60,9 @@ impl Cluster {
             if renewed.elapsed() > MAX_RENEWAL_GAP {
                 reached_since = monotonic_now();
             }
-            match self.queue.renew_server(reached_since.elapsed() >= BEFORE_JUDGING).await {
+            let judges = reached_since.elapsed() >= BEFORE_JUDGING;
+            self.queue.expire_leases_if(judges);
+            match self.queue.renew_server(judges).await {
                 Ok(others) => {
                     renewed = monotonic_now();
                     self.counters.other_servers.store(others.unsigned_abs(), Ordering::Relaxed);

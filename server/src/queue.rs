@@ -51,6 +51,7 @@ mod webhooks;
 mod workers;
 
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use proto::{JobId, WorkerId};
 use recover::StartingServer;
@@ -99,6 +100,8 @@ pub(crate) struct TransitionContext {
     lease_ms: i64,
     /// Boot generation of the server.
     generation: i64,
+    /// Whether leases may expire: their workers could have renewed them.
+    expires_leases: bool,
     /// Maximum number of rows that one piece of a large change changes.
     piece_rows: i64,
     /// Which results are verified.
@@ -113,6 +116,7 @@ pub(crate) struct Queue {
     lease_ms: i64,
     generation: i64,
     server_name: Arc<str>,
+    expires_leases: Arc<AtomicBool>,
     piece_rows: i64,
     verification: VerificationPolicy,
     wake_signals: Arc<WakeSignals>,
@@ -145,6 +149,7 @@ impl Queue {
             lease_ms,
             generation: recovered.generation,
             server_name: server_name.into(),
+            expires_leases: Arc::new(AtomicBool::new(true)),
             piece_rows: cleanup::PIECE_ROWS,
             verification: VerificationPolicy::default(),
             wake_signals: Arc::default(),
@@ -163,6 +168,7 @@ impl Queue {
             wall_ms: self.clock.wall_ms(),
             lease_ms: self.lease_ms,
             generation: self.generation,
+            expires_leases: self.expires_leases.load(Ordering::Relaxed),
             piece_rows: self.piece_rows,
             verification: self.verification,
         }

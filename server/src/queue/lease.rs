@@ -316,6 +316,9 @@ const ANYTHING_EXPIRED_SQL: &str = "
 pub(super) async fn rescue(connection: &mut Connection, moment: TransitionContext) -> Result<(u64, Wake)> {
     let mut ring = Wake::default();
     let mut count = 0;
+    if !moment.expires_leases {
+        return Ok((count, ring));
+    }
     let missed_ms = moment.now_ms - moment.lease_ms;
     let look = db::query_scalar(ANYTHING_EXPIRED_SQL).bind(moment.now_ms).bind(missed_ms);
     if !look.fetch_one(&mut *connection).await? {

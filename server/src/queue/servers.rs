@@ -3,6 +3,8 @@
 //! A server that is taken for ended by mistake loses nothing but the work that its pool has begun: its workers register
 //! again.
 
+use std::sync::atomic::Ordering;
+
 use super::recover::StartingServer;
 use super::{
     Connection, Queue, Result, TransitionContext, Wake, claim, event_gaps, json_numbers, lease_ends, row_count,
@@ -27,6 +29,12 @@ impl Queue {
             .await?;
         self.wake(wake);
         Ok(others)
+    }
+
+    /// Whether leases expire. They do not for a while after the database could not be reached, because their workers could
+    /// not renew them either.
+    pub(crate) fn expire_leases_if(&self, expires: bool) {
+        self.expires_leases.store(expires, Ordering::Relaxed);
     }
 
     /// Removes the row of this server, whose pool has ended.

@@ -120,6 +120,24 @@ async fn the_first_server_of_a_farm_gives_remote_workers_another_lease_length() 
 }
 
 #[tokio::test]
+async fn leases_do_not_expire_while_workers_could_not_renew_them() {
+    let servers = Servers::new().await;
+    let server = servers.start("first").await;
+    server.submit(1, 1).await;
+    let remote = server.worker(None).await;
+    let run = claim(&server, remote).await.expect("work");
+    server.queue.expire_leases_if(false);
+    servers.hand.advance(Duration::from_millis(LONG_LEASE_MS.unsigned_abs() * 2));
+    assert_eq!(server.queue.expire_leases().await.expect("looks"), 0);
+    let renewed = super::SyncInput { held_leases: leases(&run).collect(), ..super::turn(remote) };
+    assert!(server.turn(renewed).await.expect("known").revoked_leases.is_empty());
+    server.queue.expire_leases_if(true);
+    assert_eq!(server.queue.expire_leases().await.expect("looks"), 0, "it was renewed");
+    servers.hand.advance(Duration::from_millis(LONG_LEASE_MS.unsigned_abs() * 2));
+    assert!(server.queue.expire_leases().await.expect("expires") > 0);
+}
+
+#[tokio::test]
 async fn one_server_attempts_a_delivery_and_another_after_it_has_ended() {
     let servers = Servers::new().await;
     let (first, second) = (servers.start("first").await, servers.start("second").await);
