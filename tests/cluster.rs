@@ -10,6 +10,7 @@ use serde_json::Value;
 use tempfile::TempDir;
 
 use crate::seaweedfs::SeaweedFs;
+use crate::slow_network::SlowNetwork;
 use crate::support::{Answer, Farm, eventually, finish, rendered_here, sdfarm, send_signal, text, try_send};
 use crate::{jobs, postgres_server};
 
@@ -180,6 +181,37 @@ fn a_server_that_stops_within_a_transaction_delays_the_others_for_ten_seconds() 
     assert_eq!(listed["jobs"].as_array().map(Vec::len), Some(2), "{listed}");
     assert!(listed.to_string().contains(&accepted));
     assert!(first.log().contains("the connection to the database has ended"), "{}", first.log());
+}
+
+#[test]
+fn a_database_that_is_away_for_longer_than_a_lease_ends_none() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let Some(_) = postgres_server::required() else { return };
+    let database = postgres_server::database_of(folder.path()).expect("a database");
+    let network = SlowNetwork::to(&database, Duration::ZERO);
+    let mut command = sdfarm(&["serve"]);
+    command.env("SDFARM_DATABASE", network.address());
+    let server = Farm::start_by(command, folder.path(), &["--workers", "0", "--lease-seconds", "4", "--tile", "64"]);
+    let mut worker = sdfarm(&["worker", "--device", "cpu", "--threads", "1", "--server", &server.address]);
+    let _worker = Worker(worker.stdin(Stdio::null()).stderr(Stdio::null()).spawn().expect("the program starts"));
+    let job = jobs::as_png(&jobs::sized(&jobs::named("csg"), 512, 16));
+    let id = server.accept(&job.to_string());
+    eventually("it runs", || (state(&server, &id) == "running").then_some(()));
+    network.cut();
+    let unreachable = eventually("reads fail", || {
+        let answer = server.get(&format!("/v1/jobs/{id}"));
+        (answer.status != 200).then_some(answer)
+    });
+    unreachable.problem(503, "database_unreachable");
+    // The worker stops what it cannot renew, and returns it later.
+    std::thread::sleep(Duration::from_secs(8));
+    network.mend();
+    eventually("reads succeed", || (server.get(&format!("/v1/jobs/{id}")).status == 200).then_some(()));
+    server.succeeded(&id);
+    assert!(server.picture(&id) == rendered_here(&job, 0));
+    assert!(!server.log().contains("lease expired"), "{}", server.log());
+    let workers = server.get("/v1/workers").json();
+    assert_eq!(workers["workers"].as_array().map(Vec::len), Some(1), "it did not register again: {workers}");
 }
 
 #[test]
