@@ -307,3 +307,16 @@ fn servers_are_replaced_one_by_one_without_a_failed_request() {
     }
     eprintln!("{} jobs were accepted while three servers were replaced", accepted.len());
 }
+
+#[test]
+fn the_secret_of_webhooks_is_that_of_every_server() {
+    let secret = |cluster: &str| {
+        let mut command = sdfarm(&["webhook", "secret"]);
+        command.env("SDFARM_CLUSTER_SECRET", cluster);
+        let output = finish(command, b"");
+        assert!(output.status.success(), "{}", text(&output.stderr));
+        text(&output.stdout)
+    };
+    let derived = secret(SECRET);
+    assert!(derived.starts_with("whsec_") && derived == secret(SECRET) && derived != secret(&SECRET.replace('a', "b")));
+}

@@ -9,18 +9,12 @@ use std::time::Duration;
 use proto::fail_point::{self, FailPoint};
 use tokio_util::sync::CancellationToken;
 
-use crate::clock::monotonic_now;
 use crate::counters::ServerCounters;
 use crate::db::{Database, DatabaseError, Notifications};
-use crate::queue::{Hints, Queue, SERVER_GONE_MS};
+use crate::queue::{Hints, Queue};
 
 /// Interval between two renewals, and two questions to the database.
 const INTERVAL: Duration = Duration::from_secs(1);
-/// A server whose renewals were further apart did not reach the database in between.
-const MAX_RENEWAL_GAP: Duration = Duration::from_secs(3);
-/// A server that has reached the database for this long may judge that others have ended, and that workers have: they had
-/// time to renew their rows and leases, if they could not do so before either.
-const BEFORE_JUDGING: Duration = Duration::from_millis(SERVER_GONE_MS.unsigned_abs() + 2_000);
 /// Changes within this time are told together.
 const TELL_INTERVAL: Duration = Duration::from_millis(10);
 /// Delay before a lost listener is made again.
@@ -54,17 +48,11 @@ impl Cluster {
     async fn renew(&self) {
         let mut ticks = tokio::time::interval(INTERVAL);
         ticks.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
-        let (mut reached_since, mut renewed, mut newest) = (monotonic_now(), monotonic_now(), 0);
+        let mut newest = 0;
         loop {
             ticks.tick().await;
-            if renewed.elapsed() > MAX_RENEWAL_GAP {
-                reached_since = monotonic_now();
-            }
-            let judges = reached_since.elapsed() >= BEFORE_JUDGING;
-            self.queue.expire_leases_if(judges);
-            match self.queue.renew_server(judges).await {
+            match self.queue.renew_server().await {
                 Ok(others) => {
-                    renewed = monotonic_now();
                     self.counters.other_servers.store(others.unsigned_abs(), Ordering::Relaxed);
                     if others > 0
                         && let Err(error) = self.ask(&mut newest).await

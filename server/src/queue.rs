@@ -9,6 +9,7 @@ mod backlog;
 mod batch_size;
 mod claim;
 mod cleanup;
+mod contact;
 mod deliver;
 mod durations;
 mod effects;
@@ -51,8 +52,8 @@ mod webhooks;
 mod workers;
 
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
 
+use contact::Contact;
 use proto::{JobId, WorkerId};
 use recover::StartingServer;
 
@@ -76,7 +77,6 @@ pub(crate) use recover::Recovery;
 pub(crate) use repair::{Reopened, absurd_shares, forget_pictures, reset_shares};
 pub(crate) use reported::{RejectedResult, ReportedTile};
 pub(crate) use retention::FinishedJob;
-pub(crate) use servers::SERVER_GONE_MS;
 pub(crate) use stats::QueueStats;
 pub(crate) use submit::NewJob;
 pub(crate) use sync::{NextWork, SyncInput, SyncOutcome};
@@ -116,7 +116,7 @@ pub(crate) struct Queue {
     lease_ms: i64,
     generation: i64,
     server_name: Arc<str>,
-    expires_leases: Arc<AtomicBool>,
+    contact: Arc<Contact>,
     piece_rows: i64,
     verification: VerificationPolicy,
     wake_signals: Arc<WakeSignals>,
@@ -149,7 +149,7 @@ impl Queue {
             lease_ms,
             generation: recovered.generation,
             server_name: server_name.into(),
-            expires_leases: Arc::new(AtomicBool::new(true)),
+            contact: Arc::default(),
             piece_rows: cleanup::PIECE_ROWS,
             verification: VerificationPolicy::default(),
             wake_signals: Arc::default(),
@@ -168,7 +168,7 @@ impl Queue {
             wall_ms: self.clock.wall_ms(),
             lease_ms: self.lease_ms,
             generation: self.generation,
-            expires_leases: self.expires_leases.load(Ordering::Relaxed),
+            expires_leases: self.contact.is_steady(),
             piece_rows: self.piece_rows,
             verification: self.verification,
         }

@@ -10,7 +10,8 @@ use super::workers::{claim, report, state};
 use super::{Fixture, leases};
 use crate::clock::{Clock, ManualClock};
 use crate::db::{self, Database};
-use crate::queue::{BusyReceivers, LeaseEnd, Queue, SERVER_GONE_MS};
+use crate::queue::servers::SERVER_GONE_MS;
+use crate::queue::{BusyReceivers, LeaseEnd, Queue};
 
 /// Longer than a server may leave its row unrenewed.
 const GONE: Duration = Duration::from_millis(SERVER_GONE_MS.unsigned_abs() + 1);
@@ -87,16 +88,16 @@ async fn leases_of_a_server_that_has_ended_are_handed_back_by_another() {
     let remote = second.worker(None).await;
     let run = claim(&second, lost).await.expect("work");
     claim(&second, remote).await.expect("work");
-    assert_eq!(first.queue.renew_server(true).await.expect("renews"), 1);
+    assert_eq!(first.queue.renew_server_if(true).await.expect("renews"), 1);
     servers.hand.advance(GONE);
     // It may have been cut off itself, so that it does not judge yet.
-    assert_eq!(first.queue.renew_server(false).await.expect("renews"), 1);
+    assert_eq!(first.queue.renew_server_if(false).await.expect("renews"), 1);
     assert!(live(&first, lost).await > 0);
-    assert_eq!(first.queue.renew_server(true).await.expect("renews"), 0);
+    assert_eq!(first.queue.renew_server_if(true).await.expect("renews"), 0);
     assert_eq!((live(&first, lost).await, state(&first, lost).await), (0, "gone".to_owned()));
     assert!(live(&first, remote).await > 0, "any server renews the leases of remote workers");
     // It had not ended: it comes back, and its worker has to register again.
-    assert_eq!(second.queue.renew_server(true).await.expect("renews"), 1);
+    assert_eq!(second.queue.renew_server_if(true).await.expect("renews"), 1);
     assert!(second.turn(super::turn(lost)).await.is_none());
     let next = second.register(None, Some(8)).await;
     let taken = claim(&second, next).await.expect("what was handed back");
@@ -126,15 +127,12 @@ async fn leases_do_not_expire_while_workers_could_not_renew_them() {
     server.submit(1, 1).await;
     let remote = server.worker(None).await;
     let run = claim(&server, remote).await.expect("work");
-    server.queue.expire_leases_if(false);
+    // The first renewal begins the time of grace.
+    server.queue.renew_server().await.expect("renews");
     servers.hand.advance(Duration::from_millis(LONG_LEASE_MS.unsigned_abs() * 2));
     assert_eq!(server.queue.expire_leases().await.expect("looks"), 0);
     let renewed = super::SyncInput { held_leases: leases(&run).collect(), ..super::turn(remote) };
     assert!(server.turn(renewed).await.expect("known").revoked_leases.is_empty());
-    server.queue.expire_leases_if(true);
-    assert_eq!(server.queue.expire_leases().await.expect("looks"), 0, "it was renewed");
-    servers.hand.advance(Duration::from_millis(LONG_LEASE_MS.unsigned_abs() * 2));
-    assert!(server.queue.expire_leases().await.expect("expires") > 0);
 }
 
 #[tokio::test]
