@@ -61,6 +61,8 @@ pub(crate) struct CommitTimes {
     pub(crate) longest_seconds: Gauge<f64, AtomicU64>,
     /// Number of operations in each commit.
     pub(crate) operations: Histogram,
+    /// Time until each transaction has begun.
+    pub(crate) begin_seconds: Histogram,
     /// Number of connections to a PostgreSQL server that ended.
     pub(crate) connections_lost: Counter,
 }
@@ -71,6 +73,7 @@ impl Default for CommitTimes {
             seconds: seconds(),
             longest_seconds: Gauge::default(),
             operations: counts(),
+            begin_seconds: seconds(),
             connections_lost: Counter::default(),
         }
     }
@@ -365,7 +368,9 @@ impl WriterTask {
         group: &mut Vec<Box<dyn WriteOperation>>,
     ) -> Result<(), DatabaseError> {
         let durable = waiting.urgent.is_durable() || waiting.ordinary.is_durable();
+        let begin = monotonic_now();
         let begun = self.connection.begin(if durable { Durability::Full } else { Durability::Relaxed }).await;
+        self.times.begin_seconds.observe(begin.elapsed().as_secs_f64());
         let limit = self.connection.time_limit();
         let operations = self.run_operations(waiting, group, begun);
         match limit {

@@ -118,6 +118,8 @@ impl Metrics {
         let longest = "Longest database transaction since the start";
         book.add("sdfarm_commit_longest_seconds", longest, commits.longest_seconds.clone());
         book.add("sdfarm_commit_operations", "Operations in one database commit", commits.operations.clone());
+        let begin = "Time until a database transaction that writes has begun, with the wait for other servers";
+        book.add("sdfarm_commit_begin_seconds", begin, commits.begin_seconds.clone());
         let lost = "Connections to the database that ended while the server used them to write";
         book.add("sdfarm_database_connections_lost", lost, commits.connections_lost.clone());
         Self {
