@@ -200,19 +200,13 @@ impl BlobStore {
     }
 
     fn failed(&self, action: &'static str, key: String) -> impl Fn(object_store::Error) -> ContentError + use<> {
-        let bucket = match &self.backend {
-            Backend::Folder(_) => None,
-            Backend::Objects(_) => Some(self.location.to_string()),
+        let (attempt, is_bucket) = match &self.backend {
+            Backend::Folder(_) => (format!("the store could not {action} {key}"), false),
+            Backend::Objects(_) => (format!("the store {} could not {action} {key}", self.location), true),
         };
         move |source| {
-            let message = match &bucket {
-                None => format!("the store could not {action} {key}"),
-                Some(bucket) => {
-                    let cure = BucketFault::of(&source).cure();
-                    format!("the store {bucket} could not {action} {key}; {cure}")
-                }
-            };
-            ContentError::Store { message, source: source.into() }
+            let cure = is_bucket.then(|| BucketFault::of(&source).cure());
+            ContentError::Store { attempt: attempt.clone(), cure, source: source.into() }
         }
     }
 
@@ -374,11 +368,11 @@ impl BlobStore {
     }
 
     /// Total size of the content of a kind.
-    pub(crate) async fn size_bytes(&self, kind: ContentKind) -> object_store::Result<u64> {
+    pub(crate) async fn size_bytes(&self, kind: ContentKind) -> Result<u64, ContentError> {
         let mut content = self.list(kind);
         let mut sum_bytes = 0;
         while let Some(meta) = content.next().await {
-            sum_bytes += meta?.size;
+            sum_bytes += meta.map_err(|error| self.list_error(kind, error))?.size;
         }
         Ok(sum_bytes)
     }

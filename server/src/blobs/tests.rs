@@ -307,3 +307,35 @@ async fn wrong_settings_are_explained(s3: &SeaweedFs) {
         println!("{words}");
     }
 }
+
+/// Every kind of access fails as unreachable while the store is away, and nothing that was stored is lost.
+#[tokio::test]
+async fn an_outage_is_temporary() {
+    let Some(mut s3) = SeaweedFs::start() else { return };
+    let data = data();
+    s3.make_bucket("renders");
+    let store = open_bucket(&s3, "s3://renders/farm", data.path(), MIN_OBJECT_SWEEP_AGE);
+    let bytes = content(12, 300_000);
+    let (stored, other) = (put(&store, PICTURE, &bytes).await, content(13, LARGE_BYTES));
+    s3.stop();
+    let attempts = [
+        store.put(PICTURE, &name(&other), chunks(&other)).await.expect_err("it is away"),
+        store.get(PICTURE, &stored, None).await.map(drop).expect_err("it is away"),
+        store.file_state(PICTURE, &stored, 300_000).await.map(drop).expect_err("it is away"),
+        store.size_bytes(PICTURE).await.map(drop).expect_err("it is away"),
+        store.check_usable().await.expect_err("it is away"),
+    ];
+    for error in attempts {
+        let attempt = error.unreachable_attempt().unwrap_or_else(|| panic!("{error:?}"));
+        assert!(attempt.starts_with("the store s3://renders/farm could not "), "{attempt}");
+        assert!(error.to_string().ends_with(BucketFault::Unreachable.cure()), "{error}");
+    }
+    store.ends(PICTURE, &stored).await.expect("remembered").expect("is there");
+    s3.start_again();
+    // It lists its objects before it has found their bytes.
+    while let Err(error) = store.get(PICTURE, &stored, None).await {
+        assert!(error.unreachable_attempt().is_some(), "{error:?}");
+    }
+    assert_eq!(read(&store, PICTURE, &stored, None).await, Some(bytes));
+    put(&store, PICTURE, &other).await;
+}
