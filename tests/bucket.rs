@@ -7,6 +7,7 @@ use std::time::{Duration, Instant};
 
 use serde_json::Value;
 
+use crate::postgres_server;
 use crate::seaweedfs::SeaweedFs;
 use crate::support::{Farm, eventually, finish, rendered_here, root, run, sdfarm, text};
 
@@ -126,6 +127,36 @@ fn farm_in_a_bucket_is_checked_backed_up_and_restored() {
     let told = text(&output.stderr);
     assert_eq!(output.status.code(), Some(1), "{told}");
     assert!(told.contains(&format!("has its pictures in {STORE}, not in the data folder")), "{told}");
+}
+
+#[test]
+fn two_farms_do_not_share_a_prefix() {
+    // The doctor is for farms in files.
+    if postgres_server::server().is_some() {
+        return;
+    }
+    let Some(s3) = SeaweedFs::start() else { return };
+    s3.make_bucket("renders");
+    let (first, second) = (tempfile::tempdir().expect("a folder"), tempfile::tempdir().expect("a folder"));
+    start(&s3, first.path(), &[]).terminate();
+    assert!(s3.names("renders/farms/one").contains(&"farm".to_owned()));
+    let data = second.path().join("data");
+    let arguments = ["serve", "--listen", "127.0.0.1:0", "--data", word(&data), "--store"];
+    let refused = finish(with_keys(&s3, &[&arguments[..], &[STORE]].concat()), b"");
+    let told = text(&refused.stderr);
+    assert_eq!(refused.status.code(), Some(1), "{told}");
+    assert!(told.contains(&format!("the store {STORE} is that of another farm")), "{told}");
+    assert!(told.contains(&format!("delete {STORE}/farm")), "{told}");
+    // It can start with a prefix of its own, and the first with the one that it has.
+    let own = ["--device", "cpu", "--store", "s3://renders/farms/two"];
+    Farm::start_by(with_keys(&s3, &["serve"]), second.path(), &own).terminate();
+    start(&s3, first.path(), &[]).terminate();
+    assert!(s3.names("renders/farms/two").contains(&"farm".to_owned()));
+    // A copy of the first farm's database with the second one's store would delete its pictures.
+    fs::write(first.path().join("data/store"), "s3://renders/farms/two\n").expect("writes");
+    let data = first.path().join("data");
+    let told = text(&finish(with_keys(&s3, &["doctor", "--repair", "--data", word(&data)]), b"").stdout);
+    assert!(told.contains("ERROR    store") && told.contains("is that of another farm"), "{told}");
 }
 
 /// The store is killed in the middle of a job, and started again.

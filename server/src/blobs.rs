@@ -6,6 +6,7 @@
 //! stored, and again before they are first served (`blobs/verified.rs`). This module does not interpret the bytes.
 
 mod bucket;
+mod claim;
 mod content;
 mod error;
 mod folder;
@@ -32,6 +33,7 @@ use reqwest::Method;
 use tokio::sync::RwLock;
 
 pub use bucket::BucketError;
+pub use claim::ClaimError;
 pub(crate) use content::{ContentHash, ContentKind};
 pub(crate) use error::{ContentError, OpenStoreError};
 pub(crate) use local_copies::LocalCopies;

@@ -7,6 +7,7 @@ use object_store::PutPayload;
 
 use super::*;
 use crate::blobs::bucket::Settings;
+use crate::db::FarmId;
 use crate::seaweedfs::SeaweedFs;
 
 mod endpoint;
@@ -305,6 +306,33 @@ async fn wrong_settings_are_explained(s3: &SeaweedFs) {
         assert!(words.contains(text) && words.contains(fault.cure()), "{words}");
         assert!(!words.contains("test-secret"), "{words}");
         println!("{words}");
+    }
+}
+
+#[tokio::test]
+async fn a_prefix_has_one_farm() {
+    let Some(s3) = SeaweedFs::start() else { return };
+    let data = data();
+    s3.make_bucket("renders");
+    for round in 0..5 {
+        let open = || open_bucket(&s3, &format!("s3://renders/farms/{round}"), data.path(), MIN_OBJECT_SWEEP_AGE);
+        let farms: Vec<_> = (0..8).map(|_| FarmId::random()).collect();
+        let stores: Vec<_> = farms.iter().map(|_| open()).collect();
+        stores[0].check_owner(farms[0]).await.expect("it is none's yet");
+        let claims = join_all(stores.iter().zip(&farms).map(|(store, farm)| store.claim(*farm))).await;
+        let winners: Vec<_> = claims.iter().zip(&farms).filter(|(claim, _)| claim.is_ok()).collect();
+        let [(_, winner)] = winners[..] else { panic!("one wins: {claims:?}") };
+        for (farm, claim) in farms.iter().zip(&claims) {
+            let again = open().claim(*farm).await;
+            assert_eq!(again.is_ok(), farm == winner, "{again:?}");
+            assert_eq!(open().check_owner(*farm).await.is_ok(), farm == winner);
+            let Err(error) = claim else { continue };
+            let words = error.to_string();
+            assert!(words.contains(&format!("names {winner}, this farm is {farm}")), "{words}");
+        }
+        // Servers of one farm start at once.
+        let same = join_all(stores.iter().map(|store| store.claim(*winner))).await;
+        assert!(same.iter().all(Result::is_ok), "{same:?}");
     }
 }
 
