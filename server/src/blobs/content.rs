@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use proto::worker_protocol::{MAX_BLOB_BYTES, MAX_PICTURE_BYTES};
 
 /// Kind of content, each in its own folder.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(crate) enum ContentKind {
     /// A frame's picture.
     Picture,
@@ -16,6 +16,14 @@ pub(crate) enum ContentKind {
 impl ContentKind {
     /// Both kinds.
     pub(crate) const ALL: [Self; 2] = [Self::Picture, Self::Blob];
+
+    /// Name in the database.
+    pub(crate) fn name(self) -> &'static str {
+        match self {
+            Self::Picture => "picture",
+            Self::Blob => "blob",
+        }
+    }
 
     /// Name of its folder, and first part of its objects' keys below the store's prefix.
     pub(crate) fn folder(self) -> &'static str {
