@@ -3,9 +3,11 @@
 use std::fs;
 use std::path::Path;
 use std::process::Command;
+use std::time::{Duration, Instant};
 
 use serde_json::Value;
 
+use crate::postgres_server;
 use crate::seaweedfs::SeaweedFs;
 use crate::support::{Farm, eventually, finish, rendered_here, root, run, sdfarm, text};
 
@@ -125,6 +127,81 @@ fn farm_in_a_bucket_is_checked_backed_up_and_restored() {
     let told = text(&output.stderr);
     assert_eq!(output.status.code(), Some(1), "{told}");
     assert!(told.contains(&format!("has its pictures in {STORE}, not in the data folder")), "{told}");
+}
+
+#[test]
+fn two_farms_do_not_share_a_prefix() {
+    // The doctor is for farms in files.
+    if postgres_server::server().is_some() {
+        return;
+    }
+    let Some(s3) = SeaweedFs::start() else { return };
+    s3.make_bucket("renders");
+    let (first, second) = (tempfile::tempdir().expect("a folder"), tempfile::tempdir().expect("a folder"));
+    start(&s3, first.path(), &[]).terminate();
+    assert!(s3.names("renders/farms/one").contains(&"farm".to_owned()));
+    let data = second.path().join("data");
+    let arguments = ["serve", "--listen", "127.0.0.1:0", "--data", word(&data), "--store"];
+    let refused = finish(with_keys(&s3, &[&arguments[..], &[STORE]].concat()), b"");
+    let told = text(&refused.stderr);
+    assert_eq!(refused.status.code(), Some(1), "{told}");
+    assert!(told.contains(&format!("the store {STORE} is that of another farm")), "{told}");
+    assert!(told.contains(&format!("delete {STORE}/farm")), "{told}");
+    // It can start with a prefix of its own, and the first with the one that it has.
+    let own = ["--device", "cpu", "--store", "s3://renders/farms/two"];
+    Farm::start_by(with_keys(&s3, &["serve"]), second.path(), &own).terminate();
+    start(&s3, first.path(), &[]).terminate();
+    assert!(s3.names("renders/farms/two").contains(&"farm".to_owned()));
+    // A copy of the first farm's database with the second one's store would delete its pictures.
+    fs::write(first.path().join("data/store"), "s3://renders/farms/two\n").expect("writes");
+    let data = first.path().join("data");
+    let told = text(&finish(with_keys(&s3, &["doctor", "--repair", "--data", word(&data)]), b"").stdout);
+    assert!(told.contains("ERROR    store") && told.contains("is that of another farm"), "{told}");
+}
+
+/// The store is killed in the middle of a job, and started again.
+#[test]
+fn a_job_outlasts_an_outage_of_its_store() {
+    let Some(mut s3) = SeaweedFs::start() else { return };
+    s3.make_bucket("renders");
+    let folder = tempfile::tempdir().expect("a folder");
+    let mut frames = job(160, 96, 8);
+    frames["frames"] = serde_json::json!({ "count": 12 });
+    frames["image"]["samples"] = 16.into();
+    let farm = start(&s3, folder.path(), &["--lease-seconds", "3"]);
+    farm.set_pool(2);
+    let id = farm.accept(&frames.to_string());
+    let stored = || farm.get(&format!("/v1/jobs/{id}")).json()["frames"]["done"].as_u64().expect("a number");
+    eventually("two pictures are stored", || (stored() >= 2).then_some(()));
+    s3.stop();
+    let stored_before = stored();
+    assert!(stored_before < 12, "the job has not finished");
+
+    for path in [&*format!("/v1/jobs/{id}/frames/0/image"), "/readyz"] {
+        let answer = farm.get(path);
+        let problem = answer.problem(503, "store_unreachable");
+        assert_eq!(answer.header("retry-after"), "5");
+        let detail = problem["detail"].as_str().expect("words");
+        assert!(detail.starts_with(&format!("the store {STORE} could not read ")), "{detail}");
+    }
+    eventually("an upload was answered with 503", || {
+        farm.log().lines().any(|line| line.contains("could not write")).then_some(())
+    });
+    // Longer than a lease: the workers keep theirs, and the results that they hold.
+    let away = Instant::now();
+    eventually("two leases have passed", || (away.elapsed() > Duration::from_secs(6)).then_some(()));
+    assert_eq!(farm.get(&format!("/v1/jobs/{id}")).json()["state"], "running");
+    assert_eq!(farm.post(&job(32, 32, 8).to_string()).status, 201, "jobs are accepted meanwhile");
+
+    s3.start_again();
+    farm.succeeded(&id);
+    for frame in 0..12 {
+        let picture = farm.get(&format!("/v1/jobs/{id}/frames/{frame}/image"));
+        assert!(picture.status == 200 && picture.body == rendered_here(&frames, frame), "frame {frame}");
+    }
+    assert_eq!(farm.get("/readyz").status, 200);
+    assert!(!farm.log().contains("request failed"), "no request was answered with 500: {}", farm.log());
+    assert!(farm.terminate().success());
 }
 
 #[test]

@@ -31,8 +31,9 @@ const MAX_STARTS: u32 = 5;
 /// A running store; it is killed on drop.
 pub(crate) struct SeaweedFs {
     child: Child,
+    program: PathBuf,
     ports: Vec<u16>,
-    _folder: TempDir,
+    folder: TempDir,
 }
 
 impl SeaweedFs {
@@ -47,41 +48,45 @@ impl SeaweedFs {
 
     fn try_start(program: &Path) -> Option<Self> {
         let folder = tempfile::tempdir().expect("a folder");
-        let identities = folder.path().join("s3.json");
-        fs::write(&identities, IDENTITIES).expect("writes");
+        fs::write(folder.path().join("s3.json"), IDENTITIES).expect("writes");
         let ports = free_ports();
-        let names = ["master", "volume", "filer", "s3"];
-        let flags = names.iter().flat_map(|name| [format!("-{name}.port"), format!("-{name}.port.grpc")]);
-        let log = fs::File::create(folder.path().join("log")).expect("a log");
-        let child = Command::new(program)
-            .args(["-logtostderr=true", "server", "-ip=127.0.0.1", "-ip.bind=127.0.0.1", "-s3"])
-            .args(["-master.telemetry=false", "-master.volumeSizeLimitMB=64", "-volume.max=100"])
-            .args(["-s3.port.iceberg=0", "-s3.port.lance=0"])
-            .arg(format!("-dir={}", folder.path().display()))
-            .arg(format!("-s3.config={}", identities.display()))
-            .args(flags.zip(&ports).map(|(flag, port)| format!("{flag}={port}")))
-            .stdin(Stdio::null())
-            .stdout(Stdio::null())
-            .stderr(log)
-            .spawn()
-            .expect("SeaweedFS starts");
-        let mut this = Self { child, ports, _folder: folder };
+        let child = spawn(program, folder.path(), &ports);
+        let mut this = Self { child, program: program.to_owned(), ports, folder };
+        this.wait_until_ready().then_some(this)
+    }
+
+    /// Kills it; what it has stored is kept.
+    pub(crate) fn stop(&mut self) {
+        self.child.kill().expect("it runs");
+        self.child.wait().expect("it ends");
+    }
+
+    /// Starts it again after [`SeaweedFs::stop`], on the same ports.
+    pub(crate) fn start_again(&mut self) {
+        self.child = spawn(&self.program, self.folder.path(), &self.ports);
+        assert!(self.wait_until_ready(), "it starts again");
+    }
+
+    /// Returns false if it exits first.
+    fn wait_until_ready(&mut self) -> bool {
         for _ in 0..MAX_POLLS {
-            if this.is_ready() {
-                return Some(this);
+            if self.is_ready() {
+                return true;
             }
-            if this.child.try_wait().expect("a child process").is_some() {
-                return None;
+            if self.child.try_wait().expect("a child process").is_some() {
+                return false;
             }
             std::thread::sleep(POLL_INTERVAL);
         }
-        None
+        false
     }
 
     /// Whether it rejects a request without a key, and its folders can be made.
     fn is_ready(&self) -> bool {
         http("GET", self.ports[6], "/").is_some_and(|answer| answer.contains(" 403 "))
-            && http("POST", self.ports[4], "/buckets/ready/").is_some_and(|answer| answer.contains(" 201 "))
+            && http("POST", self.ports[4], "/buckets/ready/")
+                // The folder is there already if it was started again.
+                .is_some_and(|answer| answer.contains(" 201 ") || answer.contains(" 409 "))
     }
 
     /// Makes a bucket.
@@ -121,6 +126,24 @@ impl Drop for SeaweedFs {
         let _ = self.child.kill();
         let _ = self.child.wait();
     }
+}
+
+fn spawn(program: &Path, folder: &Path, ports: &[u16]) -> Child {
+    let names = ["master", "volume", "filer", "s3"];
+    let flags = names.iter().flat_map(|name| [format!("-{name}.port"), format!("-{name}.port.grpc")]);
+    let log = fs::File::create(folder.join("log")).expect("a log");
+    Command::new(program)
+        .args(["-logtostderr=true", "server", "-ip=127.0.0.1", "-ip.bind=127.0.0.1", "-s3"])
+        .args(["-master.telemetry=false", "-master.volumeSizeLimitMB=64", "-volume.max=100"])
+        .args(["-master.electionTimeout=1s", "-s3.port.iceberg=0", "-s3.port.lance=0"])
+        .arg(format!("-dir={}", folder.display()))
+        .arg(format!("-s3.config={}", folder.join("s3.json").display()))
+        .args(flags.zip(ports).map(|(flag, port)| format!("{flag}={port}")))
+        .stdin(Stdio::null())
+        .stdout(Stdio::null())
+        .stderr(log)
+        .spawn()
+        .expect("SeaweedFS starts")
 }
 
 /// The program, as `.ci/run` installs it or on the path.

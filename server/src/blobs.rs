@@ -6,6 +6,7 @@
 //! stored, and again before they are first served (`blobs/verified.rs`). This module does not interpret the bytes.
 
 mod bucket;
+mod claim;
 mod content;
 mod error;
 mod folder;
@@ -32,6 +33,7 @@ use reqwest::Method;
 use tokio::sync::RwLock;
 
 pub use bucket::BucketError;
+pub use claim::ClaimError;
 pub(crate) use content::{ContentHash, ContentKind};
 pub(crate) use error::{ContentError, OpenStoreError};
 pub(crate) use local_copies::LocalCopies;
@@ -43,8 +45,9 @@ use self::bucket::Settings;
 use self::error::BucketFault;
 use self::folder::Folder;
 use self::incoming::Incoming;
-use self::objects::{Bucket, Objects};
+use self::objects::{Bucket, Memory, Objects};
 use self::verified::VerifiedContent;
+use crate::clock::monotonic_now;
 use crate::delivery_check::FileEnds;
 
 /// Number of bytes written at a time.
@@ -59,6 +62,8 @@ const FILE_ORPHAN_AGE: Duration = Duration::from_mins(10);
 const MIN_OBJECT_SWEEP_AGE: Duration = Duration::from_mins(15);
 /// Number of objects deleted at a time.
 const MAX_CONCURRENT_DELETIONS: usize = 16;
+/// Time in which names are deleted that were found to be unused; the rest waits for the next sweep.
+const MAX_SWEEP_TIME: Duration = Duration::from_secs(30);
 /// Time in which a bucket must answer that the server is ready.
 const READY_TIMEOUT: Duration = Duration::from_secs(5);
 /// Validity of a presigned address.
@@ -93,13 +98,15 @@ struct SweepAges {
 
 /// Result of sweeping one name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Swept {
+pub(crate) enum Swept {
     /// It was deleted.
     Deleted,
     /// It is too recent.
     TooNew,
-    /// It was missing, or could not be deleted.
-    Not,
+    /// It was missing.
+    Missing,
+    /// It could not be deleted, or perhaps will be.
+    Failed,
 }
 
 /// Pictures and blobs, and the lock that protects content being reported from sweeps.
@@ -154,6 +161,19 @@ impl BlobStore {
         Self::new(location, Backend::Objects(objects), SweepAges { unused: age, orphan: age })
     }
 
+    /// Servers' handles of one store in memory, which delete any content, however new it is, and yet rely on what they have
+    /// stored, as if it were new.
+    #[cfg(test)]
+    pub(crate) fn in_memory(servers: usize, spool: &FolderPath) -> Vec<Self> {
+        let bucket = Bucket::Memory(Arc::new(InMemory::new()));
+        let open = |_| {
+            let objects = Objects::new(bucket.clone(), spool, MIN_OBJECT_SWEEP_AGE);
+            let ages = SweepAges { unused: Duration::ZERO, orphan: Duration::ZERO };
+            Self::new(&StoreLocation::Memory, Backend::Objects(objects), ages)
+        };
+        (0..servers).map(open).collect()
+    }
+
     fn new(location: &StoreLocation, backend: Backend, ages: SweepAges) -> Self {
         Self {
             location: location.clone(),
@@ -183,6 +203,16 @@ impl BlobStore {
         self.folder().map(|_| self.ages.unused)
     }
 
+    /// Whether servers of other machines may use it.
+    pub(crate) fn is_shared(&self) -> bool {
+        matches!(self.backend, Backend::Objects(_))
+    }
+
+    /// Time for which content that no row refers to is kept.
+    pub(crate) fn grace(&self) -> Duration {
+        self.ages.unused
+    }
+
     /// Age from which content is swept that no row refers to.
     pub(crate) fn orphan_age(&self) -> Duration {
         self.ages.orphan
@@ -200,19 +230,13 @@ impl BlobStore {
     }
 
     fn failed(&self, action: &'static str, key: String) -> impl Fn(object_store::Error) -> ContentError + use<> {
-        let bucket = match &self.backend {
-            Backend::Folder(_) => None,
-            Backend::Objects(_) => Some(self.location.to_string()),
+        let (attempt, is_bucket) = match &self.backend {
+            Backend::Folder(_) => (format!("the store could not {action} {key}"), false),
+            Backend::Objects(_) => (format!("the store {} could not {action} {key}", self.location), true),
         };
         move |source| {
-            let message = match &bucket {
-                None => format!("the store could not {action} {key}"),
-                Some(bucket) => {
-                    let cure = BucketFault::of(&source).cure();
-                    format!("the store {bucket} could not {action} {key}; {cure}")
-                }
-            };
-            ContentError::Store { message, source: source.into() }
+            let cure = is_bucket.then(|| BucketFault::of(&source).cure());
+            ContentError::Store { attempt: attempt.clone(), cure, source: source.into() }
         }
     }
 
@@ -253,6 +277,24 @@ impl BlobStore {
 
     /// Size, first and last bytes of stored content; `None` if it is missing.
     pub(crate) async fn ends(&self, kind: ContentKind, name: &ContentHash) -> Result<Option<FileEnds>, ContentError> {
+        self.ends_of(kind, name, Memory::Trusted).await
+    }
+
+    /// Like [`BlobStore::ends`], of which nothing is remembered.
+    pub(crate) async fn ends_now(
+        &self,
+        kind: ContentKind,
+        name: &ContentHash,
+    ) -> Result<Option<FileEnds>, ContentError> {
+        self.ends_of(kind, name, Memory::Unused).await
+    }
+
+    async fn ends_of(
+        &self,
+        kind: ContentKind,
+        name: &ContentHash,
+        memory: Memory,
+    ) -> Result<Option<FileEnds>, ContentError> {
         let path = self.path(kind, name);
         let read = match &self.backend {
             Backend::Folder(folder) => match folder.store(kind).get(&path).await {
@@ -260,7 +302,7 @@ impl BlobStore {
                 Ok(_) => unreachable!("a folder has files"),
                 Err(error) => Err(error),
             },
-            Backend::Objects(objects) => objects.ends(&path).await,
+            Backend::Objects(objects) => objects.ends(&path, memory).await,
         };
         unless_missing(read).map_err(self.failed_on("read", kind, name))
     }
@@ -374,11 +416,11 @@ impl BlobStore {
     }
 
     /// Total size of the content of a kind.
-    pub(crate) async fn size_bytes(&self, kind: ContentKind) -> object_store::Result<u64> {
+    pub(crate) async fn size_bytes(&self, kind: ContentKind) -> Result<u64, ContentError> {
         let mut content = self.list(kind);
         let mut sum_bytes = 0;
         while let Some(meta) = content.next().await {
-            sum_bytes += meta?.size;
+            sum_bytes += meta.map_err(|error| self.list_error(kind, error))?.size;
         }
         Ok(sum_bytes)
     }
@@ -397,40 +439,53 @@ impl BlobStore {
     {
         let shut = self.sweep_lock.write().await;
         let names = unneeded(names.to_vec()).await?;
-        let names: Vec<_> = names.iter().filter_map(|name| ContentHash::parse(name)).collect();
-        let at_a_time = match &self.backend {
-            Backend::Folder(_) => 1,
-            Backend::Objects(_) => MAX_CONCURRENT_DELETIONS,
-        };
         let (mut count, mut young) = (0, Vec::new());
-        for names in names.chunks(at_a_time) {
-            let swept = join_all(names.iter().map(|name| self.sweep_one(kind, name))).await;
-            for (swept, name) in swept.into_iter().zip(names) {
-                match swept {
-                    Swept::Deleted => count += 1,
-                    Swept::TooNew => young.push(name.as_str().to_owned()),
-                    Swept::Not => {}
-                }
+        for (name, swept) in self.delete_old(kind, &names).await {
+            match swept {
+                Swept::Deleted => count += 1,
+                Swept::TooNew => young.push(name),
+                Swept::Missing | Swept::Failed => {}
             }
         }
         drop(shut);
         Ok((count, young))
     }
 
+    /// Deletes those of `names` that are not too recent, for at most [`MAX_SWEEP_TIME`].
+    pub(crate) async fn delete_old(&self, kind: ContentKind, names: &[String]) -> Vec<(String, Swept)> {
+        let begun = monotonic_now();
+        let at_a_time = match &self.backend {
+            Backend::Folder(_) => 1,
+            Backend::Objects(_) => MAX_CONCURRENT_DELETIONS,
+        };
+        let mut all = Vec::with_capacity(names.len());
+        for names in names.chunks(at_a_time) {
+            let is_late = begun.elapsed() > MAX_SWEEP_TIME;
+            let swept = names.iter().map(async |name| match ContentHash::parse(name) {
+                // Names that are no hashes are not the farm's.
+                None => Swept::Missing,
+                Some(_) if is_late => Swept::Failed,
+                Some(name) => self.sweep_one(kind, &name).await,
+            });
+            all.extend(names.iter().cloned().zip(join_all(swept).await));
+        }
+        all
+    }
+
     async fn sweep_one(&self, kind: ContentKind, name: &ContentHash) -> Swept {
         match self.age(kind, name).await {
             Ok(Some(age)) if age < self.ages.unused => return Swept::TooNew,
             // S3 does not say whether it deleted an object.
-            Ok(None) => return Swept::Not,
+            Ok(None) => return Swept::Missing,
             Ok(Some(_)) | Err(_) => {}
         }
         fail_point::trigger_infallible(FailPoint::Sweeping);
         match self.remove(kind, name).await {
             Ok(true) => Swept::Deleted,
-            Ok(false) => Swept::Not,
+            Ok(false) => Swept::Missing,
             Err(error) => {
                 tracing::warn!(%error, name = name.as_str(), "could not remove orphaned content");
-                Swept::Not
+                Swept::Failed
             }
         }
     }

@@ -7,6 +7,7 @@ mod connection;
 mod copy;
 mod dialect;
 mod external;
+mod farm_id;
 mod first_write;
 mod identity;
 mod location;
@@ -30,6 +31,7 @@ use sqlx::ConnectOptions;
 use sqlx::sqlite::{SqliteConnectOptions, SqliteJournalMode, SqlitePoolOptions, SqliteSynchronous};
 
 pub(crate) use connection::{Connection, Readers, Target};
+pub(crate) use farm_id::FarmId;
 pub(crate) use first_write::{FirstWrite, with_first_write};
 pub(crate) use location::DatabaseLocation;
 pub use location::{ParseDatabaseError, PostgresAddress};

@@ -62,7 +62,7 @@ use std::time::Duration;
 use tokio_util::sync::CancellationToken;
 
 pub use api_keys::{OfflineApiKeys, OfflineApiKeysError};
-pub use blobs::{BucketError, ParseStoreError, StoreLocation};
+pub use blobs::{BucketError, ClaimError, ParseStoreError, StoreLocation};
 pub use clock::{Clock, ManualClock};
 pub use cluster_secret::{ClusterSecret, ShortSecretError};
 pub use config::{

@@ -77,7 +77,12 @@ pub(crate) struct Cleanup {
 impl Maintenance {
     /// Runs maintenance until the farm is closed.
     pub(crate) async fn run(self, candidates: mpsc::UnboundedReceiver<OrphanCandidates>, end: CancellationToken) {
-        tokio::join!(self.run_periodically(candidates, &end), self.changes.run(&end));
+        tokio::join!(
+            self.run_periodically(candidates, &end),
+            self.changes.run(&end),
+            // Apart, because leases must expire in time while the store is slow.
+            self.sweep.delete_marked_periodically(&end)
+        );
     }
 
     async fn run_periodically(

@@ -93,9 +93,7 @@ impl Pictures {
             done => done,
         }?;
         self.preview_helper.forget(name.as_str());
-        let queue = &self.queue;
-        let is_unused = async |name: String| Ok::<_, PictureError>(!queue.orphan_pictures(&[name]).await?.is_empty());
-        let is_deleted = self.content.delete_if(ContentKind::Picture, name, is_unused).await?;
+        let is_deleted = self.delete_unused(name).await?;
         if !forgotten.is_known && !is_deleted {
             return Ok(None);
         }
@@ -111,5 +109,20 @@ impl Pictures {
             frames_rendered_again: again,
             frames_without_picture: without,
         }))
+    }
+
+    /// Deletes the file of a picture that no row refers to, however new it is. Returns whether there was any.
+    async fn delete_unused(&self, name: &ContentHash) -> Result<bool, PictureError> {
+        let (queue, kind) = (&self.queue, ContentKind::Picture);
+        if !(queue.may_have_others() && self.content.is_shared()) {
+            let is_unused = async |name: String| Ok::<_, PictureError>(!queue.orphans(kind, &[name]).await?.is_empty());
+            return self.content.delete_if(kind, name, is_unused).await;
+        }
+        if !queue.take_unmarked(kind, name.as_str().to_owned()).await? {
+            return Ok(false);
+        }
+        let is_deleted = self.content.delete_if(kind, name, async |_| Ok::<_, ContentError>(true)).await?;
+        queue.record_deleted(kind, vec![name.as_str().to_owned()]).await?;
+        Ok(is_deleted)
     }
 }

@@ -11,6 +11,7 @@ mod claim;
 mod cleanup;
 mod contact;
 mod deliver;
+mod doomed;
 mod durations;
 mod effects;
 mod event_gaps;
@@ -62,6 +63,7 @@ use crate::db::{self, Connection, Database, DatabaseError, Durability};
 
 pub(crate) use backlog::{BacklogLimits, ExceededLimit};
 pub(crate) use cleanup::RemovedContent;
+pub(crate) use doomed::{CheckedNames, content_of};
 pub(crate) use event_gaps::mark_restored;
 pub(crate) use events::Event;
 pub(crate) use finish::{CancelOutcome, DeleteOutcome};
@@ -209,13 +211,16 @@ impl Queue {
     }
 
     /// Runs a worker's sync: takes results, renews leases, grants work.
-    pub(crate) async fn turn(&self, turn: SyncInput) -> Result<Option<SyncOutcome>> {
+    pub(crate) async fn turn(&self, mut turn: SyncInput) -> Result<Option<SyncOutcome>> {
         let moment = self.context();
         let durability = if turn.has_reports() { Durability::Full } else { Durability::Relaxed };
         let turned = self
             .database
             .write_for_worker(durability, move |connection| {
-                Box::pin(async move { sync::sync(connection, turn, moment).await })
+                Box::pin(async move {
+                    doomed::save_results(connection, &mut turn).await?;
+                    sync::sync(connection, turn, moment).await
+                })
             })
             .await?;
         if let Some(turned) = &turned {

@@ -10,7 +10,7 @@ use std::time::Duration;
 use proto::retention::{GcReport, RemovalReason, RemovedJob};
 use tokio_util::sync::CancellationToken;
 
-use crate::blobs::{BlobStore, ContentKind};
+use crate::blobs::{BlobStore, ContentError, ContentKind};
 use crate::clock::rfc3339;
 use crate::db::DatabaseError;
 use crate::orphans::Orphans;
@@ -29,8 +29,8 @@ pub(crate) enum RetentionError {
     #[error(transparent)]
     Database(#[from] DatabaseError),
     /// The size of the store could not be determined.
-    #[error("could not determine the size of the store")]
-    Size(#[from] object_store::Error),
+    #[error(transparent)]
+    Size(#[from] ContentError),
 }
 
 /// Job to delete, and the reason.
@@ -109,7 +109,7 @@ impl Retention {
         Ok(())
     }
 
-    async fn store_bytes(&self) -> object_store::Result<u64> {
+    async fn store_bytes(&self) -> Result<u64, ContentError> {
         let mut sum_bytes = 0;
         for kind in ContentKind::ALL {
             sum_bytes += self.content.size_bytes(kind).await?;

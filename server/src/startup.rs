@@ -13,7 +13,7 @@ use std::sync::Arc;
 
 use crate::api_keys::ApiKeys;
 use crate::audit_log::AuditLog;
-use crate::blobs::{BlobStore, BucketError, ContentKind, OpenStoreError, StoreLocation};
+use crate::blobs::{BlobStore, BucketError, ClaimError, ContentKind, OpenStoreError, StoreLocation};
 use crate::clock::Clock;
 use crate::config::Config;
 use crate::db::{Database, DatabaseError};
@@ -52,6 +52,9 @@ pub enum StartError {
     /// The store cannot be used.
     #[error(transparent)]
     Store(#[from] BucketError),
+    /// Another farm's pictures are in the store.
+    #[error(transparent)]
+    Claim(#[from] ClaimError),
     /// The farm's pictures are in another store.
     #[error(
         "the farm in {folder} has its pictures in {recorded}, not in {given}: start it with the store it has \
@@ -184,6 +187,10 @@ pub(crate) async fn start(config: Config, clock: Clock) -> Result<Started, Start
     let listeners = Listeners::open(&config).await?;
     let explain = database::explainer(&config);
     let database = Arc::new(database::open(&config).await?);
+    if let Err(error) = claim_store(&config, &database, &content).await {
+        database.close().await;
+        return Err(error);
+    }
     let clock = clock.or_shared(database.shared_time());
     let open_keys = async || ApiKeys::open(Arc::clone(&database), clock.clone()).await;
     let api_keys = database::patiently(DatabaseError::is_unreachable, open_keys).await.map_err(&explain)?;
@@ -234,8 +241,16 @@ async fn open_store(config: &Config) -> Result<BlobStore, StartError> {
     if content.folder().is_none() && !is_recorded && has_pictures() {
         tracing::warn!(store = %config.store, "the pictures in the data folder are not used: copy them to the store's pictures/, or they are rendered again");
     }
-    config.store.record(&config.data).map_err(folder)?;
     Ok(content)
+}
+
+/// Makes the store that of the database's farm, and records it in the data folder.
+async fn claim_store(config: &Config, database: &Database, content: &BlobStore) -> Result<(), StartError> {
+    let id = async || database.farm_id().await;
+    let farm = database::patiently(DatabaseError::is_unreachable, id).await.map_err(database::explainer(config))?;
+    content.claim(farm).await?;
+    let folder = |source| StartError::DataFolder { folder: config.data.clone(), source };
+    config.store.record(&config.data).map_err(folder)
 }
 
 /// Opens the queue, and repairs the state that the last server left.

@@ -9,12 +9,13 @@ use object_store::{BackoffConfig, ClientConfigKey, ObjectStore, ObjectStoreExt, 
 use super::StoreLocation;
 use super::error::{BucketFault, causes};
 
-/// Maximum time in which a request that fails is sent again.
-const RETRY_TIMEOUT: Duration = Duration::from_mins(1);
+/// Maximum time in which a request that fails is sent again: afterwards the server answers that the store cannot be
+/// reached, and its client asks again. A worker's sync must be answered before the worker gives up on it.
+const RETRY_TIMEOUT: Duration = Duration::from_secs(5);
 /// Maximum number of times that a request is sent again.
-const MAX_RETRIES: usize = 8;
+const MAX_RETRIES: usize = 16;
 /// Delay before the first of them, and before the last.
-const BACK_OFF: (Duration, Duration) = (Duration::from_millis(100), Duration::from_secs(10));
+const BACK_OFF: (Duration, Duration) = (Duration::from_millis(100), Duration::from_secs(1));
 /// Time in which a store must send the next bytes, and in which it must have taken a part and answered.
 const READ_TIMEOUT: &str = "60 seconds";
 /// Time in which a picture must have been read: as long as the slowest client takes it.

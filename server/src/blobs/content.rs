@@ -17,6 +17,14 @@ impl ContentKind {
     /// Both kinds.
     pub(crate) const ALL: [Self; 2] = [Self::Picture, Self::Blob];
 
+    /// Name in the database.
+    pub(crate) fn name(self) -> &'static str {
+        match self {
+            Self::Picture => "picture",
+            Self::Blob => "blob",
+        }
+    }
+
     /// Name of its folder, and first part of its objects' keys below the store's prefix.
     pub(crate) fn folder(self) -> &'static str {
         match self {

@@ -52,6 +52,15 @@ pub(super) enum Bucket {
     Memory(Arc<InMemory>),
 }
 
+/// Whether what is remembered of an object may answer for it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Memory {
+    /// It may, unless the object may have been swept since.
+    Trusted,
+    /// The store is asked.
+    Unused,
+}
+
 /// Objects below a prefix.
 #[derive(Debug)]
 pub(super) struct Objects {
@@ -222,8 +231,11 @@ impl Objects {
     }
 
     /// Size, first and last bytes of an object.
-    pub(super) async fn ends(&self, path: &Path) -> object_store::Result<FileEnds> {
-        let remembered = self.remembered.lock().expect("no holder panics").get(path).cloned();
+    pub(super) async fn ends(&self, path: &Path, memory: Memory) -> object_store::Result<FileEnds> {
+        let remembered = match memory {
+            Memory::Trusted => self.remembered.lock().expect("no holder panics").get(path).cloned(),
+            Memory::Unused => None,
+        };
         if let Some((_, ends)) = remembered.filter(|(stored, _)| stored.elapsed() < self.refresh_age) {
             return Ok(ends);
         }

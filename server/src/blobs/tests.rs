@@ -7,6 +7,7 @@ use object_store::PutPayload;
 
 use super::*;
 use crate::blobs::bucket::Settings;
+use crate::db::FarmId;
 use crate::seaweedfs::SeaweedFs;
 
 mod endpoint;
@@ -306,4 +307,63 @@ async fn wrong_settings_are_explained(s3: &SeaweedFs) {
         assert!(!words.contains("test-secret"), "{words}");
         println!("{words}");
     }
+}
+
+#[tokio::test]
+async fn a_prefix_has_one_farm() {
+    let Some(s3) = SeaweedFs::start() else { return };
+    let data = data();
+    s3.make_bucket("renders");
+    for round in 0..5 {
+        let open = || open_bucket(&s3, &format!("s3://renders/farms/{round}"), data.path(), MIN_OBJECT_SWEEP_AGE);
+        let farms: Vec<_> = (0..8).map(|_| FarmId::random()).collect();
+        let stores: Vec<_> = farms.iter().map(|_| open()).collect();
+        stores[0].check_owner(farms[0]).await.expect("it is none's yet");
+        let claims = join_all(stores.iter().zip(&farms).map(|(store, farm)| store.claim(*farm))).await;
+        let winners: Vec<_> = claims.iter().zip(&farms).filter(|(claim, _)| claim.is_ok()).collect();
+        let [(_, winner)] = winners[..] else { panic!("one wins: {claims:?}") };
+        for (farm, claim) in farms.iter().zip(&claims) {
+            let again = open().claim(*farm).await;
+            assert_eq!(again.is_ok(), farm == winner, "{again:?}");
+            assert_eq!(open().check_owner(*farm).await.is_ok(), farm == winner);
+            let Err(error) = claim else { continue };
+            let words = error.to_string();
+            assert!(words.contains(&format!("names {winner}, this farm is {farm}")), "{words}");
+        }
+        // Servers of one farm start at once.
+        let same = join_all(stores.iter().map(|store| store.claim(*winner))).await;
+        assert!(same.iter().all(Result::is_ok), "{same:?}");
+    }
+}
+
+/// Every kind of access fails as unreachable while the store is away, and nothing that was stored is lost.
+#[tokio::test]
+async fn an_outage_is_temporary() {
+    let Some(mut s3) = SeaweedFs::start() else { return };
+    let data = data();
+    s3.make_bucket("renders");
+    let store = open_bucket(&s3, "s3://renders/farm", data.path(), MIN_OBJECT_SWEEP_AGE);
+    let bytes = content(12, 300_000);
+    let (stored, other) = (put(&store, PICTURE, &bytes).await, content(13, LARGE_BYTES));
+    s3.stop();
+    let attempts = [
+        store.put(PICTURE, &name(&other), chunks(&other)).await.expect_err("it is away"),
+        store.get(PICTURE, &stored, None).await.map(drop).expect_err("it is away"),
+        store.file_state(PICTURE, &stored, 300_000).await.map(drop).expect_err("it is away"),
+        store.size_bytes(PICTURE).await.map(drop).expect_err("it is away"),
+        store.check_usable().await.expect_err("it is away"),
+    ];
+    for error in attempts {
+        let attempt = error.unreachable_attempt().unwrap_or_else(|| panic!("{error:?}"));
+        assert!(attempt.starts_with("the store s3://renders/farm could not "), "{attempt}");
+        assert!(error.to_string().ends_with(BucketFault::Unreachable.cure()), "{error}");
+    }
+    store.ends(PICTURE, &stored).await.expect("remembered").expect("is there");
+    s3.start_again();
+    // It lists its objects before it has found their bytes.
+    while let Err(error) = store.get(PICTURE, &stored, None).await {
+        assert!(error.unreachable_attempt().is_some(), "{error:?}");
+    }
+    assert_eq!(read(&store, PICTURE, &stored, None).await, Some(bytes));
+    put(&store, PICTURE, &other).await;
 }

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use super::DataFolderError;
-use crate::db::{self, Connection, Database, DatabaseError, DatabaseLocation};
+use crate::db::{self, Connection, Database, DatabaseError, DatabaseLocation, FarmId};
 
 /// Picture in the database.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -51,6 +51,12 @@ pub(super) async fn blobs(connection: &mut Connection) -> Result<Vec<String>, Da
     )
     .fetch_all(connection)
     .await
+}
+
+/// The farm of the database; `None` if no server of this release has used it.
+pub(super) async fn farm_id(connection: &mut Connection) -> Result<Option<FarmId>, DatabaseError> {
+    let id = db::query_scalar("SELECT value FROM meta WHERE name = 'farm_id'").fetch_optional(connection).await?;
+    Ok(id.map(FarmId::new))
 }
 
 /// Submission time of the newest job, by the wall clock.

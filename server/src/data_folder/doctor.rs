@@ -228,6 +228,13 @@ async fn check_store(
             if let Err(error) = bucket.check().await {
                 return Ok(vec![Finding::error("store", error.problem(), error.cure())]);
             }
+            let farm = database::farm_id(connection).await.map_err(&failed)?;
+            if let Some(farm) = farm
+                && let Err(error) = bucket.check_owner(farm).await
+            {
+                let cure = "correct the file `store` of the data folder";
+                return Ok(vec![Finding::error("store", error.to_string(), cure)]);
+            }
             findings.push(Finding::ok("store", format!("{} can be read and written", bucket.location())));
             bucket::compare(bucket, &pictures, &blobs, is_deep).await?
         }

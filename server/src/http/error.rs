@@ -162,6 +162,10 @@ pub(crate) enum ApiError {
     DiskFull,
     #[error("the database cannot be reached: retry in a few seconds; the server's log has the cause")]
     DatabaseUnreachable,
+    #[error(
+        "{attempt}, because it cannot be reached or fails: retry in a few seconds; the server's log has the cause and its fix"
+    )]
+    StoreUnreachable { attempt: String },
     #[error("the database is damaged: stop the server, and restore the data folder from a backup")]
     DamagedDatabase,
     #[error("internal error: the server's log has the cause under this request id")]
@@ -283,6 +287,9 @@ impl ApiError {
             Self::DatabaseUnreachable => {
                 (StatusCode::SERVICE_UNAVAILABLE, "database_unreachable", "The database cannot be reached")
             }
+            Self::StoreUnreachable { .. } => {
+                (StatusCode::SERVICE_UNAVAILABLE, "store_unreachable", "The store cannot be reached")
+            }
             Self::DamagedDatabase => (StatusCode::SERVICE_UNAVAILABLE, "damaged_database", "The database is damaged"),
             Self::Internal(_) => (StatusCode::INTERNAL_SERVER_ERROR, "internal", "The server failed"),
         }
@@ -361,6 +368,7 @@ impl IntoResponse for ApiError {
             }
             Self::ShuttingDown
             | Self::DatabaseUnreachable
+            | Self::StoreUnreachable { .. }
             | Self::ResponseTimeout { .. }
             | Self::PreviewDelayed(_)
             | Self::PreviewFailed

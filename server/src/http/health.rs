@@ -32,7 +32,7 @@ pub(super) async fn livez() -> &'static str {
     get, path = "/readyz", tag = "health", operation_id = "readyz",
     responses(
         (status = 200, description = "Both can be used; without a worker the status is `degraded`"),
-        (status = 503, description = "The database is damaged", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+        (status = 503, description = "The database or the store cannot be reached, or the database is damaged", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
         (status = 507, description = "The disk is full", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
     )
 )]

@@ -131,6 +131,7 @@ pub(super) async fn sync(
         held_leases: request.held_leases,
         reports: request.reports,
         rejected: Vec::new(),
+        checked: None,
         wants_work: request.wants_work,
         max_batches: request.max_batches.clamp(1, MAX_BATCHES),
         shutting_down: request.shutting_down,

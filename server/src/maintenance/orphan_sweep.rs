@@ -1,16 +1,24 @@
 //! Deletes stored bytes that no row refers to: those that were announced, and those that no worker has reported.
 
 use std::sync::Arc;
+use std::time::Duration;
 
 use futures_util::stream::TryStreamExt;
+use tokio_util::sync::CancellationToken;
 
-use crate::blobs::{BlobStore, ContentKind};
+use crate::blobs::{BlobStore, ContentKind, Swept};
 use crate::db::DatabaseError;
 use crate::orphans::Orphans;
 use crate::queue::Queue;
 
 /// Number of hashes that are checked, and deleted if they are orphans, while no result is taken.
 const SWEEP_BATCH: usize = 32;
+
+/// Number of marked names that are taken at a time.
+const MARKED_BATCH: u32 = 256;
+/// Bounds of the interval at which marked names are deleted.
+const MIN_INTERVAL: Duration = Duration::from_secs(1);
+const MAX_INTERVAL: Duration = Duration::from_mins(1);
 
 /// Deletes orphans of the content store.
 #[derive(Debug)]
@@ -47,16 +55,64 @@ impl OrphanSweep {
         Ok(())
     }
 
+    /// Deletes marked names until the farm is closed.
+    pub(super) async fn delete_marked_periodically(&self, end: &CancellationToken) {
+        if !self.has_others() {
+            return;
+        }
+        let interval = (self.content.grace() / 4).clamp(MIN_INTERVAL, MAX_INTERVAL);
+        while end.run_until_cancelled(tokio::time::sleep(interval)).await.is_some() {
+            if let Err(error) = self.delete_marked().await {
+                tracing::error!(%error, cause = ?std::error::Error::source(&error), "could not delete orphans");
+            }
+        }
+    }
+
+    /// Deletes the names that have been marked for the grace.
+    async fn delete_marked(&self) -> Result<(), DatabaseError> {
+        for kind in ContentKind::ALL {
+            loop {
+                let names = self.queue.take_doomed(kind, self.content.grace(), MARKED_BATCH).await?;
+                let taken = names.len();
+                self.delete_taken(kind, &names).await?;
+                if taken < MARKED_BATCH as usize {
+                    break;
+                }
+            }
+        }
+        Ok(())
+    }
+
+    async fn delete_taken(&self, kind: ContentKind, names: &[String]) -> Result<(), DatabaseError> {
+        let (mut deleted, mut young) = (Vec::new(), Vec::new());
+        for (name, swept) in self.content.delete_old(kind, names).await {
+            match swept {
+                Swept::Deleted | Swept::Missing => deleted.push(name),
+                Swept::TooNew => young.push(name),
+                // It may still be deleted: nothing may refer to it until a later sweep has deleted it.
+                Swept::Failed => {}
+            }
+        }
+        if !deleted.is_empty() {
+            tracing::debug!(count = deleted.len(), ?kind, "removed orphaned content");
+        }
+        self.queue.record_deleted(kind, deleted).await?;
+        self.queue.mark_again(kind, young).await
+    }
+
+    /// Whether other servers may report what this one sweeps; otherwise a lock in memory keeps the two apart, and the space
+    /// is free at once.
+    fn has_others(&self) -> bool {
+        self.queue.may_have_others() && self.content.is_shared()
+    }
+
     async fn sweep(&self, kind: ContentKind, hashes: &[String]) -> Result<(), DatabaseError> {
         let queue = &self.queue;
-        let (count, young) = match kind {
-            ContentKind::Blob => {
-                self.content.sweep(kind, hashes, async |names| queue.orphan_blobs(&names).await).await?
-            }
-            ContentKind::Picture => {
-                self.content.sweep(kind, hashes, async |names| queue.orphan_pictures(&names).await).await?
-            }
-        };
+        if self.has_others() {
+            let orphans = queue.orphans(kind, hashes).await?;
+            return if orphans.is_empty() { Ok(()) } else { queue.mark_doomed(kind, orphans).await };
+        }
+        let (count, young) = self.content.sweep(kind, hashes, async |names| queue.orphans(kind, &names).await).await?;
         // Young objects of a bucket are not remembered for that long: the next cleanup lists them again.
         if let (false, Some(delay)) = (young.is_empty(), self.content.sweep_retry_delay()) {
             self.orphans.sweep_after(delay, kind, young);

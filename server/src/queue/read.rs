@@ -246,32 +246,6 @@ impl Queue {
             .await
     }
 
-    /// Those of some blobs that no unfinished frame uses.
-    pub(crate) async fn orphan_blobs(&self, hashes: &[String]) -> Result<Vec<String>> {
-        db::query_scalar(
-            "SELECT value FROM @texts(?) WHERE NOT EXISTS (
-                 SELECT 1 FROM tile JOIN frame ON frame.job = tile.job AND frame.number = tile.frame
-                 WHERE tile.blob = value AND (frame.state IN ('open', 'stitching')
-                     OR EXISTS (SELECT 1 FROM verification WHERE verification.job = frame.job
-                                AND verification.frame = frame.number AND verification.position = -1)))",
-        )
-        .bind(super::json_list(hashes))
-        .fetch_all(self.readers())
-        .await
-    }
-
-    /// Those of some pictures that no job uses.
-    pub(crate) async fn orphan_pictures(&self, hashes: &[String]) -> Result<Vec<String>> {
-        db::query_scalar(
-            "SELECT value FROM @texts(?)
-             WHERE NOT EXISTS (SELECT 1 FROM frame WHERE frame.picture IS NOT NULL AND frame.picture = value)
-               AND NOT EXISTS (SELECT 1 FROM picture WHERE picture.hash = value)",
-        )
-        .bind(super::json_list(hashes))
-        .fetch_all(self.readers())
-        .await
-    }
-
     /// Whether the database responds.
     pub(crate) async fn check(&self) -> Result<()> {
         db::query("SELECT value FROM meta").fetch_one(self.readers()).await?;

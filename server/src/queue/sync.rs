@@ -8,6 +8,7 @@ use proto::worker_protocol::{Batch, LeaseReport};
 use proto::{LeaseId, WorkerId};
 
 use super::claim::{self, ClaimOutcome, ClaimRequest};
+use super::doomed::CheckedNames;
 use super::lease::{self, LeaseEnd};
 use super::reported::{self, RejectedResult};
 use super::verification::{self, VerificationOutcome};
@@ -37,6 +38,8 @@ pub(crate) struct SyncInput {
     pub(crate) reports: Vec<LeaseReport>,
     /// Results whose bytes are not what was asked for.
     pub(crate) rejected: Vec<RejectedResult>,
+    /// What was known of the names of the results when their bytes were looked for, if other servers may delete them.
+    pub(crate) checked: Option<CheckedNames>,
     /// Whether the worker requests a batch.
     pub(crate) wants_work: bool,
     /// Maximum number of batches that it requests.
@@ -57,7 +60,7 @@ impl SyncInput {
 
     /// The same sync after its results have been recorded.
     pub(crate) fn without_reports(&self) -> Self {
-        Self { reports: Vec::new(), rejected: Vec::new(), ..self.clone() }
+        Self { reports: Vec::new(), rejected: Vec::new(), checked: None, ..self.clone() }
     }
 }
 

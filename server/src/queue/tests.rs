@@ -1,6 +1,7 @@
 //! Properties that the API cannot show: statements use indexes, the queue matches its model under random
 //! operations, and shares are fair.
 
+mod doomed;
 mod effects;
 mod fair_share;
 mod large_jobs;
@@ -181,6 +182,7 @@ fn turn(worker: WorkerId) -> SyncInput {
         held_leases: Vec::new(),
         reports: Vec::new(),
         rejected: Vec::new(),
+        checked: None,
         wants_work: false,
         shutting_down: false,
         opening: None,

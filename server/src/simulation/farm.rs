@@ -292,6 +292,7 @@ fn sync_input(worker: &SimulatedWorker, reports: Vec<LeaseReport>, wants_work: b
         held_leases: Vec::new(),
         reports,
         rejected: Vec::new(),
+        checked: None,
         wants_work,
         shutting_down: false,
         opening: None,

@@ -10,7 +10,7 @@ use super::SyncError;
 use crate::blobs::{BlobStore, ContentHash, ContentKind};
 use crate::delivery_check::check_blob;
 use crate::job_cache::{JobCache, JobLoadError, Reader};
-use crate::queue::{Queue, RejectedResult, ReportedTile, SyncInput};
+use crate::queue::{CheckedNames, Queue, RejectedResult, ReportedTile, SyncInput, content_of};
 
 /// Number of characters that are kept of the name of a rejected result.
 const MAX_LOGGED_CHARACTERS: usize = 80;
@@ -64,6 +64,10 @@ impl ResultCheck {
         if leases.is_empty() {
             return Ok(());
         }
+        if self.queue.may_have_others() && self.content.is_shared() {
+            let names: Vec<_> = turn.reports.iter().filter_map(|report| content_of(&report.outcome)).collect();
+            turn.checked = Some(self.queue.begin_check(&names).await?);
+        }
         let tiles: HashMap<LeaseId, ReportedTile> = self.queue.reported_tiles(turn.worker, &leases).await?;
         // The leases of a whole frame have one picture, which is checked once.
         let mut last: Option<(Delivered, Verdict)> = None;
@@ -81,7 +85,7 @@ impl ResultCheck {
             let delivered = Delivered { kind, hash: hash.clone(), size_bytes, tile };
             let verdict = match &last {
                 Some((same, verdict)) if *same == delivered => verdict.clone(),
-                _ => self.check_bytes(&delivered).await?,
+                _ => self.check_bytes(&delivered, turn.checked.as_ref()).await?,
             };
             let (is_wrong, reason) = match &verdict {
                 Verdict::Right => {
@@ -100,11 +104,15 @@ impl ResultCheck {
         Ok(())
     }
 
-    async fn check_bytes(&self, delivered: &Delivered) -> Result<Verdict, SyncError> {
+    async fn check_bytes(&self, delivered: &Delivered, known: Option<&CheckedNames>) -> Result<Verdict, SyncError> {
         let Some(name) = ContentHash::parse(&delivered.hash) else {
             return Ok(Verdict::Wrong("the result's name is not a hash".to_owned()));
         };
-        let Some(file) = self.content.ends(delivered.kind, &name).await? else { return Ok(Verdict::Missing) };
+        let found = match known {
+            Some(known) => known.find(&self.content, delivered.kind, &name).await?,
+            None => self.content.ends(delivered.kind, &name).await?,
+        };
+        let Some(file) = found else { return Ok(Verdict::Missing) };
         if file.size_bytes != delivered.size_bytes {
             let (claimed, found) = (delivered.size_bytes, file.size_bytes);
             return Ok(Verdict::Wrong(format!("the result has {found} bytes instead of the reported {claimed}")));

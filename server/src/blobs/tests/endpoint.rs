@@ -101,6 +101,6 @@ async fn errors_name_the_object_and_the_cure() {
     let error = store.put(PICTURE, &name(b"x"), chunks(&Bytes::from_static(b"x"))).await.expect_err("it fails");
     let words = error.to_string();
     let key = format!("the store s3://renders/farm could not write pictures/{}; ", name(b"x").as_str());
-    assert!(words.starts_with(&key) && words.ends_with(BucketFault::Failed.cure()), "{words}");
+    assert!(words.starts_with(&key) && words.ends_with(BucketFault::Unavailable.cure()), "{words}");
     assert!(!error.is_full());
 }

@@ -55,6 +55,10 @@ impl From<ContentError> for ApiError {
             tracing::error!(error = %chain(&error), "the disk is full");
             return Self::DiskFull;
         }
+        if let Some(attempt) = error.unreachable_attempt() {
+            tracing::error!(error = %chain(&error), "the store cannot be reached");
+            return Self::StoreUnreachable { attempt: attempt.to_owned() };
+        }
         match error {
             ContentError::Mismatch { .. } => Self::WrongBytes(error.to_string()),
             ContentError::TooLarge { limit_bytes } => Self::TooLarge { limit_bytes },
@@ -89,7 +93,7 @@ impl From<RetentionError> for ApiError {
     fn from(error: RetentionError) -> Self {
         match error {
             RetentionError::Database(error) => error.into(),
-            error @ RetentionError::Size(_) => Self::Internal(Box::new(error)),
+            RetentionError::Size(error) => error.into(),
         }
     }
 }

@@ -98,8 +98,13 @@ async fn ask(bench: &Fixture) {
     queue.workers().await.expect("lists");
     queue.pool_ready().await.expect("counts");
     queue.demand().await.expect("counts");
-    queue.orphan_blobs(&hashes).await.expect("reads");
-    queue.orphan_pictures(&hashes).await.expect("reads");
+    for kind in crate::blobs::ContentKind::ALL {
+        queue.orphans(kind, &hashes).await.expect("reads");
+        queue.mark_doomed(kind, hashes.to_vec()).await.expect("marks");
+        queue.begin_check(&[(kind, hashes[0].clone())]).await.expect("reads");
+        let taken = queue.take_doomed(kind, std::time::Duration::ZERO, 10).await.expect("takes");
+        queue.record_deleted(kind, taken).await.expect("records");
+    }
     queue.has_picture("no key").await.expect("reads");
     queue.is_paused().await.expect("reads");
     queue.delete_preview(id).await.expect("reads");

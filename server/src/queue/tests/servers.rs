@@ -1,5 +1,6 @@
 //! Several servers on one database: what each may end, what becomes of one that has ended, and what only one may do.
 
+use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -9,7 +10,8 @@ use proto::worker_protocol::LeaseOutcome;
 use super::workers::{claim, report, state};
 use super::{Fixture, leases};
 use crate::clock::{Clock, ManualClock};
-use crate::db::{self, Database};
+use crate::db::{self, Database, Sharing};
+use crate::postgres_server;
 use crate::queue::servers::SERVER_GONE_MS;
 use crate::queue::{BusyReceivers, LeaseEnd, Queue};
 
@@ -19,7 +21,7 @@ const GONE: Duration = Duration::from_millis(SERVER_GONE_MS.unsigned_abs() + 1);
 const LONG_LEASE_MS: i64 = 100 * SERVER_GONE_MS;
 
 /// Servers on one database, with one time.
-struct Servers {
+pub(super) struct Servers {
     clock: Clock,
     hand: ManualClock,
     database: Arc<Database>,
@@ -27,19 +29,29 @@ struct Servers {
 }
 
 impl Servers {
-    async fn new() -> Self {
+    pub(super) async fn new() -> Self {
         let (clock, hand) = Clock::manual_lasting();
         let folder = tempfile::tempdir().expect("a folder");
-        let database = Arc::new(Database::open(folder.path()).await.expect("opens"));
+        let database = match open_shared(folder.path()).await {
+            Some(shared) => shared,
+            None => Arc::new(Database::open(folder.path()).await.expect("opens")),
+        };
         Self { clock, hand, database, folder }
     }
 
-    /// Starts a server.
-    async fn start(&self, name: &str) -> Fixture {
-        let opened = Queue::open(Arc::clone(&self.database), self.clock.clone(), LONG_LEASE_MS, name).await;
+    /// Starts a server, on PostgreSQL with connections of its own.
+    pub(super) async fn start(&self, name: &str) -> Fixture {
+        let own = open_shared(self.folder.path()).await.unwrap_or_else(|| Arc::clone(&self.database));
+        let opened = Queue::open(own, self.clock.clone(), LONG_LEASE_MS, name).await;
         let folder = tempfile::tempdir_in(self.folder.path()).expect("a folder");
         Fixture { queue: opened.expect("opens").0, hand: self.hand.clone(), folder }
     }
+}
+
+/// Another handle to the database of a folder; `None` unless it is on PostgreSQL.
+async fn open_shared(folder: &Path) -> Option<Arc<Database>> {
+    let address = postgres_server::database_of(folder)?.parse().expect("an address");
+    Some(Arc::new(Database::open_postgres(&address, Sharing::Shared).await.expect("opens")))
 }
 
 /// Number of live leases of a worker.
