@@ -10,6 +10,7 @@ mod plans;
 mod sequences;
 mod several_batches;
 mod sharing;
+mod statements;
 mod workers;
 
 use proto::bounded::RaysPerSecond;

@@ -17,6 +17,7 @@ pub(super) use verdict::{deliver, reject};
 
 use super::claim::{self, ClaimRequest};
 use super::lease::{LiveLease, jitter};
+use super::worker_state::UsedLease;
 use super::{Connection, Result, TransitionContext, Wake};
 
 /// Position of the picture of a stitched frame.
@@ -79,8 +80,8 @@ impl Candidate {
     }
 
     /// A frame's picture, delivered under these leases.
-    pub(super) fn picture(held: &[LiveLease], hash: &str) -> Option<Self> {
-        let last = held.iter().max_by_key(|held| &held.lease)?;
+    pub(super) fn picture(leases: &[UsedLease<'_>], hash: &str) -> Option<Self> {
+        let last = leases.iter().map(|used| &used.held.live).max_by_key(|held| &held.lease)?;
         let part = if last.stitch { DeliveredPart::Stitch } else { DeliveredPart::WholeFrame };
         Some(Self { job: last.job, frame: last.frame, part, lease: last.lease.clone(), hash: hash.to_owned() })
     }
