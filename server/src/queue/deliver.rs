@@ -78,8 +78,7 @@ pub(super) async fn deliver(
         choose(connection, worker, &candidate, moment, &mut delivered).await?;
     }
     for ((job, frame), tiles) in &results.tiles {
-        let candidates: Vec<Candidate> =
-            tiles.iter().map(|tile| Candidate::tile(&tile.used.held.live, tile.hash)).collect();
+        let candidates: Vec<Candidate> = tiles.iter().map(|tile| Candidate::tile(tile.used.held, tile.hash)).collect();
         choose(connection, worker, &candidates, moment, &mut delivered).await?;
         let ring = finish_tiles(connection, *job, *frame, tiles, moment).await?;
         delivered.ring.add(ring);
@@ -188,7 +187,7 @@ async fn choose(
     moment: TransitionContext,
     delivered: &mut DeliverResult,
 ) -> Result<()> {
-    let (unverified, wake) = verification::choose(connection, &worker.id, candidates, moment).await?;
+    let (unverified, wake) = verification::choose(connection, worker, candidates, moment).await?;
     delivered.unverified += unverified;
     delivered.ring.add(wake);
     Ok(())

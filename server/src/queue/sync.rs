@@ -10,7 +10,7 @@ use proto::{LeaseId, WorkerId};
 use super::claim::{self, ClaimOutcome, ClaimRequest};
 use super::lease::{self, LeaseEnd, LeaseGrant};
 use super::reported::{self, RejectedResult};
-use super::verification::{self, VerificationOutcome};
+use super::verification::{self, VerificationOutcome, VerifierLease};
 use super::worker_state::{self, WorkerState, WorkerStatus};
 use super::{Connection, FrameOpening, Result, TransitionContext, Wake, deliver, open_frame, workers};
 use crate::tile_plan::TilePlan;
@@ -147,11 +147,14 @@ pub(super) async fn sync(
         worker = rescued;
     }
     // The leases of verifications are apart from those of tiles.
-    let verified = match worker.has_verifications {
-        true => verification::live_lease_ids(connection, &worker.id).await?,
-        false => HashSet::new(),
+    let verified: Vec<VerifierLease> = match worker.has_verifications {
+        true => verification::live_leases(connection, &worker.id).await?,
+        false => Vec::new(),
     };
-    let is_verified = |lease: &LeaseId| !verified.is_empty() && verified.contains(&lease.to_string());
+    let is_verified = |lease: &LeaseId| {
+        let lease = if verified.is_empty() { String::new() } else { lease.to_string() };
+        verified.iter().any(|verified| verified.lease == lease)
+    };
     let (verifications, reports): (Vec<_>, Vec<_>) =
         turn.reports.iter().cloned().partition(|report| is_verified(&report.lease));
     let delivered = deliver::deliver(connection, &worker, &reports, moment).await?;
@@ -160,7 +163,7 @@ pub(super) async fn sync(
     }
     ring.add(delivered.ring);
     let (mut verification, verdict_wake) =
-        verification::deliver(connection, turn.worker, &verifications, moment).await?;
+        verification::deliver(connection, &worker, &verified, &verifications, moment).await?;
     ring.add(verdict_wake);
     verification.skipped += delivered.unverified;
     let (fenced, nondeterministic) = (delivered.lost.len() as u64, delivered.nondeterministic);
@@ -170,10 +173,10 @@ pub(super) async fn sync(
     lost.extend(late);
     ring.add(rejection_wake);
     // Otherwise nothing has happened but to the delivered leases and their tiles.
-    let is_known = verifications.is_empty() && turn.rejected.is_empty() && !delivered.has_failures;
+    let is_known = verification.differed == 0 && turn.rejected.is_empty() && !delivered.has_failures;
     if is_new {
         let (held, tiles): (Vec<LeaseId>, Vec<LeaseId>) = turn.held_leases.iter().partition(|lease| is_verified(lease));
-        if !verified.is_empty() {
+        if verified.len() > verifications.len() {
             let held: Vec<String> = held.iter().map(ToString::to_string).collect();
             ring.add(verification::renew(connection, &worker.id, &held, moment).await?);
         }

@@ -25,6 +25,10 @@ pub(super) struct WorkerState {
     pub(super) id: String,
     /// Whether it may get work.
     pub(super) status: WorkerStatus,
+    /// Whether it is a child process of the server.
+    pub(super) is_pool: bool,
+    /// Time of its registration.
+    pub(super) registered_ms: i64,
     /// Largest scene it renders, in nodes.
     pub(super) max_nodes: i64,
     /// Time of its last delivery.
@@ -46,6 +50,8 @@ pub(super) struct WorkerState {
 pub(super) struct HeldLease {
     /// The lease and its tile.
     pub(super) live: LiveLease,
+    /// Position of its tile in the frame.
+    pub(super) position: i64,
     /// Whether its job has not ended; otherwise its results do not count.
     pub(super) is_open: bool,
     /// Whether another worker has a lease on its tile.
@@ -73,7 +79,8 @@ pub(super) struct UsedLease<'a> {
 
 /// The index is forced, because with another one the statement would read every lease that the worker ever had.
 const WORKER_SQL: &str = "
-    SELECT worker.state, coalesce(worker.max_nodes, ?2) AS max_nodes, worker.delivered_ms,
+    SELECT worker.state, coalesce(worker.max_nodes, ?2) AS max_nodes, worker.delivered_ms, worker.pool,
+           worker.registered_ms,
            (SELECT value <> 0 FROM meta WHERE name = 'paused') AS is_paused,
            (SELECT coalesce(max(coalesce(other.max_nodes, ?2)), -1) FROM worker AS other
             WHERE other.state <> 'gone' AND other.state = 'ready' AND other.id <> ?1) AS others_max_nodes,
@@ -82,7 +89,7 @@ const WORKER_SQL: &str = "
                           AND other.seen_ms <= ?4 AND other.id <> ?1) AS is_anything_overdue,
            (SELECT min(number) FROM verification) IS NOT NULL AS has_verifications,
            lease.id AS lease, lease.worker, lease.granted_ms, lease.charged_us, lease.charged_priority,
-           tile.id AS tile, tile.job, tile.frame, tile.kind, tile.rays, tile.errors, tile.crashes, tile.lost,
+           tile.id AS tile, tile.job, tile.frame, tile.kind, tile.position, tile.rays, tile.errors, tile.crashes, tile.lost,
            tile.interrupts, job.submitter, job.finished_at_ms IS NULL AS is_open, frame.tiles_total AS frame_tiles,
            EXISTS (SELECT 1 FROM lease AS other
                    WHERE other.tile = tile.id AND other.ended IS NULL AND other.id <> lease.id) AS has_duplicate
@@ -124,6 +131,8 @@ impl WorkerState {
                 "starting" | "quarantined" => Some(WorkerStatus::Other),
                 _ => None,
             })?,
+            is_pool: row.get("pool")?,
+            registered_ms: row.get("registered_ms")?,
             max_nodes: row.get("max_nodes")?,
             delivered_ms: row.get("delivered_ms")?,
             is_paused: row.get("is_paused")?,
@@ -139,6 +148,7 @@ impl HeldLease {
     fn read(row: &Row) -> Result<Self> {
         Ok(Self {
             live: LiveLease::read(row)?,
+            position: row.get("position")?,
             is_open: row.get("is_open")?,
             has_duplicate: row.get("has_duplicate")?,
             frame_tiles: row.get("frame_tiles")?,

@@ -8,7 +8,7 @@ use proto::{LeaseId, WorkerId};
 
 use super::{Fixture, leases, new_job, speed, turn};
 use crate::db::sent;
-use crate::queue::{BacklogLimits, NewJob, NextWork, SubmitOptions, SyncInput};
+use crate::queue::{BacklogLimits, NewJob, NextWork, SubmitOptions, SyncInput, VerificationPolicy};
 use crate::tile_plan::TilePlan;
 
 /// Asserts how many statements were sent since the last call.
@@ -101,4 +101,29 @@ async fn an_idle_turn_has_few_statements() {
     sent::take();
     assert!(sync(&bench, asks(worker)).await.is_none());
     assert_sent("a claim without work", 7);
+}
+
+#[tokio::test]
+async fn a_verification_has_few_statements() {
+    let mut bench = Fixture::new().await;
+    bench.queue = bench.queue.with_verification(VerificationPolicy { share: 1.0, new_worker_ms: 0 });
+    let (worker, other) = (bench.worker(None).await, bench.worker(None).await);
+    let plan = TilePlan { width_px: 320, height_px: 320, samples: 1, pixel_bytes: 16, edge_px: Some(32), frames: 1 };
+    bench.queue.submit(NewJob { plan, ..new_job(1) }).await.expect("accepted");
+    let first = sync(&bench, asks(worker)).await.expect("work");
+    let reports = blobs(&first);
+    sent::take();
+    sync(&bench, SyncInput { reports: reports.clone(), ..turn(worker) }).await;
+    assert_sent("a delivery of tiles that are verified", 14);
+    let second = sync(&bench, asks(other)).await.expect("work");
+    assert_sent("a claim of tiles to verify", 9);
+    assert_eq!(leases(&second).count(), 8, "as many as are verified together");
+    let hash = |index: usize| reports[index].outcome.clone();
+    let reports = leases(&second).enumerate().map(|(index, lease)| LeaseReport { lease, outcome: hash(index) });
+    let said = SyncInput { reports: reports.collect(), ..turn(other) };
+    let turned = bench.turn(said).await.expect("known");
+    assert_eq!((turned.verification.agreed, turned.verification.differed), (8, 0));
+    assert_sent("a delivery of verified tiles", 9);
+    let left = sync(&bench, asks(other)).await.expect("work");
+    assert_eq!(leases(&left).count(), 2, "the others");
 }
