@@ -50,6 +50,7 @@ mod undo;
 mod verification;
 mod wake;
 mod webhooks;
+mod worker_state;
 mod workers;
 
 use std::sync::Arc;
@@ -210,23 +211,39 @@ impl Queue {
         read::has_picture(self.database.readers(), key).await
     }
 
-    /// Runs a worker's sync: takes results, renews leases, grants work.
-    pub(crate) async fn turn(&self, mut turn: SyncInput) -> Result<Option<SyncOutcome>> {
+    /// Runs a worker's sync: takes results, renews leases, grants work. A claim that fails takes no results with it: then
+    /// the worker gets no work, and asks again after a while.
+    pub(crate) async fn turn(&self, turn: SyncInput) -> Result<Option<SyncOutcome>> {
+        let without_claim = turn.wants_work.then(|| turn.clone().without_claim());
+        let turned = match (self.turn_at_once(turn).await, without_claim) {
+            (Err(error), Some(without_claim)) if !error.is_unreachable() => {
+                let worker = without_claim.worker;
+                let turned = self.turn_at_once(without_claim).await?;
+                tracing::error!(
+                    code = "claim_failed", %worker, %error, cause = ?std::error::Error::source(&error),
+                    "a claim failed; its worker gets no work: run `sdfarm doctor`"
+                );
+                turned.map(SyncOutcome::after_failed_claim)
+            }
+            (turned, _) => turned?,
+        };
+        if let Some(turned) = &turned {
+            self.wake(turned.ring);
+        }
+        Ok(turned)
+    }
+
+    async fn turn_at_once(&self, mut turn: SyncInput) -> Result<Option<SyncOutcome>> {
         let moment = self.context();
         let durability = if turn.has_reports() { Durability::Full } else { Durability::Relaxed };
-        let turned = self
-            .database
+        self.database
             .write_for_worker(durability, move |connection| {
                 Box::pin(async move {
                     doomed::save_results(connection, &mut turn).await?;
                     sync::sync(connection, turn, moment).await
                 })
             })
-            .await?;
-        if let Some(turned) = &turned {
-            self.wake(turned.ring);
-        }
-        Ok(turned)
+            .await
     }
 
     /// Expires overdue leases and marks lost workers; returns the number of expired leases.

@@ -53,6 +53,8 @@ impl WritingConnection {
                     Durability::Full => postgres::BEGIN_GROUP,
                     Durability::Relaxed => postgres::BEGIN_RELAXED_GROUP,
                 };
+                #[cfg(test)]
+                super::sent::record(text);
                 session.begin(connection, text).await
             }
             (Engine::Sqlite { synchronous, .. }, connection) => {
@@ -90,7 +92,11 @@ impl WritingConnection {
     /// Commits; the last savepoint is released.
     pub(super) async fn commit(&mut self) -> Result<(), DatabaseError> {
         match (&mut self.engine, &mut self.connection) {
-            (Engine::Postgres(session), Connection::Postgres(connection)) => session.commit(connection).await,
+            (Engine::Postgres(session), Connection::Postgres(connection)) => {
+                #[cfg(test)]
+                super::sent::record("COMMIT");
+                session.commit(connection).await
+            }
             (Engine::Sqlite { .. } | Engine::Postgres(_), connection) => connection.command("COMMIT").await,
         }
     }

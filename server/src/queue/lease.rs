@@ -123,7 +123,8 @@ macro_rules! held_where {
 }
 
 impl LiveLease {
-    fn read(row: &Row) -> Result<Self> {
+    /// Reads a row with the columns of [`held_where`].
+    pub(super) fn read(row: &Row) -> Result<Self> {
         Ok(Self {
             lease: row.get("lease")?,
             worker: row.get("worker")?,
@@ -165,6 +166,13 @@ pub(super) async fn live_lease_ids(connection: &mut Connection, worker: &str) ->
 pub(super) struct LeaseGrant {
     pub(super) lease: String,
     pub(super) granted_ms: i64,
+}
+
+impl LeaseGrant {
+    /// Of a live lease.
+    pub(super) fn of(live: &LiveLease) -> Self {
+        Self { lease: live.lease.clone(), granted_ms: live.granted_ms }
+    }
 }
 
 /// Live leases of a worker. The index is forced, because with another one the query would read every lease the
@@ -307,11 +315,6 @@ pub(super) async fn renew(connection: &mut Connection, leases: &[&str], moment: 
     expect_rows("lease: renewed", leases.len() as u64, renewed)
 }
 
-/// Whether a lease is overdue or a remote worker is lost.
-const ANYTHING_EXPIRED_SQL: &str = "
-    SELECT EXISTS (SELECT 1 FROM lease WHERE ended IS NULL AND expires_ms <= ?1)
-        OR EXISTS (SELECT 1 FROM worker WHERE state <> 'gone' AND pool = 0 AND seen_ms <= ?2)";
-
 /// Expires overdue leases and marks remote workers as gone if they have not synced for one lease length.
 pub(super) async fn rescue(connection: &mut Connection, moment: TransitionContext) -> Result<(u64, Wake)> {
     let mut ring = Wake::default();
@@ -320,10 +323,6 @@ pub(super) async fn rescue(connection: &mut Connection, moment: TransitionContex
         return Ok((count, ring));
     }
     let missed_ms = moment.now_ms - moment.lease_ms;
-    let look = db::query_scalar(ANYTHING_EXPIRED_SQL).bind(moment.now_ms).bind(missed_ms);
-    if !look.fetch_one(&mut *connection).await? {
-        return Ok((count, ring));
-    }
     let expired: Vec<String> =
         db::query_scalar("SELECT id FROM lease WHERE ended IS NULL AND expires_ms <= ? ORDER BY expires_ms")
             .bind(moment.now_ms)
