@@ -15,9 +15,10 @@ use std::sync::{Arc, Mutex, RwLock};
 use std::time::Duration;
 
 use proto::api_key::{ApiKeyView, IssuedApiKey, NewApiKey, Scope};
+use tokio::time::Instant;
 use tokio_util::sync::CancellationToken;
 
-use crate::clock::Clock;
+use crate::clock::{Clock, monotonic_now};
 use crate::db::{Database, DatabaseError, Durability};
 
 pub(crate) use key::ApiKey;
@@ -26,6 +27,8 @@ pub(crate) use secret::constant_time_eq;
 
 /// Interval at which the table is reread.
 const RELOAD_INTERVAL: Duration = Duration::from_millis(500);
+/// Minimum interval between two rereads for unknown secrets.
+const MIN_REREAD_INTERVAL: Duration = Duration::from_millis(100);
 /// Precision of the stored last-used times.
 const LAST_USED_PRECISION_MS: i64 = 60_000;
 /// Maximum number of live keys of one name: the old one and its replacement.
@@ -121,12 +124,15 @@ pub(crate) struct ApiKeys {
     known: RwLock<Arc<Vec<Arc<ApiKey>>>>,
     /// When each key's last use was last written to the table.
     written: Mutex<HashMap<i64, i64>>,
+    /// When the table was last reread. One task does so at a time, so that no older state replaces a newer one.
+    reread: tokio::sync::Mutex<Instant>,
 }
 
 impl ApiKeys {
     /// Reads the keys of a database.
     pub(crate) async fn open(store: Arc<Database>, clock: Clock) -> Result<Self, DatabaseError> {
-        let keys = Self { store, clock, known: RwLock::default(), written: Mutex::default() };
+        let reread = tokio::sync::Mutex::new(monotonic_now());
+        let keys = Self { store, clock, known: RwLock::default(), written: Mutex::default(), reread };
         keys.refresh().await?;
         Ok(keys)
     }
@@ -157,6 +163,21 @@ impl ApiKeys {
             KeyLookup::Live(Arc::clone(key))
         } else {
             KeyLookup::Expired
+        }
+    }
+
+    /// Like [`ApiKeys::find`]; an unknown secret may be that of a key which another server, or the command line, has just
+    /// created.
+    pub(crate) async fn find_or_reread(&self, secret: &str) -> Result<KeyLookup, DatabaseError> {
+        match self.find(secret) {
+            KeyLookup::Unknown => {
+                let mut reread = self.reread.lock().await;
+                if reread.elapsed() >= MIN_REREAD_INTERVAL {
+                    self.reread(&mut reread).await?;
+                }
+                Ok(self.find(secret))
+            }
+            found => Ok(found),
         }
     }
 
@@ -204,6 +225,11 @@ impl ApiKeys {
 
     /// Rereads the table.
     pub(crate) async fn refresh(&self) -> Result<(), DatabaseError> {
+        self.reread(&mut *self.reread.lock().await).await
+    }
+
+    async fn reread(&self, reread: &mut Instant) -> Result<(), DatabaseError> {
+        *reread = monotonic_now();
         let rows = rows::all(self.store.readers()).await?;
         let old = self.all();
         let now_ms = self.clock.wall_ms();

@@ -100,7 +100,7 @@ pub(super) async fn authenticate_and_authorize(
     let policy = routes::policy_of(&request);
     let need = policy.permission;
     let peer = request.extensions().get::<Peer>().map(|peer| peer.0);
-    let caller = match gate.caller(need, peer, request.headers()) {
+    let caller = match gate.caller(need, peer, request.headers()).await {
         Ok(caller) => caller,
         Err(error) => return gate.reject(peer, Caller::Anonymous, error),
     };
@@ -154,7 +154,7 @@ impl Gate {
     }
 
     /// Caller of this request.
-    fn caller(&self, need: Permission, peer: Option<IpAddr>, headers: &HeaderMap) -> Result<Caller, ApiError> {
+    async fn caller(&self, need: Permission, peer: Option<IpAddr>, headers: &HeaderMap) -> Result<Caller, ApiError> {
         let keys = &self.api_keys;
         let bearer = headers.get(header::AUTHORIZATION).map(|value| {
             let text = value.to_str().unwrap_or_default();
@@ -175,7 +175,7 @@ impl Gate {
         }
         match bearer {
             None => Err(ApiError::MissingKey),
-            Some(secret) => match keys.find(secret) {
+            Some(secret) => match keys.find_or_reread(secret).await? {
                 KeyLookup::Live(key) => Ok(Caller::Key(key)),
                 KeyLookup::Expired => Err(ApiError::ExpiredKey),
                 KeyLookup::Revoked => Err(ApiError::RevokedKey),
