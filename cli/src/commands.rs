@@ -138,7 +138,7 @@ pub(crate) enum Command {
     Backup(backup::Arguments),
     /// Restore a farm from a backup into a new folder.
     Restore(restore::Arguments),
-    /// Move the database of a stopped farm to a PostgreSQL server, or back to a file.
+    /// Move the database of a stopped farm to a PostgreSQL server, its pictures to a bucket, or either back.
     Move(relocate::Arguments),
     /// Check a farm's data folder and machine, and suggest fixes.
     Doctor(doctor::Arguments),

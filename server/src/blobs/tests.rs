@@ -2,6 +2,7 @@
 
 use std::io;
 
+use futures_util::future::join_all;
 use futures_util::stream::TryStreamExt;
 use object_store::PutPayload;
 
