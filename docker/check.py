@@ -133,12 +133,17 @@ def faults_of_cluster():
     """Checks that the services of the cluster name each other as they are."""
     services = yaml.safe_load((FOLDER / "compose.cluster.yml").read_text())["services"]
     path = FOLDER / "cluster" / "haproxy.cfg"
-    count, target = re.search(r"server-template server (\d+) (\S+) ", path.read_text()).groups()
-    if int(count) != services["server"].get("deploy", {}).get("replicas", 1):
-        yield f"haproxy.cfg: it sends requests to {count} servers"
+    replicas = services["server"].get("deploy", {}).get("replicas", 1)
     port = services["server"]["environment"]["SDFARM_LISTEN"].rsplit(":")[-1]
-    if target != f"server:{port}":
-        yield f"haproxy.cfg: {target} is not where the servers listen"
+    for count, target in re.findall(r"server-template server (\d+) (\S+) ", path.read_text()) or [(0, "")]:
+        if int(count) != replicas:
+            yield f"haproxy.cfg: it sends requests to {count} servers"
+        if target != f"server:{port}":
+            yield f"haproxy.cfg: {target} is not where the servers listen"
+    if replicas > 1 and "SDFARM_CLUSTER_SECRET" not in services["server"]["environment"]:
+        yield "compose.cluster.yml: without a secret its servers exclude each other"
+    yield from faults_of_secrets((FOLDER / "compose.cluster.yml").read_text())
+    yield from faults_of_retries(path.read_text())
     bucket = re.match(r"s3://([^/]+)/", services["server"]["environment"]["SDFARM_STORE"]).group(1)
     if f"s3.bucket.create -name {bucket}" not in services["bucket"]["command"][0]:
         yield f"compose.cluster.yml: bucket {bucket} is not made"
@@ -154,6 +159,24 @@ def faults_of_cluster():
     parsed = subprocess.run([program, "-c", "-f", path], capture_output=True, text=True, check=False)
     if parsed.returncode:
         yield f"haproxy.cfg: {parsed.stdout}{parsed.stderr}"
+
+
+def faults_of_secrets(text):
+    """Checks that the loop at the head of the file makes all secrets that it uses, and long enough ones."""
+    names, size = re.search(r"^# +for name in (.*); do echo .*openssl rand -hex (\d+)", text, re.M).groups()
+    made = {f"SDFARM_{name}" for name in names.split()}
+    for name in set(re.findall(r"\$\{(SDFARM_[A-Z_]+(?:SECRET|PASSWORD))", text)) - made:
+        yield f"compose.cluster.yml: the commands at its head do not make {name}"
+    if 2 * int(size) < 32:
+        yield "compose.cluster.yml: a secret of the servers has at least 32 characters"
+
+
+def faults_of_retries(text):
+    """Checks that the balancer sends only what may be done twice again after a server may have done it."""
+    if re.search(r"^ +retry-on .*(empty-response|503|all-retryable-errors)", text, re.M) and not re.search(
+        r"^ +http-request disable-l7-retry unless reads", text, re.M
+    ):
+        yield "haproxy.cfg: it sends any request again, also one that a server has done"
 
 
 def faults():

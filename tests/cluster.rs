@@ -3,13 +3,14 @@
 use std::net::TcpListener;
 use std::process::{Child, Command, Stdio};
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use rustix::process::Signal;
 use serde_json::Value;
 use tempfile::TempDir;
 
 use crate::seaweedfs::SeaweedFs;
+use crate::slow_network::SlowNetwork;
 use crate::support::{Answer, Farm, eventually, finish, rendered_here, sdfarm, send_signal, text, try_send};
 use crate::{jobs, postgres_server};
 
@@ -45,10 +46,19 @@ impl Cluster {
 
     /// Starts the server of a place.
     fn start(&self, place: usize, workers: &str) -> Farm {
+        self.start_with(place, workers, "")
+    }
+
+    /// Starts the server of a place with fail points.
+    fn start_with(&self, place: usize, workers: &str, fail_points: &str) -> Farm {
         let folder = self.folder.path().join(place.to_string());
         std::fs::create_dir_all(&folder).expect("a folder");
         let flags = ["--device", "cpu", "--workers", workers, "--tile", "32", "--store", "s3://renders/farm"];
-        Farm::start_at(&self.addresses[place], self.command(&["serve"], SECRET), &folder, &flags)
+        let mut command = self.command(&["serve"], SECRET);
+        if !fail_points.is_empty() {
+            command.arg(proto::fail_point::FLAG).env(proto::fail_point::ENV_VAR, fail_points);
+        }
+        Farm::start_at(&self.addresses[place], command, &folder, &flags)
     }
 
     /// Starts a worker that calls any of the servers.
@@ -131,7 +141,7 @@ fn the_pool_of_a_server_that_is_killed_loses_its_leases_and_nothing_else() {
     eventually("it runs", || (state(&second, &id) == "running").then_some(()));
     send_signal(first.process(), Signal::KILL);
     // Leases last for 30 s; those of a pool whose server has ended are handed back within about ten.
-    let start = std::time::Instant::now();
+    let start = Instant::now();
     eventually("its worker is gone", || {
         let workers = second.get("/v1/workers").json();
         workers["workers"]
@@ -143,6 +153,65 @@ fn the_pool_of_a_server_that_is_killed_loses_its_leases_and_nothing_else() {
     second.send("POST", &format!("/v1/jobs/{id}/cancel"), &[], Vec::new());
     second.set_pool(1);
     second.succeeded(&second.accept(&small(3).to_string()));
+}
+
+#[test]
+fn a_server_that_stops_within_a_transaction_delays_the_others_for_ten_seconds() {
+    let Some(cluster) = Cluster::new(2) else { return };
+    let second = cluster.start(1, "0");
+    // Among its first commits is one that takes 20 s.
+    let first = cluster.start_with(0, "0", "database_commit=slow:20000@9");
+    let start = Instant::now();
+    eventually("its ninth commit begins", || first.log().contains("triggered at pass 9").then_some(()));
+    let accepted = second.accept(&small(1).to_string());
+    let waited = start.elapsed();
+    assert!(waited < Duration::from_secs(18), "{waited:?}");
+    // Its transaction was rolled back, and it goes on.
+    eventually("it is ready again", || (first.get("/readyz").status == 200).then_some(()));
+    let answer = ask(
+        &cluster.addresses[..1],
+        0,
+        "POST",
+        "/v1/jobs",
+        &[("content-type", "application/json")],
+        small(2).to_string().as_bytes(),
+    );
+    assert_eq!(answer.status, 201, "{}", answer.text());
+    let listed = second.get("/v1/jobs").json();
+    assert_eq!(listed["jobs"].as_array().map(Vec::len), Some(2), "{listed}");
+    assert!(listed.to_string().contains(&accepted));
+    assert!(first.log().contains("the connection to the database has ended"), "{}", first.log());
+}
+
+#[test]
+fn a_database_that_is_away_for_longer_than_a_lease_ends_none() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let Some(_) = postgres_server::required() else { return };
+    let database = postgres_server::database_of(folder.path()).expect("a database");
+    let network = SlowNetwork::to(&database, Duration::ZERO);
+    let mut command = sdfarm(&["serve"]);
+    command.env("SDFARM_DATABASE", network.address());
+    let server = Farm::start_by(command, folder.path(), &["--workers", "0", "--lease-seconds", "4", "--tile", "64"]);
+    let mut worker = sdfarm(&["worker", "--device", "cpu", "--threads", "1", "--server", &server.address]);
+    let _worker = Worker(worker.stdin(Stdio::null()).stderr(Stdio::null()).spawn().expect("the program starts"));
+    let job = jobs::as_png(&jobs::sized(&jobs::named("csg"), 512, 16));
+    let id = server.accept(&job.to_string());
+    eventually("it runs", || (state(&server, &id) == "running").then_some(()));
+    network.cut();
+    let unreachable = eventually("reads fail", || {
+        let answer = server.get(&format!("/v1/jobs/{id}"));
+        (answer.status != 200).then_some(answer)
+    });
+    unreachable.problem(503, "database_unreachable");
+    // The worker stops what it cannot renew, and returns it later.
+    std::thread::sleep(Duration::from_secs(8));
+    network.mend();
+    eventually("reads succeed", || (server.get(&format!("/v1/jobs/{id}")).status == 200).then_some(()));
+    server.succeeded(&id);
+    assert!(server.picture(&id) == rendered_here(&job, 0));
+    assert!(!server.log().contains("lease expired"), "{}", server.log());
+    let workers = server.get("/v1/workers").json();
+    assert_eq!(workers["workers"].as_array().map(Vec::len), Some(1), "it did not register again: {workers}");
 }
 
 #[test]
@@ -219,13 +288,13 @@ fn servers_are_replaced_one_by_one_without_a_failed_request() {
     };
     let accepted: Vec<String> = std::thread::scope(|scope| {
         let clients: Vec<_> = (0..3).map(|number| scope.spawn(client(number))).collect();
-        for place in 0..3 {
+        for (place, server) in servers.iter_mut().enumerate() {
             std::thread::sleep(Duration::from_secs(1));
-            let old = servers[place].take().expect("it runs");
+            let old = server.take().expect("it runs");
             assert!(old.terminate().success());
             let new = cluster.start(place, "0");
             eventually("it is ready", || (new.get("/readyz").status == 200).then_some(()));
-            servers[place] = Some(new);
+            *server = Some(new);
         }
         std::thread::sleep(Duration::from_secs(1));
         is_over.store(true, Ordering::Relaxed);
@@ -237,4 +306,17 @@ fn servers_are_replaced_one_by_one_without_a_failed_request() {
         server.succeeded(id);
     }
     eprintln!("{} jobs were accepted while three servers were replaced", accepted.len());
+}
+
+#[test]
+fn the_secret_of_webhooks_is_that_of_every_server() {
+    let secret = |cluster: &str| {
+        let mut command = sdfarm(&["webhook", "secret"]);
+        command.env("SDFARM_CLUSTER_SECRET", cluster);
+        let output = finish(command, b"");
+        assert!(output.status.success(), "{}", text(&output.stderr));
+        text(&output.stdout)
+    };
+    let derived = secret(SECRET);
+    assert!(derived.starts_with("whsec_") && derived == secret(SECRET) && derived != secret(&SECRET.replace('a', "b")));
 }

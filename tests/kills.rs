@@ -7,6 +7,7 @@ use std::time::Duration;
 use rustix::process::Signal;
 
 use crate::seaweedfs::SeaweedFs;
+use crate::slow_network::SlowNetwork;
 use crate::support::{Farm, eventually, finish, rendered_here, sdfarm, send_signal, text};
 use crate::{jobs, postgres_server};
 
@@ -71,8 +72,8 @@ fn soak_on_postgresql_with_130_kills_and_cut_connections_finds_no_violation() {
     soak_on_postgresql("100", "30");
 }
 
-/// Soaks a farm of three servers on PostgreSQL and S3, whose servers hear only half of what the others tell, while all
-/// connections to the database are cut every now and then.
+/// Soaks a farm of three servers on PostgreSQL and S3, whose servers hear only half of what the others tell, over a slow
+/// network, while all connections to the database are cut every now and then.
 fn soak_three_servers(worker_kills: &str, server_kills: &str, workers: &str) {
     if postgres_server::required().is_none() {
         return;
@@ -82,12 +83,13 @@ fn soak_three_servers(worker_kills: &str, server_kills: &str, workers: &str) {
     let folder = tempfile::tempdir().expect("a folder");
     let data = folder.path().join("farm");
     let database = postgres_server::database_of(&data).expect("a database");
+    let network = SlowNetwork::to(&database, Duration::from_millis(100));
     let (data, seen) = (data.to_str().expect("plain").to_owned(), AtomicBool::new(false));
     let flags = [
         ["soak", "--kill", "--servers", "3"],
         ["--workers", workers, "--data", &data],
         ["--worker-kills", worker_kills, "--server-kills", server_kills],
-        ["--database", &database, "--store", "s3://soak/farm"],
+        ["--database", network.address(), "--store", "s3://soak/farm"],
     ];
     let mut soak = sdfarm(&flags.concat());
     soak.envs(store.environment());

@@ -36,4 +36,5 @@ mod runaway;
 mod schema_readers;
 mod seaweedfs;
 mod skip;
+mod slow_network;
 mod support;

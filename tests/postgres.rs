@@ -78,3 +78,37 @@ fn a_farm_moves_to_postgresql_and_back_with_every_row() {
     let told = succeed(&["doctor", "--data", word]);
     assert!(!told.contains("ERROR"), "{told}");
 }
+
+#[test]
+fn a_database_is_migrated_without_a_server() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let data = folder.path().join("data");
+    let word = data.to_str().expect("plain");
+    let Some(database) = postgres_server::required().and_then(|_| postgres_server::database_of(&data)) else { return };
+    let none = run(&["migrate", "--data", word]);
+    assert!(text(&none.stderr).contains("there is no farm"), "{}", text(&none.stderr));
+    let first = succeed(&["migrate", "--data", word, "--database", &database]);
+    assert!(first.contains("was migrated by"), "{first}");
+    let second = succeed(&["migrate", "--data", word, "--database", &database]);
+    assert!(second.contains("is up to date"), "{second}");
+    let farm = start(folder.path(), Some(&database));
+    // A server that does not share its database excludes everything else.
+    let in_use = run(&["migrate", "--data", word, "--database", &database]);
+    assert!(text(&in_use.stderr).contains("stop a server that does not share it"), "{}", text(&in_use.stderr));
+    farm.terminate();
+}
+
+#[test]
+fn keys_are_not_made_in_another_database_than_the_data_folders() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (data, elsewhere) = (folder.path().join("data"), folder.path().join("elsewhere"));
+    let word = data.to_str().expect("plain");
+    let Some(database) = postgres_server::required().and_then(|_| postgres_server::database_of(&data)) else { return };
+    let other = postgres_server::database_of(&elsewhere).expect("a database");
+    start(folder.path(), Some(&database)).terminate();
+    let key = ["key", "new", "anna", "--scope", "admin", "--data", word, "--database"];
+    let refused = run(&[&key[..], &[&other]].concat());
+    let told = text(&refused.stderr);
+    assert!(told.contains("has its database in postgres://") && told.contains("leave --database out"), "{told}");
+    succeed(&[&key[..], &[&database]].concat());
+}

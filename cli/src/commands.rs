@@ -19,6 +19,7 @@ mod gc;
 mod jobs;
 mod key;
 mod link;
+mod migrate;
 mod new;
 mod pause;
 mod pool;
@@ -138,6 +139,8 @@ pub(crate) enum Command {
     Backup(backup::Arguments),
     /// Restore a farm from a backup into a new folder.
     Restore(restore::Arguments),
+    /// Apply the migrations of this release to a farm's database, without starting a server.
+    Migrate(migrate::Arguments),
     /// Move the database of a stopped farm to a PostgreSQL server, its pictures to a bucket, or either back.
     Move(relocate::Arguments),
     /// Check a farm's data folder and machine, and suggest fixes.
@@ -195,6 +198,7 @@ impl Command {
             Self::Top(arguments) => run_async(interruptible(top::run(arguments))),
             Self::Backup(arguments) => run_async(interruptible(backup::run(arguments))),
             Self::Restore(arguments) => run_async(interruptible(restore::run(arguments))),
+            Self::Migrate(arguments) => run_async(interruptible(migrate::run(arguments))),
             Self::Move(arguments) => run_async(interruptible(relocate::run(arguments))),
             Self::Doctor(arguments) => run_async(interruptible(doctor::run(arguments))),
             Self::Demo(arguments) => run_async(demo::run(arguments)),

@@ -28,7 +28,13 @@ CUSTOM = {
 }
 # Values that the chart must reject, with a word of the message.
 REJECTED = {
-    "server: { replicas: 2 }": "replicas",
+    "server: { replicas: 2 }": "database.secret and cluster.secret",
+    "{ server: { replicas: 2 }, database: { secret: a }, store: { url: s3://b/c } }": "cluster.secret",
+    "{ server: { replicas: 2 }, cluster: { secret: a }, store: { url: s3://b/c } }": "database.secret",
+    "server: { replicas: 0 }": "replicas",
+    "{ cluster: { secret: a }, store: { url: s3://b/c } }": "database.secret",
+    "{ cluster: { secret: a }, database: { secret: b } }": "store.url",
+    "cluster: { secrets: a }": "secrets",
     "database: { secret: a }": "store.url",
     "keys: { workers: { secret: '' } }": "keys.workers.secret",
     "workers: { cpu: { scaling: { enabled: true } } }": "keys.reader.secret",
@@ -116,10 +122,11 @@ def faults_of_pod(thing, variables):
         names = [variable["name"] for variable in container.get("env", [])]
         if len(names) != len(set(names)):
             yield f"{where}: a variable occurs twice in {names}"
-        command = container["args"][0] if "command" not in container else "key"
+        script = " ".join(container["args"])
+        commands = re.findall(r"\bsdfarm (\w+)", script) if "command" in container else [container["args"][0]]
         for name in names:
-            if name.startswith("SDFARM_") and name not in variables(command):
-                yield f"{where}: sdfarm {command} has no variable {name}"
+            if name.startswith("SDFARM_") and not any(name in variables(command) for command in commands):
+                yield f"{where}: sdfarm {' and '.join(commands)} has no variable {name}"
         for key in ("startupProbe", "livenessProbe", "readinessProbe"):
             path = container.get(key, {}).get("httpGet", {}).get("path")
             if path and path not in routes():
@@ -142,6 +149,7 @@ def faults_of_farm(things):
     names = [(thing["kind"], thing["metadata"]["name"]) for thing in things]
     yield from (f"{name} occurs twice" for name in set(names) if names.count(name) > 1)
     pods = [(thing, *pod_of(thing)) for thing in things if "spec" in thing and pod_of(thing)]
+    yield from faults_of_servers(names, pods)
     for thing in things:
         name = f"{thing['kind']} {thing['metadata']['name']}"
         spec = thing.get("spec", {})
@@ -161,6 +169,30 @@ def faults_of_farm(things):
             yield from (f"{name}: {point['path']} is no route" for point in spec["endpoints"] if point["path"] not in routes())
         if thing["kind"] == "PrometheusRule" and spec != yaml.safe_load((ROOT / "docker/prometheus/alerts.yml").read_text()):
             yield f"{name}: its rules are not those of docker/prometheus/alerts.yml"
+
+
+def faults_of_servers(names, pods):
+    """Checks that several servers run only where they may, and are replaced one by one."""
+    servers = [thing for thing, metadata, _ in pods if metadata["labels"]["app.kubernetes.io/component"] == "server"]
+    if len(servers) != 1:
+        yield f"{len(servers)} objects have servers"
+        return
+    name, spec, pod = servers[0]["metadata"]["name"], servers[0]["spec"], pod_of(servers[0])[1]
+    variables = {variable["name"]: variable for variable in pod["containers"][0]["env"]}
+    shared, has_several = "SDFARM_CLUSTER_SECRET" in variables, spec["replicas"] > 1
+    if has_several and not shared:
+        yield f"{name}: its servers exclude each other without a secret"
+    if shared and not {"SDFARM_DATABASE", "SDFARM_STORE"} <= variables.keys():
+        yield f"{name}: servers that share a secret need a database and a store"
+    rolling = {"type": "RollingUpdate", "rollingUpdate": {"maxSurge": 1, "maxUnavailable": 0}}
+    if servers[0]["kind"] == "Deployment" and spec["strategy"] != (rolling if shared else {"type": "Recreate"}):
+        yield f"{name}: a new server does not start {'before' if shared else 'after'} the old one stops"
+    if has_several != (("PodDisruptionBudget", name) in names) or has_several != ("topologySpreadConstraints" in pod):
+        yield f"{name}: a budget and a spread are for several servers"
+    selector = spec["selector"]["matchLabels"]
+    for constraint in pod.get("topologySpreadConstraints", []):
+        if constraint["labelSelector"]["matchLabels"] != selector:
+            yield f"{name}: other pods are counted by {constraint['topologyKey']}"
 
 
 def faults_of_scaler(spec, names, things):

@@ -3,23 +3,18 @@
 //! What it is told are hints that may be lost. Once a second the database is asked, which decides.
 
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::Ordering;
 use std::time::Duration;
 
 use proto::fail_point::{self, FailPoint};
 use tokio_util::sync::CancellationToken;
 
-use crate::clock::monotonic_now;
+use crate::counters::ServerCounters;
 use crate::db::{Database, DatabaseError, Notifications};
-use crate::queue::{Hints, Queue, SERVER_GONE_MS};
+use crate::queue::{Hints, Queue};
 
 /// Interval between two renewals, and two questions to the database.
 const INTERVAL: Duration = Duration::from_secs(1);
-/// A server whose renewals were further apart did not reach the database in between.
-const MAX_RENEWAL_GAP: Duration = Duration::from_secs(3);
-/// A server that has reached the database for this long may judge that others have ended: they had time to renew their
-/// rows, if they could not reach it either.
-const BEFORE_JUDGING: Duration = Duration::from_millis(SERVER_GONE_MS.unsigned_abs() + 2_000);
 /// Changes within this time are told together.
 const TELL_INTERVAL: Duration = Duration::from_millis(10);
 /// Delay before a lost listener is made again.
@@ -30,13 +25,13 @@ const LISTEN_AGAIN: Duration = Duration::from_millis(300);
 pub(crate) struct Cluster {
     queue: Queue,
     database: Arc<Database>,
-    has_others: AtomicBool,
+    counters: Arc<ServerCounters>,
 }
 
 impl Cluster {
     /// Connects the server of this queue with others.
-    pub(crate) fn new(queue: Queue, database: Arc<Database>) -> Self {
-        Self { queue, database, has_others: AtomicBool::new(true) }
+    pub(crate) fn new(queue: Queue, database: Arc<Database>, counters: Arc<ServerCounters>) -> Self {
+        Self { queue, database, counters }
     }
 
     /// Runs until the server ends; a farm in a file has no other servers.
@@ -53,16 +48,12 @@ impl Cluster {
     async fn renew(&self) {
         let mut ticks = tokio::time::interval(INTERVAL);
         ticks.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
-        let (mut reached_since, mut renewed, mut newest) = (monotonic_now(), monotonic_now(), 0);
+        let mut newest = 0;
         loop {
             ticks.tick().await;
-            if renewed.elapsed() > MAX_RENEWAL_GAP {
-                reached_since = monotonic_now();
-            }
-            match self.queue.renew_server(reached_since.elapsed() >= BEFORE_JUDGING).await {
+            match self.queue.renew_server().await {
                 Ok(others) => {
-                    renewed = monotonic_now();
-                    self.has_others.store(others > 0, Ordering::Relaxed);
+                    self.counters.other_servers.store(others.unsigned_abs(), Ordering::Relaxed);
                     if others > 0
                         && let Err(error) = self.ask(&mut newest).await
                     {
@@ -98,12 +89,14 @@ impl Cluster {
             tokio::time::sleep(TELL_INTERVAL).await;
             commits.borrow_and_update();
             let hints = self.queue.drain_hints();
-            if !self.has_others.load(Ordering::Relaxed) || fail_point::trigger(FailPoint::Telling).is_err() {
+            let has_others = self.counters.other_servers.load(Ordering::Relaxed) > 0;
+            if !has_others || fail_point::trigger(FailPoint::Telling).is_err() {
                 continue;
             }
             let message = format!("{} {}", self.queue.generation(), hints.as_bits());
-            if let Err(error) = notifications.send(&message).await {
-                tracing::debug!(%error, "could not tell the other servers of a change");
+            match notifications.send(&message).await {
+                Ok(()) => drop(self.counters.hints_sent.fetch_add(1, Ordering::Relaxed)),
+                Err(error) => tracing::debug!(%error, "could not tell the other servers of a change"),
             }
         }
     }
@@ -128,6 +121,7 @@ impl Cluster {
                 Some(Some((_, bits))) => bits.parse().map_or(Hints::ALL, Hints::from_bits),
                 Some(None) | None => Hints::ALL,
             };
+            self.counters.hints_received.fetch_add(1, Ordering::Relaxed);
             self.database.announce_commit();
             self.queue.take_hints(hints);
         }

@@ -21,4 +21,10 @@ pub(crate) struct ServerCounters {
     pub(crate) unverified: AtomicU64,
     /// Failed attempts to deliver a webhook.
     pub(crate) webhook_failures: AtomicU64,
+    /// Messages to the other servers of the database.
+    pub(crate) hints_sent: AtomicU64,
+    /// Messages of the other servers.
+    pub(crate) hints_received: AtomicU64,
+    /// Number of the other servers, as of the last renewal.
+    pub(crate) other_servers: AtomicU64,
 }

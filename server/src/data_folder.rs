@@ -9,6 +9,7 @@ mod database;
 mod doctor;
 mod hashed_files;
 mod manifest;
+mod migrate;
 mod move_database;
 mod move_pictures;
 mod restore;
@@ -19,6 +20,7 @@ use std::path::{Path, PathBuf};
 
 pub use backup::{Backup, back_up};
 pub use doctor::{Depth, Finding, Repair, Severity, run_checks};
+pub use migrate::{Migrated, migrate};
 pub use move_database::{MovedDatabase, move_database};
 pub use move_pictures::{MovedPictures, move_pictures};
 pub use restore::{Restored, restore};
@@ -59,6 +61,17 @@ pub enum DataFolderError {
     /// A database could not be moved.
     #[error("the farm was not moved, and is as before: the database {database} cannot be used")]
     Move {
+        /// The database.
+        database: String,
+        /// Reason.
+        source: Box<dyn std::error::Error + Send + Sync>,
+    },
+    /// A database could not be migrated.
+    #[error(
+        "the database {database} was not migrated: stop a server that does not share it, correct its address, or run the \
+         release that made it"
+    )]
+    Migrate {
         /// The database.
         database: String,
         /// Reason.

@@ -15,6 +15,8 @@ mod notifications;
 pub(crate) mod postgres;
 mod query;
 mod row;
+#[cfg(test)]
+pub(crate) mod sent;
 mod transaction;
 mod value;
 mod wal;
@@ -47,6 +49,8 @@ use writer::{Urgency, Writer};
 
 use crate::clock::FarmTime;
 
+/// Statements that a connection keeps prepared: all of the program's.
+const PREPARED_STATEMENTS: usize = 512;
 /// Number of reading connections.
 const READER_CONNECTIONS: u32 = 4;
 /// Number of rows that the engine's thread reads ahead of the caller.
@@ -218,6 +222,7 @@ impl Database {
             .foreign_keys(true)
             .busy_timeout(Duration::from_secs(5))
             .row_buffer_size(ROW_BUFFER)
+            .statement_cache_capacity(PREPARED_STATEMENTS)
             .pragma("wal_autocheckpoint", AUTOCHECKPOINT_PAGES);
         // Its WAL has the same mode.
         crate::private_files::create_if_missing(&file).map_err(sqlx::Error::Io)?;
@@ -252,8 +257,8 @@ impl Database {
 
     /// Opens a database on a PostgreSQL server and applies pending migrations.
     pub(crate) async fn open_postgres(address: &PostgresAddress, sharing: Sharing) -> Result<Self, OpenError> {
-        let opened = postgres::open(address, sharing).await?;
         let commits = CommitTimes::default();
+        let opened = postgres::open(address, sharing, commits.connections_lost.clone()).await?;
         let connection = WritingConnection::postgres(opened.connection, opened.session);
         let writer = Writer::start(connection, commits.clone());
         Ok(Self { writer, readers: Readers::Postgres(opened.readers), commits, time: Some(opened.time) })

@@ -9,6 +9,7 @@ mod backlog;
 mod batch_size;
 mod claim;
 mod cleanup;
+mod contact;
 mod deliver;
 mod doomed;
 mod durations;
@@ -49,10 +50,12 @@ mod undo;
 mod verification;
 mod wake;
 mod webhooks;
+mod worker_state;
 mod workers;
 
 use std::sync::Arc;
 
+use contact::Contact;
 use proto::{JobId, WorkerId};
 use recover::StartingServer;
 
@@ -77,7 +80,6 @@ pub(crate) use recover::Recovery;
 pub(crate) use repair::{Reopened, absurd_shares, forget_pictures, reset_shares};
 pub(crate) use reported::{RejectedResult, ReportedTile};
 pub(crate) use retention::FinishedJob;
-pub(crate) use servers::SERVER_GONE_MS;
 pub(crate) use stats::QueueStats;
 pub(crate) use submit::NewJob;
 pub(crate) use sync::{NextWork, SyncInput, SyncOutcome};
@@ -101,6 +103,8 @@ pub(crate) struct TransitionContext {
     lease_ms: i64,
     /// Boot generation of the server.
     generation: i64,
+    /// Whether leases may expire: their workers could have renewed them.
+    expires_leases: bool,
     /// Maximum number of rows that one piece of a large change changes.
     piece_rows: i64,
     /// Which results are verified.
@@ -115,6 +119,7 @@ pub(crate) struct Queue {
     lease_ms: i64,
     generation: i64,
     server_name: Arc<str>,
+    contact: Arc<Contact>,
     piece_rows: i64,
     verification: VerificationPolicy,
     wake_signals: Arc<WakeSignals>,
@@ -147,6 +152,7 @@ impl Queue {
             lease_ms,
             generation: recovered.generation,
             server_name: server_name.into(),
+            contact: Arc::default(),
             piece_rows: cleanup::PIECE_ROWS,
             verification: VerificationPolicy::default(),
             wake_signals: Arc::default(),
@@ -165,6 +171,7 @@ impl Queue {
             wall_ms: self.clock.wall_ms(),
             lease_ms: self.lease_ms,
             generation: self.generation,
+            expires_leases: self.contact.is_steady(),
             piece_rows: self.piece_rows,
             verification: self.verification,
         }
@@ -204,23 +211,39 @@ impl Queue {
         read::has_picture(self.database.readers(), key).await
     }
 
-    /// Runs a worker's sync: takes results, renews leases, grants work.
-    pub(crate) async fn turn(&self, mut turn: SyncInput) -> Result<Option<SyncOutcome>> {
+    /// Runs a worker's sync: takes results, renews leases, grants work. A claim that fails takes no results with it: then
+    /// the worker gets no work, and asks again after a while.
+    pub(crate) async fn turn(&self, turn: SyncInput) -> Result<Option<SyncOutcome>> {
+        let without_claim = turn.wants_work.then(|| turn.clone().without_claim());
+        let turned = match (self.turn_at_once(turn).await, without_claim) {
+            (Err(error), Some(without_claim)) if !error.is_unreachable() => {
+                let worker = without_claim.worker;
+                let turned = self.turn_at_once(without_claim).await?;
+                tracing::error!(
+                    code = "claim_failed", %worker, %error, cause = ?std::error::Error::source(&error),
+                    "a claim failed; its worker gets no work: run `sdfarm doctor`"
+                );
+                turned.map(SyncOutcome::after_failed_claim)
+            }
+            (turned, _) => turned?,
+        };
+        if let Some(turned) = &turned {
+            self.wake(turned.ring);
+        }
+        Ok(turned)
+    }
+
+    async fn turn_at_once(&self, mut turn: SyncInput) -> Result<Option<SyncOutcome>> {
         let moment = self.context();
         let durability = if turn.has_reports() { Durability::Full } else { Durability::Relaxed };
-        let turned = self
-            .database
+        self.database
             .write_for_worker(durability, move |connection| {
                 Box::pin(async move {
                     doomed::save_results(connection, &mut turn).await?;
                     sync::sync(connection, turn, moment).await
                 })
             })
-            .await?;
-        if let Some(turned) = &turned {
-            self.wake(turned.ring);
-        }
-        Ok(turned)
+            .await
     }
 
     /// Expires overdue leases and marks lost workers; returns the number of expired leases.

@@ -135,9 +135,12 @@ impl Telemetry {
         devices.insert(worker, seen);
     }
 
-    /// Records a worker's measurements. If the worker registered with an earlier server, only its speed is
-    /// recorded.
-    pub(crate) fn record_metrics(&self, worker: WorkerId, measured: &WorkerMetrics) {
+    /// Records a worker's measurements; it may have registered with another server.
+    pub(crate) async fn record_metrics(&self, worker: WorkerId, measured: &WorkerMetrics) {
+        let is_known = self.devices.lock().expect("no holder panics").contains_key(&worker);
+        if !is_known && let Ok(Some((name, device))) = self.queue.worker_device(worker).await {
+            self.record_worker(worker, &name, &device);
+        }
         let mut devices = self.devices.lock().expect("no holder panics");
         let Some(seen) = devices.get_mut(&worker) else { return };
         seen.at = monotonic_now();
@@ -271,9 +274,12 @@ impl Telemetry {
             (&metrics.refuted, &totals.refuted),
             (&metrics.unverified, &totals.unverified),
             (&metrics.webhook_failures, &totals.webhook_failures),
+            (&metrics.hints_sent, &totals.hints_sent),
+            (&metrics.hints_received, &totals.hints_received),
         ] {
             counter.inner().store(total.load(Ordering::Relaxed), Ordering::Relaxed);
         }
+        metrics.servers.set(1.0 + totals.other_servers.load(Ordering::Relaxed) as f64);
     }
 
     fn set_shares(&self, shares: &Shares) {

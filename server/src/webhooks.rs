@@ -122,7 +122,9 @@ impl Webhooks {
             };
             let (claimed, others): (Vec<_>, Vec<_>) =
                 free.into_iter().partition(|delivery| claimed.contains(&delivery.number));
-            others.iter().for_each(|delivery| under_way.end(delivery.number));
+            for delivery in &others {
+                under_way.end(delivery.number);
+            }
             let is_over = claimed.is_empty() || under_way.free() == 0;
             starting.extend(claimed);
             // Those that were read and may not start hide others, until they are known to be busy.

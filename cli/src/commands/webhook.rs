@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use clap::{Args, Subcommand};
+use server::ClusterSecret;
 
 use crate::error::UsageError;
 use crate::terminal::print_line;
@@ -21,12 +22,18 @@ enum WebhookCommand {
         /// Folder of the server's database and pictures.
         #[arg(long, value_name = "FOLDER", env = "SDFARM_DATA", default_value = "./sdfarm-data")]
         data: PathBuf,
+        /// Secret that the servers of the farm share, from which that of webhooks is derived.
+        #[arg(long, value_name = "SECRET", env = "SDFARM_CLUSTER_SECRET", hide_env_values = true)]
+        cluster_secret: Option<ClusterSecret>,
     },
 }
 
 /// Prints the secret.
 pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
-    let WebhookCommand::Secret { data } = &arguments.action;
+    let WebhookCommand::Secret { data, cluster_secret } = &arguments.action;
+    if let Some(shared) = cluster_secret {
+        return print_line(shared.for_webhooks().expose());
+    }
     if !data.is_dir() {
         return Err(UsageError(format!("there is no folder {}: name the server's with --data", data.display())).into());
     }

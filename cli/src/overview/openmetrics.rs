@@ -21,13 +21,21 @@ impl Metrics {
     /// Sum of a metric's values that have these labels.
     pub(super) fn sum(&self, name: &str, labels: &[(&str, &str)]) -> f64 {
         let has = |sample: &MetricSample| labels.iter().all(|(key, value)| sample.get(key) == Some(value));
-        self.0.iter().filter(|sample| sample.name == name && has(sample)).map(|sample| sample.value).sum()
+        self.0
+            .iter()
+            .filter(|sample| sample.name == name && has(sample))
+            .map(|sample| sample.value)
+            .fold(0.0, |sum, value| sum + value)
     }
 
     /// Sum of a metric's values whose label matches.
     pub(super) fn sum_where(&self, name: &str, label: &str, matches: &dyn Fn(&str) -> bool) -> f64 {
         let has = |sample: &MetricSample| sample.get(label).is_some_and(matches);
-        self.0.iter().filter(|sample| sample.name == name && has(sample)).map(|sample| sample.value).sum()
+        self.0
+            .iter()
+            .filter(|sample| sample.name == name && has(sample))
+            .map(|sample| sample.value)
+            .fold(0.0, |sum, value| sum + value)
     }
 
     /// Value of a metric's label.

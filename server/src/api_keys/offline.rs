@@ -40,6 +40,7 @@ pub enum OfflineApiKeysError {
 
 const USE_OTHER_FOLDER_FIX: &str = "pass the server's data folder with --data";
 const CORRECT_ADDRESS_FIX: &str = "give the server's database with --database";
+const RECORDED_DATABASE_FIX: &str = "leave --database out, or pass another folder with --data";
 const SAME_RELEASE: &str = "run the same release of sdfarm as the running server";
 
 fn wrong(folder: &Path, reason: String, cure: &'static str) -> OfflineApiKeysError {
@@ -47,10 +48,15 @@ fn wrong(folder: &Path, reason: String, cure: &'static str) -> OfflineApiKeysErr
 }
 
 fn locate(folder: &Path, database: Option<PostgresAddress>) -> Result<DatabaseLocation, OfflineApiKeysError> {
-    if database.is_some() {
-        return Ok(DatabaseLocation { data: folder.to_owned(), postgres: database });
+    let failed = |error: std::io::Error| wrong(folder, error.to_string(), USE_OTHER_FOLDER_FIX);
+    if database.is_none() {
+        return DatabaseLocation::of_folder(folder).map_err(failed);
     }
-    DatabaseLocation::of_folder(folder).map_err(|error| wrong(folder, error.to_string(), USE_OTHER_FOLDER_FIX))
+    let location = DatabaseLocation { data: folder.to_owned(), postgres: database };
+    match location.other_record().map_err(failed)? {
+        Some(recorded) => Err(wrong(folder, format!("its farm has its database in {recorded}"), RECORDED_DATABASE_FIX)),
+        None => Ok(location),
+    }
 }
 
 /// Access to the keys of a data folder.

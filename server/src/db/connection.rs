@@ -33,6 +33,8 @@ impl Connection {
 
     /// Runs commands, separated by semicolons, that have no parameters and whose rows do not matter.
     pub(crate) async fn command(&mut self, text: &'static str) -> Result<(), DatabaseError> {
+        #[cfg(test)]
+        super::sent::record(text);
         match self {
             // Kept prepared, which raw SQL is not.
             Self::Sqlite(connection) => sqlx::query(text).execute(connection).await.map(drop)?,

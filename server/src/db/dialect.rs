@@ -5,6 +5,8 @@
 //! |---|---|---|
 //! | `@texts(?)`, `@numbers(?)` | `json_each(?) AS listed` | the elements of a JSON list, as rows `listed (value)` |
 //! | `@rows(?)` | `json_each(?) AS listed` | the same of lists in a list: `CAST(listed.value ->> 0 AS BIGINT)` |
+//! | `IN (SELECT value FROM @texts(?))` | the same | `= ANY(ARRAY(…))`, which looks each element up in an index |
+//! | `@unindexed(COLUMN)` | `+COLUMN` | `(COLUMN || '')`: a text that no index has, so that rows are found by another condition |
 //! | `@index(NAME)` | `INDEXED BY NAME` | nothing |
 //! | `@join` | `CROSS JOIN`, which keeps the order of tables | `JOIN` |
 //! | `@max(`, `@min(` | `max(`, `min(` | `greatest(`, `least(`; no argument may be null: SQLite would give null |
@@ -107,9 +109,21 @@ impl Translation<'_> {
                 let index = self.argument();
                 if dialect == Dialect::Sqlite { format!("INDEXED BY {index}") } else { String::new() }
             }
+            ("unindexed", dialect) => {
+                let column = self.argument();
+                if dialect == Dialect::Sqlite { format!("+{column}") } else { format!("({column} || '')") }
+            }
             ("texts" | "numbers" | "rows", dialect) => {
                 let list = self.list_argument();
-                list_of(name, &list, dialect)
+                match (dialect, self.out.strip_suffix(AMONG), self.rest.strip_prefix(')')) {
+                    (Dialect::Postgres, Some(before), Some(rest)) if !before.ends_with("NOT ") => {
+                        let (length, elements) = (before.len(), elements_of(name, &list));
+                        self.out.truncate(length);
+                        self.rest = rest;
+                        format!("= ANY(ARRAY(SELECT {elements}))")
+                    }
+                    _ => list_of(name, &list, dialect),
+                }
             }
             _ => unreachable!("the language of statements has no @{name}"),
         };
@@ -133,17 +147,24 @@ impl Translation<'_> {
     }
 }
 
-/// Rows of a JSON list, as a table `listed` with the column `value`.
+/// Beginning of a condition on the elements of a list.
+const AMONG: &str = "IN (SELECT value FROM ";
+
+/// Rows of a JSON list, as a table `listed` with the column `value`. PostgreSQL's planner expects few elements of an
+/// array, and a hundred of a list, for which it reads whole tables that were small once.
 fn list_of(kind: &str, list: &str, dialect: Dialect) -> String {
-    match (dialect, kind) {
-        (Dialect::Sqlite, _) => format!("json_each({list}) AS listed"),
-        (Dialect::Postgres, "texts") => {
-            format!("jsonb_array_elements_text(CAST({list} AS JSONB)) AS listed (value)")
-        }
-        (Dialect::Postgres, "rows") => format!("jsonb_array_elements(CAST({list} AS JSONB)) AS listed (value)"),
-        (Dialect::Postgres, _) => format!(
-            "(SELECT CAST(value AS BIGINT) AS value FROM jsonb_array_elements_text(CAST({list} AS JSONB)) AS texts (value)) AS listed"
-        ),
+    match dialect {
+        Dialect::Sqlite => format!("json_each({list}) AS listed"),
+        Dialect::Postgres => format!("unnest(ARRAY(SELECT {})) AS listed (value)", elements_of(kind, list)),
+    }
+}
+
+/// Elements of a JSON list, for PostgreSQL.
+fn elements_of(kind: &str, list: &str) -> String {
+    match kind {
+        "texts" => format!("jsonb_array_elements_text(CAST({list} AS JSONB))"),
+        "rows" => format!("jsonb_array_elements(CAST({list} AS JSONB))"),
+        _ => format!("CAST(jsonb_array_elements_text(CAST({list} AS JSONB)) AS BIGINT)"),
     }
 }
 
@@ -171,7 +192,16 @@ mod tests {
         );
         assert_eq!(
             translate(text, Dialect::Postgres),
-            "SELECT greatest(a, b) FROM jsonb_array_elements(CAST($1 AS JSONB)) AS listed (value) JOIN t  ON t.id IN (SELECT value FROM jsonb_array_elements_text(CAST($2 AS JSONB)) AS listed (value))"
+            "SELECT greatest(a, b) FROM unnest(ARRAY(SELECT jsonb_array_elements(CAST($1 AS JSONB)))) AS listed (value) JOIN t  ON t.id = ANY(ARRAY(SELECT jsonb_array_elements_text(CAST($2 AS JSONB))))"
+        );
+        let text = "@unindexed(t.a) IS NULL AND t.id NOT IN (SELECT value FROM @numbers(?))";
+        assert_eq!(
+            translate(text, Dialect::Sqlite),
+            "+t.a IS NULL AND t.id NOT IN (SELECT value FROM json_each(?) AS listed)"
+        );
+        assert_eq!(
+            translate(text, Dialect::Postgres),
+            "(t.a || '') IS NULL AND t.id NOT IN (SELECT value FROM unnest(ARRAY(SELECT CAST(jsonb_array_elements_text(CAST($1 AS JSONB)) AS BIGINT))) AS listed (value))"
         );
     }
 }

@@ -112,9 +112,22 @@ impl FromStr for PostgresAddress {
         let host =
             options.get_socket().map_or_else(|| options.get_host().to_owned(), |path| path.display().to_string());
         let shown = format!("postgres://{}@{host}:{}/{database}", options.get_username(), options.get_port());
-        Ok(Self { options: Arc::new(options.application_name("sdfarm").disable_statement_logging()), shown })
+        Ok(Self {
+            options: Arc::new(options.application_name("sdfarm").options(PLANNER).disable_statement_logging()),
+            shown,
+        })
     }
 }
+
+/// Settings of the planner: every statement finds its rows by an index, as on a file, where a test checks it. Without
+/// them the planner reads whole tables, because a plan is made while they are small, and kept as they grow.
+const PLANNER: [(&str, &str); 5] = [
+    ("enable_seqscan", "off"),
+    ("enable_bitmapscan", "off"),
+    ("enable_hashjoin", "off"),
+    ("enable_mergejoin", "off"),
+    ("jit", "off"),
+];
 
 impl PostgresAddress {
     /// Options of a connection.

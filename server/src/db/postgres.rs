@@ -10,6 +10,7 @@ pub(crate) mod tests;
 use std::sync::Arc;
 use std::time::Duration;
 
+use prometheus_client::metrics::counter::Counter;
 use sqlx::postgres::{PgConnectOptions, PgConnection, PgPool, PgPoolOptions, PgRow};
 use sqlx::{ConnectOptions, Row as _};
 
@@ -60,11 +61,15 @@ const LOCK_PATIENCE: Duration = Duration::from_secs(2);
 /// A read waits for this long; a client that is told to retry waits better than a request.
 const READ_PATIENCE: Duration = Duration::from_secs(3);
 const PAUSE: Duration = Duration::from_millis(100);
+/// An answer that takes longer does not come: the server's machine, or the network, is gone.
+pub(super) const ANSWER_TIMEOUT: Duration = Duration::from_secs(30);
 /// Time for a connection to be made.
 const CONNECT_TIMEOUT: Duration = Duration::from_secs(5);
 
-/// Ends a connection within half a minute of its client's machine, or of the network, and so frees its locks.
-const KEEP_ALIVE: [(&str, &str); 4] = [
+/// Settings of a connection. It ends within half a minute of its client's machine, or of the network, and ten seconds after
+/// its client has stopped in the middle of a transaction: both free its locks.
+const SETTINGS: [(&str, &str); 5] = [
+    ("idle_in_transaction_session_timeout", "10000"),
     ("tcp_keepalives_idle", "10"),
     ("tcp_keepalives_interval", "5"),
     ("tcp_keepalives_count", "3"),
@@ -88,6 +93,7 @@ pub(super) struct Session {
     options: PgConnectOptions,
     sharing: Sharing,
     time: Arc<FarmTime>,
+    connections_lost: Counter,
     /// Number of the current transaction.
     transaction: Option<String>,
 }
@@ -101,8 +107,12 @@ pub(super) struct OpenedDatabase {
 }
 
 /// Opens a database and applies pending migrations.
-pub(super) async fn open(address: &PostgresAddress, sharing: Sharing) -> Result<OpenedDatabase, OpenError> {
-    let options = address.options().clone().statement_cache_capacity(PREPARED_STATEMENTS).options(KEEP_ALIVE);
+pub(super) async fn open(
+    address: &PostgresAddress,
+    sharing: Sharing,
+    connections_lost: Counter,
+) -> Result<OpenedDatabase, OpenError> {
+    let options = address.options().clone().statement_cache_capacity(PREPARED_STATEMENTS).options(SETTINGS);
     let mut connection = connect(&options).await?;
     let version: i32 = sqlx::query_scalar("SELECT CAST(current_setting('server_version_num') AS INTEGER)")
         .fetch_one(&mut connection)
@@ -128,7 +138,7 @@ pub(super) async fn open(address: &PostgresAddress, sharing: Sharing) -> Result<
         .max_connections(READER_CONNECTIONS)
         .acquire_timeout(READ_PATIENCE)
         .connect_lazy_with(options.clone());
-    let session = Session { options, sharing, time: Arc::clone(&time), transaction: None };
+    let session = Session { options, sharing, time: Arc::clone(&time), connections_lost, transaction: None };
     Ok(OpenedDatabase { connection, session, readers, time })
 }
 
@@ -169,10 +179,10 @@ impl Session {
         text: &'static str,
     ) -> Result<(), DatabaseError> {
         self.transaction = None;
-        let begun = match sqlx::raw_sql(text).fetch_all(&mut *connection).await {
+        let begun = match answered(sqlx::raw_sql(text).fetch_all(&mut *connection)).await {
             Err(error) if is_lost(&error) => {
                 self.reconnect(connection).await?;
-                sqlx::raw_sql(text).fetch_all(&mut *connection).await
+                answered(sqlx::raw_sql(text).fetch_all(&mut *connection)).await
             }
             begun => begun,
         };
@@ -191,7 +201,7 @@ impl Session {
     /// Commits. If the connection ends meanwhile, the database is asked whether it has committed.
     pub(super) async fn commit(&mut self, connection: &mut PgConnection) -> Result<(), DatabaseError> {
         // In a transaction that has failed, COMMIT alone would roll back and report success.
-        match sqlx::raw_sql("RELEASE operation; COMMIT").execute(&mut *connection).await {
+        match answered(sqlx::raw_sql("RELEASE operation; COMMIT").execute(&mut *connection)).await {
             Err(error) if is_lost(&error) => {
                 self.reconnect(connection).await?;
                 if self.has_committed(connection).await? { Ok(()) } else { Err(error.into()) }
@@ -204,10 +214,8 @@ impl Session {
     async fn has_committed(&self, connection: &mut PgConnection) -> Result<bool, DatabaseError> {
         let deadline = monotonic_now() + PATIENCE;
         loop {
-            let status: Option<String> = sqlx::query_scalar("SELECT pg_xact_status(CAST($1 AS xid8))")
-                .bind(&self.transaction)
-                .fetch_one(&mut *connection)
-                .await?;
+            let status = sqlx::query_scalar("SELECT pg_xact_status(CAST($1 AS xid8))").bind(&self.transaction);
+            let status: Option<String> = answered(status.fetch_one(&mut *connection)).await?;
             // The old connection's process may not have noticed yet that its client is gone.
             if status.as_deref() != Some("in progress") || monotonic_now() > deadline {
                 return Ok(status.as_deref() == Some("committed"));
@@ -217,13 +225,14 @@ impl Session {
     }
 
     /// Replaces a connection that has ended, and takes the farm's lock again.
-    async fn reconnect(&self, connection: &mut PgConnection) -> Result<(), DatabaseError> {
+    pub(super) async fn reconnect(&self, connection: &mut PgConnection) -> Result<(), DatabaseError> {
         tracing::warn!("the connection to the database has ended: connecting again");
+        self.connections_lost.inc();
         let deadline = monotonic_now() + PATIENCE;
         loop {
             let attempt = async {
                 let mut new = connect(&self.options).await?;
-                Ok(lock_farm(&mut new, self.sharing).await?.then_some(new))
+                Ok(answered(lock_farm(&mut new, self.sharing)).await?.then_some(new))
             };
             let last: Result<Option<PgConnection>, sqlx::Error> = attempt.await;
             match last {
@@ -237,6 +246,12 @@ impl Session {
             }
         }
     }
+}
+
+/// Waits for an answer of the server.
+async fn answered<T>(answer: impl Future<Output = Result<T, sqlx::Error>>) -> Result<T, sqlx::Error> {
+    let answer = tokio::time::timeout(ANSWER_TIMEOUT, answer).await;
+    answer.unwrap_or_else(|_| Err(sqlx::Error::Io(std::io::ErrorKind::TimedOut.into())))
 }
 
 /// Whether an error means that the connection has ended, or that none could be made.

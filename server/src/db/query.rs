@@ -124,7 +124,10 @@ impl Statement {
     fn into_sqlite(self) -> Query<'static, Sqlite, SqliteArguments> {
         #[cfg(test)]
         super::postgres::tests::record(&self);
-        let query = sqlx::query(self.text.into_dialect(Dialect::Sqlite));
+        let text = self.text.into_dialect(Dialect::Sqlite);
+        #[cfg(test)]
+        super::sent::record(text.as_str());
+        let query = sqlx::query(text);
         self.values.into_iter().fold(query, |query, value| match value {
             Value::Integer(value) => query.bind(value),
             Value::Real(value) => query.bind(value),
@@ -134,7 +137,10 @@ impl Statement {
     }
 
     fn into_postgres(self) -> Query<'static, Postgres, PgArguments> {
-        let query = sqlx::query(self.text.into_dialect(Dialect::Postgres));
+        let text = self.text.into_dialect(Dialect::Postgres);
+        #[cfg(test)]
+        super::sent::record(text.as_str());
+        let query = sqlx::query(text);
         self.values.into_iter().fold(query, |query, value| match value {
             Value::Integer(value) => query.bind(value),
             Value::Real(value) => query.bind(value),

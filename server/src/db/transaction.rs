@@ -1,5 +1,7 @@
 //! Transactions of the writer, in which each operation has a savepoint.
 
+use std::time::Duration;
+
 use sqlx::postgres::PgConnection;
 use sqlx::sqlite::SqliteConnection;
 
@@ -51,6 +53,8 @@ impl WritingConnection {
                     Durability::Full => postgres::BEGIN_GROUP,
                     Durability::Relaxed => postgres::BEGIN_RELAXED_GROUP,
                 };
+                #[cfg(test)]
+                super::sent::record(text);
                 session.begin(connection, text).await
             }
             (Engine::Sqlite { synchronous, .. }, connection) => {
@@ -88,9 +92,31 @@ impl WritingConnection {
     /// Commits; the last savepoint is released.
     pub(super) async fn commit(&mut self) -> Result<(), DatabaseError> {
         match (&mut self.engine, &mut self.connection) {
-            (Engine::Postgres(session), Connection::Postgres(connection)) => session.commit(connection).await,
+            (Engine::Postgres(session), Connection::Postgres(connection)) => {
+                #[cfg(test)]
+                super::sent::record("COMMIT");
+                session.commit(connection).await
+            }
             (Engine::Sqlite { .. } | Engine::Postgres(_), connection) => connection.command("COMMIT").await,
         }
+    }
+
+    /// Time in which the operations of a transaction must end; a file has no limit.
+    pub(super) fn time_limit(&self) -> Option<Duration> {
+        match self.engine {
+            Engine::Sqlite { .. } => None,
+            Engine::Postgres(_) => Some(postgres::ANSWER_TIMEOUT),
+        }
+    }
+
+    /// Gives up a connection that does not answer; its transaction is rolled back without it.
+    pub(super) async fn give_up(&mut self) -> DatabaseError {
+        if let (Engine::Postgres(session), Connection::Postgres(connection)) = (&mut self.engine, &mut self.connection)
+            && let Err(error) = session.reconnect(connection).await
+        {
+            return error;
+        }
+        sqlx::Error::Io(std::io::ErrorKind::TimedOut.into()).into()
     }
 
     /// Rolls back.

@@ -9,6 +9,7 @@ use std::sync::atomic::AtomicU64;
 use std::time::Duration;
 
 use futures_util::future::BoxFuture;
+use prometheus_client::metrics::counter::Counter;
 use prometheus_client::metrics::gauge::Gauge;
 use prometheus_client::metrics::histogram::Histogram;
 use proto::fail_point::{self, FailPoint};
@@ -60,11 +61,21 @@ pub(crate) struct CommitTimes {
     pub(crate) longest_seconds: Gauge<f64, AtomicU64>,
     /// Number of operations in each commit.
     pub(crate) operations: Histogram,
+    /// Time until each transaction has begun.
+    pub(crate) begin_seconds: Histogram,
+    /// Number of connections to a PostgreSQL server that ended.
+    pub(crate) connections_lost: Counter,
 }
 
 impl Default for CommitTimes {
     fn default() -> Self {
-        Self { seconds: seconds(), longest_seconds: Gauge::default(), operations: counts() }
+        Self {
+            seconds: seconds(),
+            longest_seconds: Gauge::default(),
+            operations: counts(),
+            begin_seconds: seconds(),
+            connections_lost: Counter::default(),
+        }
     }
 }
 
@@ -357,9 +368,31 @@ impl WriterTask {
         group: &mut Vec<Box<dyn WriteOperation>>,
     ) -> Result<(), DatabaseError> {
         let durable = waiting.urgent.is_durable() || waiting.ordinary.is_durable();
+        let begin = monotonic_now();
+        let begun = self.connection.begin(if durable { Durability::Full } else { Durability::Relaxed }).await;
+        self.times.begin_seconds.observe(begin.elapsed().as_secs_f64());
+        let limit = self.connection.time_limit();
+        let operations = self.run_operations(waiting, group, begun);
+        match limit {
+            None => operations.await?,
+            Some(limit) => match tokio::time::timeout(limit, operations).await {
+                Ok(done) => done?,
+                Err(_) => return Err(self.connection.give_up().await),
+            },
+        }
+        fail_point::trigger(FailPoint::DatabaseCommit).map_err(struck_down)?;
+        self.connection.commit().await
+    }
+
+    /// Runs some of the waiting operations in the transaction that has begun; if it has not, the first one fails.
+    async fn run_operations(
+        &mut self,
+        waiting: &mut Waiting,
+        group: &mut Vec<Box<dyn WriteOperation>>,
+        begun: Result<(), DatabaseError>,
+    ) -> Result<(), DatabaseError> {
         let mut turn = Turn { begun: monotonic_now(), ordinary_begun: None, count: 0 };
         let mut was_kept = None;
-        let begun = self.connection.begin(if durable { Durability::Full } else { Durability::Relaxed }).await;
         while let Some(operation) = turn.next(waiting) {
             group.push(operation);
             if let Err(error) = &begun {
@@ -374,8 +407,7 @@ impl WriterTask {
         if was_kept == Some(false) {
             self.connection.undo_operation().await?;
         }
-        fail_point::trigger(FailPoint::DatabaseCommit).map_err(struck_down)?;
-        self.connection.commit().await
+        Ok(())
     }
 }
 

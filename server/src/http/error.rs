@@ -158,7 +158,7 @@ pub(crate) enum ApiError {
     TooManyPreviews(HelperError),
     #[error("the server is shutting down: retry in a few seconds")]
     ShuttingDown,
-    #[error("the disk is full: free space for the data folder, then retry")]
+    #[error("a disk is full: free space for the data folder, or for the database of a farm on PostgreSQL, then retry")]
     DiskFull,
     #[error("the database cannot be reached: retry in a few seconds; the server's log has the cause")]
     DatabaseUnreachable,

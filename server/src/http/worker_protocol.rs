@@ -152,7 +152,7 @@ pub(super) async fn sync(
             return Err(unknown_worker(&syncs.queue, again.worker).await?);
         };
         if let Some(metrics) = metrics.take() {
-            syncs.telemetry.record_metrics(again.worker, &metrics);
+            syncs.telemetry.record_metrics(again.worker, &metrics).await;
         }
         let now = monotonic_now();
         if again.wants_work {

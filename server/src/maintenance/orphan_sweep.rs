@@ -34,7 +34,7 @@ pub(crate) struct OrphanSweep {
 impl OrphanSweep {
     /// Deletes orphans a few at a time: results wait while a sweep decides.
     pub(super) async fn sweep_in_pieces(&self, kind: ContentKind, hashes: &[String]) -> Result<(), DatabaseError> {
-        for piece in hashes.chunks(SWEEP_BATCH) {
+        for piece in self.orphans.due(kind, hashes).chunks(SWEEP_BATCH) {
             self.sweep(kind, piece).await?;
         }
         Ok(())
@@ -115,11 +115,7 @@ impl OrphanSweep {
         let (count, young) = self.content.sweep(kind, hashes, async |names| queue.orphans(kind, &names).await).await?;
         // Young objects of a bucket are not remembered for that long: the next cleanup lists them again.
         if let (false, Some(delay)) = (young.is_empty(), self.content.sweep_retry_delay()) {
-            let orphans = self.orphans.clone();
-            tokio::spawn(async move {
-                tokio::time::sleep(delay).await;
-                orphans.sweep_later(kind, young);
-            });
+            self.orphans.sweep_after(delay, kind, young);
         }
         if count > 0 {
             tracing::debug!(count, ?kind, "removed orphaned content");

@@ -65,8 +65,7 @@ impl BacklogLimits {
         if self == Self::default() {
             return Ok(None);
         }
-        let farm = read(&mut *connection, ALL_SUBMITTERS).await?;
-        let own = read(connection, submitter).await?;
+        let (farm, own) = read(connection, submitter).await?;
         Ok(self.exceeded(farm, own, rays))
     }
 }
@@ -74,10 +73,19 @@ impl BacklogLimits {
 /// Row with the totals of all submitters; no key has this name.
 const ALL_SUBMITTERS: &str = "*";
 
-async fn read(on: impl Into<db::Target<'_>>, submitter: &str) -> Result<Backlog> {
-    let row =
-        db::query("SELECT jobs, rays FROM backlog WHERE submitter = ?").bind(submitter).fetch_optional(on).await?;
-    row.map_or_else(|| Ok(Backlog::default()), |row| Ok(Backlog { jobs: row.get("jobs")?, rays: row.get("rays")? }))
+/// Backlog of all submitters, and of one.
+async fn read(on: impl Into<db::Target<'_>>, submitter: &str) -> Result<(Backlog, Backlog)> {
+    let rows = db::query("SELECT submitter, jobs, rays FROM backlog WHERE submitter = ?1 OR submitter = ?2")
+        .bind(ALL_SUBMITTERS)
+        .bind(submitter)
+        .fetch_all(on)
+        .await?;
+    let (mut farm, mut own) = (Backlog::default(), Backlog::default());
+    for row in &rows {
+        let backlog = Backlog { jobs: row.get("jobs")?, rays: row.get("rays")? };
+        *(if row.get::<String>("submitter")? == ALL_SUBMITTERS { &mut farm } else { &mut own }) = backlog;
+    }
+    Ok((farm, own))
 }
 
 impl Queue {
@@ -89,7 +97,7 @@ impl Queue {
         submitter: &str,
         rays: u64,
     ) -> Result<Option<ExceededLimit>> {
-        let (farm, own) = (read(self.readers(), ALL_SUBMITTERS).await?, read(self.readers(), submitter).await?);
+        let (farm, own) = read(self.readers(), submitter).await?;
         Ok(limits.exceeded(farm, own, rays))
     }
 

@@ -20,14 +20,8 @@ use crate::tile_plan::TilePlan;
 /// Job with something to claim, by priority and age. A test checks that this query needs no full scan.
 const NEXT_JOB_SQL: &str = include_str!("next_job.sql");
 
-/// Next ready tile of the job.
-const NEXT_TILE_SQL: &str = include_str!("next_tile.sql");
-
-/// Ready tiles of a frame.
-const READY_TILES_SQL: &str = "SELECT id, position, x_px, y_px, width_px, height_px, rays, lost FROM tile
-     WHERE job = ?5 AND frame = ?7 AND kind = 'render' AND state = 'ready' AND not_before_ms <= ?1
-       AND (avoid IS NULL OR avoid <> ?2 OR ?6 > ?3)
-     ORDER BY position";
+/// Ready tiles of the job's first frame that has some, or that frame's stitch.
+const NEXT_TILES_SQL: &str = include_str!("next_tiles.sql");
 
 /// Time at which the first backed-off tile becomes ready.
 const NEXT_RETRY_SQL: &str =
@@ -45,6 +39,8 @@ pub(super) struct ClaimRequest {
     pub(super) rays_per_second: Option<RaysPerSecond>,
     /// Largest scene it renders, in nodes.
     pub(super) max_nodes: i64,
+    /// Largest scene that some other ready worker renders, in nodes; -1 if there is no other worker.
+    pub(super) others_max_nodes: i64,
 }
 
 /// A new lease on a tile.
@@ -142,26 +138,27 @@ pub(super) async fn claim(
     claimant: ClaimRequest,
     moment: TransitionContext,
 ) -> Result<ClaimOutcome> {
-    let worker = claimant.worker.to_string();
-    let Some(others_max_nodes) = largest_other_capacity(connection, &worker).await? else {
-        return Ok(ClaimOutcome::Nothing(None));
+    let view = ClaimFilter {
+        now_ms: moment.now_ms,
+        worker: claimant.worker.to_string(),
+        others_max_nodes: claimant.others_max_nodes,
+        max_nodes: claimant.max_nodes,
     };
-    let view = ClaimFilter { now_ms: moment.now_ms, worker, others_max_nodes, max_nodes: claimant.max_nodes };
     let Some(row) = view.bind(NEXT_JOB_SQL).fetch_optional(&mut *connection).await? else {
         return claim_straggler(connection, &view, claimant, moment).await;
     };
     let job = ClaimableJob::read(&row)?;
-    let next = view.bind(NEXT_TILE_SQL).bind(job.number).bind(job.nodes).fetch_optional(&mut *connection).await?;
-    let Some(next) = next else {
+    let rows = view.bind(NEXT_TILES_SQL).bind(job.number).bind(job.nodes).fetch_all(&mut *connection).await?;
+    let Some(next) = rows.first() else {
         return Ok(ClaimOutcome::NeedsFrame { job: job.number, frame: job.frames_opened, plan: job.plan });
     };
     let frame: u32 = next.get("frame")?;
     let (work, time) = if next.get::<String>("kind")? == "stitch" {
-        let (tile, lease) = (stitch_tile(connection, job.number, frame).await?, LeaseId::new());
-        grant(connection, &[NewLease::free(tile, lease)], &view.worker, moment).await?;
+        let lease = LeaseId::new();
+        grant(connection, &[NewLease::free(next.get("id")?, lease)], &view.worker, moment).await?;
         (stitch_work(connection, job.number, frame, lease).await?, None)
     } else {
-        claim_tiles(connection, &job, frame, &view, claimant, moment).await?
+        claim_tiles(connection, &job, &rows, &view, claimant, moment).await?
     };
     if job.queued {
         job_transitions::start(connection, job.number, moment).await?;
@@ -213,20 +210,16 @@ pub(super) fn frame_load(job: &ClaimableJob) -> FrameLoad {
     }
 }
 
-/// Largest scene that a ready worker other than this one renders, in nodes; -1 if there is none; `None` while
-/// the farm is paused.
-async fn largest_other_capacity(connection: &mut Connection, worker: &str) -> Result<Option<i64>> {
-    let row = db::query(
-        "SELECT (SELECT value <> 0 FROM meta WHERE name = 'paused') AS paused,
-                (SELECT coalesce(max(coalesce(max_nodes, ?)), -1) FROM worker
-                 WHERE state <> 'gone' AND state = 'ready' AND id <> ?) AS others_max_nodes",
+/// Largest scene that a ready worker other than this one renders, in nodes; -1 if there is none.
+pub(super) async fn others_max_nodes(connection: &mut Connection, worker: &str) -> Result<i64> {
+    db::query_scalar(
+        "SELECT coalesce(max(coalesce(max_nodes, ?)), -1) FROM worker
+         WHERE state <> 'gone' AND state = 'ready' AND id <> ?",
     )
     .bind(ANY_NODES)
     .bind(worker)
     .fetch_one(connection)
-    .await?;
-    let paused: bool = row.get("paused")?;
-    Ok(if paused { None } else { Some(row.get("others_max_nodes")?) })
+    .await
 }
 
 /// Ready workers that can render a scene of this size: speeds of this worker and of the others.
@@ -323,15 +316,13 @@ async fn sharing_workers(connection: &mut Connection, worker: &str, job: &Claima
 async fn claim_tiles(
     connection: &mut Connection,
     job: &ClaimableJob,
-    frame: u32,
+    rows: &[Row],
     view: &ClaimFilter,
     claimant: ClaimRequest,
     moment: TransitionContext,
 ) -> Result<(BatchWork, Option<BatchTime>)> {
     let peers = peers(connection, &view.worker, job, moment).await?;
     let share = peers.share(claimant.rays_per_second.map(RaysPerSecond::get));
-    let rows =
-        view.bind(READY_TILES_SQL).bind(job.number).bind(job.nodes).bind(frame).fetch_all(&mut *connection).await?;
     let whole = frame_load(job);
     let ready = rows.iter().map(read_ready).collect::<Result<Vec<_>>>()?;
     let mut length = batch_size::batch_len(&ready, whole, share);
@@ -432,7 +423,7 @@ async fn grant(
     let tiles = super::json_numbers(grants.iter().map(|grant| grant.tile));
     let leased = db::query(
         "UPDATE tile SET state = 'leased', epoch = epoch + 1, not_before_ms = 0
-         WHERE state = 'ready' AND id IN (SELECT value FROM @numbers(?))",
+         WHERE @unindexed(state) = 'ready' AND id IN (SELECT value FROM @numbers(?))",
     )
     .bind(tiles)
     .execute(&mut *connection)

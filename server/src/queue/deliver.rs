@@ -5,16 +5,18 @@
 //! call.
 
 use crate::db;
-use std::collections::{BTreeMap, HashMap};
+use std::collections::{BTreeMap, HashMap, HashSet};
 
+use proto::LeaseId;
 use proto::worker_protocol::{LeaseOutcome, LeaseReport};
-use proto::{LeaseId, WorkerId};
 
 use super::lease::{self, LeaseEnd, LiveLease};
+use super::picture::{self, StoredPicture};
 use super::verification::{self, Candidate};
+use super::worker_state::{UsedLease, WorkerState};
 use super::{
-    Connection, Result, TransitionContext, Wake, durations, fair_share, job_transitions, lease_ends, picture,
-    row_count, stitch, tile_results,
+    Connection, Result, TransitionContext, Wake, durations, fair_share, job_transitions, lease_ends, row_count, stitch,
+    tile_results,
 };
 
 /// Outcome of a set of results.
@@ -22,6 +24,12 @@ use super::{
 pub(super) struct DeliverResult {
     /// Leases that had ended: their results had no effect.
     pub(super) lost: Vec<LeaseId>,
+    /// Leases that ended with a result.
+    pub(super) ended: HashSet<String>,
+    /// Whether there are results of live leases.
+    pub(super) has_results: bool,
+    /// Whether leases ended without a result, and maybe others with them.
+    pub(super) has_failures: bool,
     /// Number of results that differ from the first result of the same tile.
     pub(super) nondeterministic: u64,
     /// Wake signals to send.
@@ -34,98 +42,168 @@ pub(super) struct DeliverResult {
 
 /// A finished tile.
 struct FinishedTile<'a> {
-    held: LiveLease,
+    used: UsedLease<'a>,
     hash: &'a str,
     size_bytes: u64,
+}
+
+/// Results of live leases, by what becomes of them.
+#[derive(Default)]
+struct Results<'a> {
+    /// Pictures of frames, each with the leases of its stitch or of all tiles of its frame.
+    pictures: Vec<(StoredPicture<'a>, Vec<UsedLease<'a>>)>,
+    /// Tiles by job and frame.
+    tiles: BTreeMap<(i64, u32), Vec<FinishedTile<'a>>>,
+    /// Leases that end without a result, because it is not the one that was asked for.
+    misfits: Vec<(UsedLease<'a>, LeaseEnd, &'static str)>,
+    /// Leases of jobs that have ended.
+    late: Vec<UsedLease<'a>>,
 }
 
 /// Records a worker's results.
 pub(super) async fn deliver(
     connection: &mut Connection,
-    worker: WorkerId,
+    worker: &WorkerState,
     reports: &[LeaseReport],
     moment: TransitionContext,
 ) -> Result<DeliverResult> {
     let mut delivered = DeliverResult::default();
-    let results = reports
-        .iter()
-        .filter(|report| matches!(report.outcome, LeaseOutcome::Picture { .. } | LeaseOutcome::Blob { .. }));
-    let results: Vec<LeaseId> = results.map(|report| report.lease).collect();
-    if !results.is_empty() {
-        fair_share::record_delivery(connection, worker, &super::json_list(results), moment).await?;
+    if reports.is_empty() {
+        return Ok(delivered);
     }
-    let mut pictures: BTreeMap<(&str, u64), Vec<LeaseId>> = BTreeMap::new();
-    let (mut blobs, mut others) = (Vec::new(), Vec::new());
-    for report in reports {
-        match &report.outcome {
-            LeaseOutcome::Picture { hash, size_bytes } => {
-                pictures.entry((hash, *size_bytes)).or_default().push(report.lease);
-            }
-            LeaseOutcome::Blob { hash, size_bytes } => blobs.push((report.lease, hash.as_str(), *size_bytes)),
-            LeaseOutcome::BadBlobs { .. } | LeaseOutcome::Failed { .. } | LeaseOutcome::Released => others.push(report),
-        }
+    let results = sort(connection, worker, reports, moment, &mut delivered).await?;
+    for (picture, leases) in &results.pictures {
+        picture::store(connection, picture, leases, moment, &mut delivered).await?;
+        let candidate: Vec<Candidate> = Candidate::picture(leases, picture.hash).into_iter().collect();
+        choose(connection, worker, &candidate, moment, &mut delivered).await?;
     }
-    for ((hash, size_bytes), leases) in pictures {
-        picture::accept_picture(connection, worker, &leases, hash, size_bytes, moment, &mut delivered).await?;
+    for ((job, frame), tiles) in &results.tiles {
+        let candidates: Vec<Candidate> = tiles.iter().map(|tile| Candidate::tile(tile.used.held, tile.hash)).collect();
+        choose(connection, worker, &candidates, moment, &mut delivered).await?;
+        let ring = finish_tiles(connection, *job, *frame, tiles, moment).await?;
+        delivered.ring.add(ring);
     }
-    accept_blobs(connection, worker, &blobs, moment, &mut delivered).await?;
-    for report in others {
+    let misfits = results.misfits.iter().map(|(used, _, _)| used);
+    let unfinished: Vec<(&str, i64)> =
+        misfits.chain(&results.late).map(|used| (used.held.live.lease.as_str(), used.used_us)).collect();
+    fair_share::store_used_times(connection, &unfinished).await?;
+    for (used, cause, message) in &results.misfits {
+        delivered.has_failures = true;
+        // The failure of a job, earlier in this loop, may have ended more of these leases.
+        let Some(held) = lease::live_lease(connection, &used.held.live.lease).await? else { continue };
+        delivered.ring.add(lease::end_without_result(connection, &held, *cause, message, moment).await?);
+    }
+    for report in reports.iter().filter(|report| !is_result(report)) {
+        delivered.has_failures = true;
         accept_failure(connection, worker, report, moment, &mut delivered).await?;
     }
     Ok(delivered)
 }
 
-/// Records finished tiles, frame by frame.
-async fn accept_blobs(
+fn is_result(report: &LeaseReport) -> bool {
+    matches!(report.outcome, LeaseOutcome::Picture { .. } | LeaseOutcome::Blob { .. })
+}
+
+/// Sorts results, and compares those of leases that have ended with the first ones.
+async fn sort<'a>(
     connection: &mut Connection,
-    worker: WorkerId,
-    blobs: &[(LeaseId, &str, u64)],
+    worker: &'a WorkerState,
+    reports: &'a [LeaseReport],
     moment: TransitionContext,
     delivered: &mut DeliverResult,
-) -> Result<()> {
-    if blobs.is_empty() {
-        return Ok(());
+) -> Result<Results<'a>> {
+    let names: HashSet<String> =
+        reports.iter().filter(|report| is_result(report)).map(|report| report.lease.to_string()).collect();
+    let held: Vec<_> = worker.leases.iter().filter(|held| names.contains(&held.live.lease)).collect();
+    delivered.has_results = !held.is_empty();
+    let used = fair_share::record_delivery(connection, worker, &held, moment).await?;
+    let (open, late): (Vec<_>, Vec<_>) = used.into_iter().partition(|used| used.held.is_open);
+    let mut results = Results { late, ..Results::default() };
+    let mut live: HashMap<&str, UsedLease<'a>> =
+        open.into_iter().map(|used| (used.held.live.lease.as_str(), used)).collect();
+    let mut pictures: BTreeMap<(&str, u64), BTreeMap<(i64, u32), Vec<UsedLease<'a>>>> = BTreeMap::new();
+    let mut blobs = Vec::new();
+    for report in reports {
+        match &report.outcome {
+            LeaseOutcome::Picture { hash, size_bytes } => match live.remove(&*report.lease.to_string()) {
+                Some(used) => {
+                    let frame = (used.held.live.job, used.held.live.frame);
+                    pictures.entry((hash, *size_bytes)).or_default().entry(frame).or_default().push(used);
+                }
+                None => lose(connection, delivered, FIRST_PICTURE_SQL, report.lease, hash).await?,
+            },
+            LeaseOutcome::Blob { hash, size_bytes } => blobs.push((report.lease, hash.as_str(), *size_bytes)),
+            LeaseOutcome::BadBlobs { .. } | LeaseOutcome::Failed { .. } | LeaseOutcome::Released => {}
+        }
     }
-    let leases: Vec<LeaseId> = blobs.iter().map(|(lease, _, _)| *lease).collect();
-    let held = lease::live_leases_among(connection, worker, &leases).await?;
-    let mut live: HashMap<String, LiveLease> = held.into_iter().map(|held| (held.lease.clone(), held)).collect();
-    let mut frames: BTreeMap<(i64, u32), Vec<FinishedTile<'_>>> = BTreeMap::new();
-    for &(lease, hash, size_bytes) in blobs {
-        match live.remove(&lease.to_string()) {
-            None => {
-                delivered.lost.push(lease);
-                delivered.nondeterministic += count_mismatches(connection, FIRST_BLOB_SQL, lease, hash).await?;
+    for (lease, hash, size_bytes) in blobs {
+        match live.remove(&*lease.to_string()) {
+            None => lose(connection, delivered, FIRST_BLOB_SQL, lease, hash).await?,
+            Some(used) if used.held.live.stitch => {
+                results.misfits.push((used, LeaseEnd::Failed, "its worker sent a result that was not requested"));
             }
-            Some(held) if held.stitch => {
-                let message = "its worker sent a result that was not requested";
-                delivered
-                    .ring
-                    .add(lease::end_without_result(connection, &held, LeaseEnd::Failed, message, moment).await?);
-            }
-            Some(held) => {
-                frames.entry((held.job, held.frame)).or_default().push(FinishedTile { held, hash, size_bytes });
+            Some(used) => {
+                let frame = (used.held.live.job, used.held.live.frame);
+                results.tiles.entry(frame).or_default().push(FinishedTile { used, hash, size_bytes });
             }
         }
     }
-    for ((job, frame), tiles) in frames {
-        let candidates: Vec<Candidate> = tiles.iter().map(|tile| Candidate::tile(&tile.held, tile.hash)).collect();
-        let (unverified, wake) = verification::choose(connection, &worker.to_string(), &candidates, moment).await?;
-        delivered.unverified += unverified;
-        delivered.ring.add(wake);
-        delivered.ring.add(finish_tiles(connection, job, frame, &tiles, moment).await?);
+    for ((hash, size_bytes), frames) in pictures {
+        for ((job, frame), leases) in frames {
+            let stitched = matches!(leases.as_slice(), [used] if used.held.live.stitch);
+            let is_complete = leases[0].held.frame_tiles == Some(row_count(leases.len()));
+            if stitched || is_complete {
+                results.pictures.push((StoredPicture { job, frame, hash, size_bytes, stitched }, leases));
+            } else {
+                let message = "its worker delivered a picture without leases for all tiles of the frame";
+                results.misfits.extend(leases.into_iter().map(|used| (used, LeaseEnd::Released, message)));
+            }
+        }
     }
+    let tiles = results.tiles.values().flatten().map(|tile| tile.used);
+    let finished = results.pictures.iter().flat_map(|(_, leases)| leases.iter().copied()).chain(tiles);
+    delivered.ended = finished.map(|used| used.held.live.lease.clone()).collect();
+    Ok(results)
+}
+
+/// Records a result of a lease that had ended.
+async fn lose(
+    connection: &mut Connection,
+    delivered: &mut DeliverResult,
+    first: &'static str,
+    lease: LeaseId,
+    hash: &str,
+) -> Result<()> {
+    delivered.lost.push(lease);
+    delivered.nondeterministic += count_mismatches(connection, first, lease, hash).await?;
+    Ok(())
+}
+
+/// Chooses among results those that are verified.
+async fn choose(
+    connection: &mut Connection,
+    worker: &WorkerState,
+    candidates: &[Candidate],
+    moment: TransitionContext,
+    delivered: &mut DeliverResult,
+) -> Result<()> {
+    let (unverified, wake) = verification::choose(connection, worker, candidates, moment).await?;
+    delivered.unverified += unverified;
+    delivered.ring.add(wake);
     Ok(())
 }
 
 /// Records a result without pixels.
 async fn accept_failure(
     connection: &mut Connection,
-    worker: WorkerId,
+    worker: &WorkerState,
     report: &LeaseReport,
     moment: TransitionContext,
     delivered: &mut DeliverResult,
 ) -> Result<()> {
-    let Some(held) = lease::live_leases_among(connection, worker, &[report.lease]).await?.pop() else {
+    // Read again, because an earlier failure may have ended it.
+    let held = lease::live_lease(connection, &report.lease.to_string()).await?;
+    let Some(held) = held.filter(|held| held.worker == worker.id) else {
         delivered.lost.push(report.lease);
         return Ok(());
     };
@@ -146,12 +224,16 @@ async fn accept_failure(
     Ok(())
 }
 
+/// Picture of a lease's frame, if it is stored.
+const FIRST_PICTURE_SQL: &str = "SELECT frame.picture FROM lease JOIN tile ON tile.id = lease.tile
+     JOIN frame ON frame.job = tile.job AND frame.number = tile.frame WHERE lease.id = ?";
+
 /// Blob of a lease's tile, if the tile is done.
 const FIRST_BLOB_SQL: &str = "SELECT tile.blob FROM lease JOIN tile ON tile.id = lease.tile WHERE lease.id = ?";
 
 /// Compares late results with the first result of their tile; returns the number that differ. A late result has
 /// no effect.
-pub(super) async fn count_mismatches(
+async fn count_mismatches(
     connection: &mut Connection,
     statement: &'static str,
     lease: LeaseId,
@@ -175,15 +257,16 @@ async fn finish_tiles(
     tiles: &[FinishedTile<'_>],
     moment: TransitionContext,
 ) -> Result<Wake> {
-    let ids = tiles.iter().map(|tile| tile.held.tile);
-    let mut ring = lease_ends::finish(connection, tiles.iter().map(|tile| &tile.held.lease), ids).await?;
-    let results: Vec<_> = tiles.iter().map(|tile| (tile.held.tile, tile.hash, tile.size_bytes)).collect();
+    let leases: Vec<_> = tiles.iter().map(|tile| tile.used).collect();
+    let mut ring = lease_ends::finish(connection, &leases).await?;
+    let results: Vec<_> = tiles.iter().map(|tile| (tile.used.held.live.tile, tile.hash, tile.size_bytes)).collect();
     let progress = tile_results::store_blobs(connection, &results).await?;
     let number = job_transitions::progress(connection, job, progress).await?.tiles_done;
-    record_durations(connection, tiles.iter().map(|tile| &tile.held), number, moment).await?;
+    record_durations(connection, &leases, number, moment).await?;
     let complete: bool = db::query_scalar(
-        "UPDATE frame SET tiles_done = tiles_done + ? WHERE job = ? AND number = ? AND state = 'open'
-         RETURNING tiles_done = tiles_total",
+        "UPDATE frame SET tiles_done = tiles_done + ?1,
+                          state = CASE WHEN tiles_done + ?1 = tiles_total THEN 'stitching' ELSE state END
+         WHERE job = ?2 AND number = ?3 AND state = 'open' RETURNING tiles_done = tiles_total",
     )
     .bind(row_count(tiles.len()))
     .bind(job)
@@ -198,13 +281,13 @@ async fn finish_tiles(
 }
 
 /// Records the duration of tiles that were delivered together; `number` is the job's count of finished tiles.
-pub(super) async fn record_durations<'a>(
+pub(super) async fn record_durations(
     connection: &mut Connection,
-    held: impl IntoIterator<Item = &'a LiveLease>,
+    leases: &[UsedLease<'_>],
     number: i64,
     moment: TransitionContext,
 ) -> Result<()> {
-    let first = held.into_iter().min_by_key(|held| held.granted_ms);
+    let first: Option<&LiveLease> = leases.iter().map(|used| &used.held.live).min_by_key(|held| held.granted_ms);
     match first {
         Some(first) => {
             durations::record_duration(connection, first.job, number, moment.now_ms - first.granted_ms).await

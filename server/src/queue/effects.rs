@@ -10,6 +10,7 @@ mod outbox;
 
 use proto::job::JobState;
 
+use super::worker_state::UsedLease;
 use super::{Connection, NewJob, Result, finish};
 use crate::db::{self, Row};
 
@@ -94,8 +95,6 @@ pub(super) fn read_source(row: &Row) -> Result<EventSource> {
 pub(super) struct EndedLease {
     /// Its tile.
     pub(super) tile: i64,
-    /// Whether it ended with a result.
-    pub(super) is_done: bool,
     /// Submitter of its job.
     submitter: String,
     /// Priority that it was charged to.
@@ -107,18 +106,29 @@ pub(super) struct EndedLease {
 /// Columns of an [`EndedLease`].
 macro_rules! ended_lease_columns {
     () => {
-        "tile, ended = 'done' AS is_done, charged_us, used_us, charged_priority,
+        "tile, charged_us, used_us, charged_priority,
          (SELECT job.submitter FROM tile @join job ON job.number = tile.job WHERE tile.id = lease.tile) AS submitter"
     };
 }
 pub(super) use ended_lease_columns;
 
 impl EndedLease {
+    /// A lease that ended with a result.
+    pub(super) fn with_result(used: UsedLease<'_>) -> Self {
+        let held = used.held;
+        Self {
+            tile: held.live.tile,
+            submitter: held.submitter.clone(),
+            priority: held.charged_priority,
+            charged_us: held.charged_us,
+            used_us: Some(used.used_us),
+        }
+    }
+
     /// Reads a row with [`ended_lease_columns`].
     pub(super) fn read(row: &Row) -> Result<Self> {
         Ok(Self {
             tile: row.get("tile")?,
-            is_done: row.get("is_done")?,
             submitter: row.get("submitter")?,
             priority: row.get("charged_priority")?,
             charged_us: row.get("charged_us")?,

@@ -8,9 +8,8 @@
 use crate::db;
 use std::collections::BTreeMap;
 
-use proto::WorkerId;
-
 use super::speeds::{self, JobSpeed};
+use super::worker_state::{HeldLease, UsedLease, WorkerState};
 use super::{Connection, Result, TransitionContext, expect_rows, row_count};
 
 /// Maximum credit of a submitter whose jobs wait for something other than a worker.
@@ -68,54 +67,47 @@ pub(super) async fn charge(connection: &mut Connection, share: &FairShare, charg
     expect_rows("share: charged", 1, charged)
 }
 
-/// Live lease whose used time becomes known.
-struct UsedLease {
-    lease: String,
-    worker: String,
-    job: i64,
-    /// Camera rays; 0 for a stitch.
-    rays: f64,
-    charged_us: i64,
-    /// Time of its grant, or of its worker's previous delivery if that is later.
-    since_ms: i64,
+/// Times that were used for leases of one worker: the time since their grant, or since the worker's previous delivery if
+/// that is later, divided among them by their charges.
+fn divide(since_ms: impl Iterator<Item = i64>, charged_us: &[i64], moment: TransitionContext) -> Vec<i64> {
+    let since_ms = since_ms.min().unwrap_or(moment.now_ms);
+    let time_us = (moment.now_ms - since_ms).max(0) as f64 * 1e3;
+    // Stitches and duplicate leases have no estimate, but some weight.
+    let weight = |charged_us: i64| charged_us.max(1) as f64;
+    let weights: f64 = charged_us.iter().map(|charged_us| weight(*charged_us)).sum();
+    let used_us = |charged_us: &i64| (time_us * weight(*charged_us) / weights) as i64;
+    charged_us.iter().map(|charged_us| used_us(charged_us).clamp(0, MAX_CHARGE_US)).collect()
 }
 
-/// Live leases of a list, with the data that their used time depends on.
-const USED_SQL: &str = "SELECT lease.id, lease.worker, tile.job, tile.rays, lease.charged_us,
-        @max(lease.granted_ms, worker.delivered_ms) AS since_ms
-     FROM @texts(?) @join lease ON lease.id = listed.value
-     @join worker ON worker.id = lease.worker @join tile ON tile.id = lease.tile
-     WHERE lease.ended IS NULL AND (?2 IS NULL OR lease.worker = ?2)";
-
-/// Stores the time that a worker used for results, before they end their leases, and its speed in their jobs.
-pub(super) async fn record_delivery(
+/// Times that a worker used for the leases that it delivers results for, and its speed in their jobs.
+pub(super) async fn record_delivery<'a>(
     connection: &mut Connection,
-    worker: WorkerId,
-    leases: &str,
+    worker: &WorkerState,
+    delivered: &[&'a HeldLease],
     moment: TransitionContext,
-) -> Result<()> {
-    let worker = worker.to_string();
+) -> Result<Vec<UsedLease<'a>>> {
+    let since_ms = delivered.iter().map(|held| held.live.granted_ms.max(worker.delivered_ms));
+    let charged_us: Vec<i64> = delivered.iter().map(|held| held.charged_us).collect();
+    let times_us = divide(since_ms, &charged_us, moment);
     let mut jobs: BTreeMap<i64, (f64, i64)> = BTreeMap::new();
-    for (lease, used_us) in store_used_time(connection, leases, Some(&worker), moment).await? {
-        let (rays, time_us) = jobs.entry(lease.job).or_default();
-        if lease.rays > 0.0 {
-            *rays += lease.rays;
+    for (held, used_us) in delivered.iter().zip(&times_us) {
+        let (rays, time_us) = jobs.entry(held.live.job).or_default();
+        if held.rays > 0 {
+            *rays += held.rays as f64;
             *time_us += used_us;
         }
     }
-    if jobs.is_empty() {
-        return Ok(());
-    }
     for (job, (rays, time_us)) in jobs {
-        speeds::record(connection, &worker, job, rays, time_us as f64 / 1e6, moment).await?;
+        speeds::record(connection, &worker.id, job, rays, time_us as f64 / 1e6, moment).await?;
     }
-    let delivered = db::query("UPDATE worker SET delivered_ms = ? WHERE id = ?")
-        .bind(moment.now_ms)
-        .bind(&worker)
-        .execute(connection)
-        .await?;
-    expect_rows("worker: delivered", 1, delivered)
+    Ok(delivered.iter().zip(times_us).map(|(held, used_us)| UsedLease { held, used_us }).collect())
 }
+
+/// Live leases of a list, with the data that their used time depends on.
+const USED_SQL: &str = "SELECT lease.id, lease.worker, lease.charged_us,
+        @max(lease.granted_ms, worker.delivered_ms) AS since_ms
+     FROM @texts(?) @join lease ON lease.id = listed.value @join worker ON worker.id = lease.worker
+     WHERE @unindexed(lease.ended) IS NULL";
 
 /// Stores the time that was used for live leases, which are about to end: the time since their grant, or since their
 /// worker's previous delivery, divided among them by their estimates.
@@ -124,53 +116,34 @@ pub(super) async fn store_used_time_of(
     leases: &str,
     moment: TransitionContext,
 ) -> Result<()> {
-    store_used_time(connection, leases, None, moment).await.map(drop)
-}
-
-async fn store_used_time(
-    connection: &mut Connection,
-    leases: &str,
-    worker: Option<&str>,
-    moment: TransitionContext,
-) -> Result<Vec<(UsedLease, i64)>> {
-    let rows = db::query(USED_SQL).bind(leases).bind(worker).fetch_all(&mut *connection).await?;
-    let mut workers: BTreeMap<String, Vec<UsedLease>> = BTreeMap::new();
+    let rows = db::query(USED_SQL).bind(leases).fetch_all(&mut *connection).await?;
+    let mut workers: BTreeMap<String, Vec<(String, i64, i64)>> = BTreeMap::new();
     for row in rows {
-        let lease = UsedLease {
-            lease: row.get("id")?,
-            worker: row.get("worker")?,
-            job: row.get("job")?,
-            rays: row.get::<i64>("rays")? as f64,
-            charged_us: row.get("charged_us")?,
-            since_ms: row.get("since_ms")?,
-        };
-        workers.entry(lease.worker.clone()).or_default().push(lease);
+        let lease = (row.get("id")?, row.get("charged_us")?, row.get("since_ms")?);
+        workers.entry(row.get("worker")?).or_default().push(lease);
     }
     let mut used = Vec::new();
-    for leases in workers.into_values() {
-        let since_ms = leases.iter().map(|lease| lease.since_ms).min().unwrap_or(moment.now_ms);
-        let time_us = (moment.now_ms - since_ms).max(0) as f64 * 1e3;
-        // Stitches and duplicate leases have no estimate, but some weight.
-        let weight = |lease: &UsedLease| lease.charged_us.max(1) as f64;
-        let weights: f64 = leases.iter().map(weight).sum();
-        for lease in leases {
-            let used_us = (time_us * weight(&lease) / weights) as i64;
-            used.push((lease, used_us.clamp(0, MAX_CHARGE_US)));
-        }
+    for leases in workers.values() {
+        let charged_us: Vec<i64> = leases.iter().map(|(_, charged_us, _)| *charged_us).collect();
+        let times_us = divide(leases.iter().map(|(_, _, since_ms)| *since_ms), &charged_us, moment);
+        used.extend(leases.iter().zip(times_us).map(|((lease, _, _), used_us)| (lease.as_str(), used_us)));
     }
+    store_used_times(connection, &used).await
+}
+
+/// Stores the time that was used for live leases.
+pub(super) async fn store_used_times(connection: &mut Connection, used: &[(&str, i64)]) -> Result<()> {
     if used.is_empty() {
-        return Ok(used);
+        return Ok(());
     }
-    let pairs: Vec<(&str, i64)> = used.iter().map(|(lease, used_us)| (lease.lease.as_str(), *used_us)).collect();
     let stored = db::query(
         "UPDATE lease SET used_us = CAST(listed.value ->> 1 AS BIGINT) FROM @rows(?)
-         WHERE lease.id = listed.value ->> 0 AND lease.ended IS NULL",
+         WHERE lease.id = listed.value ->> 0 AND @unindexed(lease.ended) IS NULL",
     )
-    .bind(serde_json::json!(pairs).to_string())
+    .bind(serde_json::json!(used).to_string())
     .execute(connection)
     .await?;
-    expect_rows("lease: time used", used.len() as u64, stored)?;
-    Ok(used)
+    expect_rows("lease: time used", used.len() as u64, stored)
 }
 
 /// Deletes the shares of submitters without work that would start at the current virtual time anyway.

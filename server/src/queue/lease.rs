@@ -116,14 +116,15 @@ macro_rules! held_where {
             "SELECT lease.id AS lease, lease.worker, tile.id AS tile, tile.job, tile.frame, tile.kind,
                     lease.granted_ms, tile.errors, tile.crashes, tile.lost, tile.interrupts
              FROM lease JOIN tile ON tile.id = lease.tile JOIN job ON job.number = tile.job
-             WHERE lease.ended IS NULL AND job.finished_at_ms IS NULL AND ",
+             WHERE @unindexed(lease.ended) IS NULL AND job.finished_at_ms IS NULL AND ",
             $condition
         )
     };
 }
 
 impl LiveLease {
-    fn read(row: &Row) -> Result<Self> {
+    /// Reads a row with the columns of [`held_where`].
+    pub(super) fn read(row: &Row) -> Result<Self> {
         Ok(Self {
             lease: row.get("lease")?,
             worker: row.get("worker")?,
@@ -148,7 +149,7 @@ pub(super) async fn live_leases_among(
     worker: WorkerId,
     leases: &[LeaseId],
 ) -> Result<Vec<LiveLease>> {
-    let rows = db::query(held_where!("lease.worker = ? AND lease.id IN (SELECT value FROM @texts(?))"))
+    let rows = db::query(held_where!("@unindexed(lease.worker) = ? AND lease.id IN (SELECT value FROM @texts(?))"))
         .bind(worker.to_string())
         .bind(json_list(leases))
         .fetch_all(connection)
@@ -165,6 +166,13 @@ pub(super) async fn live_lease_ids(connection: &mut Connection, worker: &str) ->
 pub(super) struct LeaseGrant {
     pub(super) lease: String,
     pub(super) granted_ms: i64,
+}
+
+impl LeaseGrant {
+    /// Of a live lease.
+    pub(super) fn of(live: &LiveLease) -> Self {
+        Self { lease: live.lease.clone(), granted_ms: live.granted_ms }
+    }
 }
 
 /// Live leases of a worker. The index is forced, because with another one the query would read every lease the
@@ -297,29 +305,24 @@ pub(super) async fn renew(connection: &mut Connection, leases: &[&str], moment: 
     if leases.is_empty() {
         return Ok(());
     }
-    let renewed =
-        db::query("UPDATE lease SET expires_ms = ? WHERE ended IS NULL AND id IN (SELECT value FROM @texts(?))")
-            .bind(moment.now_ms + moment.lease_ms)
-            .bind(json_list(leases))
-            .execute(connection)
-            .await?;
+    let renewed = db::query(
+        "UPDATE lease SET expires_ms = ? WHERE @unindexed(ended) IS NULL AND id IN (SELECT value FROM @texts(?))",
+    )
+    .bind(moment.now_ms + moment.lease_ms)
+    .bind(json_list(leases))
+    .execute(connection)
+    .await?;
     expect_rows("lease: renewed", leases.len() as u64, renewed)
 }
-
-/// Whether a lease is overdue or a remote worker is lost.
-const ANYTHING_EXPIRED_SQL: &str = "
-    SELECT EXISTS (SELECT 1 FROM lease WHERE ended IS NULL AND expires_ms <= ?1)
-        OR EXISTS (SELECT 1 FROM worker WHERE state <> 'gone' AND pool = 0 AND seen_ms <= ?2)";
 
 /// Expires overdue leases and marks remote workers as gone if they have not synced for one lease length.
 pub(super) async fn rescue(connection: &mut Connection, moment: TransitionContext) -> Result<(u64, Wake)> {
     let mut ring = Wake::default();
     let mut count = 0;
-    let missed_ms = moment.now_ms - moment.lease_ms;
-    let look = db::query_scalar(ANYTHING_EXPIRED_SQL).bind(moment.now_ms).bind(missed_ms);
-    if !look.fetch_one(&mut *connection).await? {
+    if !moment.expires_leases {
         return Ok((count, ring));
     }
+    let missed_ms = moment.now_ms - moment.lease_ms;
     let expired: Vec<String> =
         db::query_scalar("SELECT id FROM lease WHERE ended IS NULL AND expires_ms <= ? ORDER BY expires_ms")
             .bind(moment.now_ms)

@@ -3,45 +3,57 @@
 //! The tiles of the leases are the callers'.
 
 use super::effects::{self, EndedLease, ended_lease_columns};
-use super::{Connection, Result, Wake, expect_rows_in, json_list, json_numbers};
+use super::worker_state::UsedLease;
+use super::{Connection, Result, Wake, expect_rows, expect_rows_in, json_numbers};
 use crate::db::{self, Statement};
 
 /// Runs a statement that ends leases.
 async fn end(connection: &mut Connection, statement: Statement) -> Result<Vec<EndedLease>> {
-    let rows = statement.fetch_all(&mut *connection).await?;
-    let ended = rows.iter().map(EndedLease::read).collect::<Result<Vec<_>>>()?;
+    let ended = run(connection, statement).await?;
     effects::leases_ended(connection, &ended).await?;
     Ok(ended)
 }
 
-/// Ends leases with a result, and the other leases of their tiles, because their workers were slower: nothing is
-/// charged for those.
-pub(super) async fn finish<'a>(
-    connection: &mut Connection,
-    leases: impl ExactSizeIterator<Item = &'a String>,
-    tiles: impl Iterator<Item = i64>,
-) -> Result<Wake> {
-    let expected = leases.len();
-    let statement = db::query(concat!(
-        "UPDATE lease SET ended = CASE WHEN id IN (SELECT value FROM @texts(?1)) THEN 'done' ELSE 'void' END,
-                          used_us = CASE WHEN id IN (SELECT value FROM @texts(?1)) THEN used_us ELSE 0 END
-         WHERE ended IS NULL AND tile IN (SELECT value FROM @numbers(?2)) RETURNING ",
-        ended_lease_columns!()
-    ));
-    let ended = end(connection, statement.bind(json_list(leases)).bind(json_numbers(tiles))).await?;
-    let done = ended.iter().filter(|lease| lease.is_done).count();
-    expect_rows_in("lease: live to ended", expected, done)?;
-    Ok(if ended.len() > done { Wake::UPDATES } else { Wake::default() })
+/// The same without the effects.
+async fn run(connection: &mut Connection, statement: Statement) -> Result<Vec<EndedLease>> {
+    statement.fetch_all(connection).await?.iter().map(EndedLease::read).collect()
 }
 
-/// Ends the leases of tiles that need no result any more; nothing is charged for them.
-pub(super) async fn revoke(connection: &mut Connection, tiles: impl Iterator<Item = i64>) -> Result<Wake> {
+/// Ends leases with a result, and the other leases of their tiles, because their workers were slower: nothing is
+/// charged for those.
+pub(super) async fn finish(connection: &mut Connection, leases: &[UsedLease<'_>]) -> Result<Wake> {
+    let rows: Vec<(&str, i64)> = leases.iter().map(|used| (used.held.live.lease.as_str(), used.used_us)).collect();
+    let done = db::query(
+        "UPDATE lease SET ended = 'done', used_us = CAST(listed.value ->> 1 AS BIGINT) FROM @rows(?)
+         WHERE lease.id = listed.value ->> 0 AND @unindexed(lease.ended) IS NULL",
+    )
+    .bind(serde_json::json!(rows).to_string())
+    .execute(&mut *connection)
+    .await?;
+    expect_rows("lease: live to ended", leases.len() as u64, done)?;
+    let mut ended: Vec<EndedLease> = leases.iter().map(|used| EndedLease::with_result(*used)).collect();
+    let duplicated: Vec<i64> =
+        leases.iter().filter(|used| used.held.has_duplicate).map(|used| used.held.live.tile).collect();
+    if !duplicated.is_empty() {
+        ended.extend(run(connection, revocation(duplicated.into_iter())).await?);
+    }
+    effects::leases_ended(connection, &ended).await?;
+    Ok(if ended.len() > leases.len() { Wake::UPDATES } else { Wake::default() })
+}
+
+/// Statement that ends the leases of tiles; nothing is charged for them.
+fn revocation(tiles: impl Iterator<Item = i64>) -> Statement {
     let statement = db::query(concat!(
         "UPDATE lease SET ended = 'void', used_us = 0
          WHERE ended IS NULL AND tile IN (SELECT value FROM @numbers(?)) RETURNING ",
         ended_lease_columns!()
     ));
-    let ended = end(connection, statement.bind(json_numbers(tiles))).await?;
+    statement.bind(json_numbers(tiles))
+}
+
+/// Ends the leases of tiles that need no result any more; nothing is charged for them.
+pub(super) async fn revoke(connection: &mut Connection, tiles: impl Iterator<Item = i64>) -> Result<Wake> {
+    let ended = end(connection, revocation(tiles)).await?;
     Ok(if ended.is_empty() { Wake::default() } else { Wake::UPDATES })
 }
 
@@ -49,7 +61,7 @@ pub(super) async fn revoke(connection: &mut Connection, tiles: impl Iterator<Ite
 pub(super) async fn give_up(connection: &mut Connection, lease: &str, ended: &str, used_us: i64) -> Result<()> {
     let statement = db::query(concat!(
         "UPDATE lease SET ended = ?, used_us = @min(charged_us, coalesce(used_us, ?))
-         WHERE id = ? AND ended IS NULL RETURNING ",
+         WHERE id = ? AND @unindexed(ended) IS NULL RETURNING ",
         ended_lease_columns!()
     ));
     let ended = end(connection, statement.bind(ended).bind(used_us).bind(lease)).await?;
@@ -59,7 +71,7 @@ pub(super) async fn give_up(connection: &mut Connection, lease: &str, ended: &st
 /// Ends leases of a job that ended; their used time is stored.
 pub(super) async fn void(connection: &mut Connection, leases: &str) -> Result<()> {
     let statement = db::query(concat!(
-        "UPDATE lease SET ended = 'void' WHERE ended IS NULL AND id IN (SELECT value FROM @texts(?)) RETURNING ",
+        "UPDATE lease SET ended = 'void' WHERE @unindexed(ended) IS NULL AND id IN (SELECT value FROM @texts(?)) RETURNING ",
         ended_lease_columns!()
     ));
     end(connection, statement.bind(leases)).await.map(drop)

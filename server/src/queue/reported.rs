@@ -58,7 +58,8 @@ impl Queue {
         let rows = db::query(
             "SELECT lease.id, tile.job, tile.frame, tile.x_px, tile.y_px, tile.width_px, tile.height_px, pixel_bytes
              FROM lease JOIN tile ON tile.id = lease.tile JOIN job ON job.number = tile.job
-             WHERE lease.ended IS NULL AND lease.worker = ?1 AND lease.id IN (SELECT value FROM @texts(?2))
+             WHERE @unindexed(lease.ended) IS NULL AND @unindexed(lease.worker) = ?1
+               AND lease.id IN (SELECT value FROM @texts(?2))
              UNION ALL
              SELECT verification_lease.id, tile.job, tile.frame, tile.x_px, tile.y_px, tile.width_px, tile.height_px,
                     pixel_bytes

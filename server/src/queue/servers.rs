@@ -12,12 +12,20 @@ use crate::db;
 use crate::db::Durability;
 
 /// A server that has not renewed its row for this long has ended.
-pub(crate) const SERVER_GONE_MS: i64 = 6_000;
+pub(super) const SERVER_GONE_MS: i64 = 6_000;
 
 impl Queue {
-    /// Renews this server's row. If `judges`, those of servers that have ended are deleted, and the leases of their pools
-    /// handed back; a server judges others only while it reaches the database itself. Returns the number of others.
-    pub(crate) async fn renew_server(&self, judges: bool) -> Result<i64> {
+    /// Renews this server's row, and returns the number of others. If contact with the database is steady, the rows of
+    /// servers that have ended are deleted, and the leases of their pools handed back. From the first renewal on, leases
+    /// expire only if contact is steady.
+    pub(crate) async fn renew_server(&self) -> Result<i64> {
+        let others = self.renew_server_if(self.contact.is_steady()).await?;
+        self.contact.renew();
+        Ok(others)
+    }
+
+    /// Renews this server's row, and if `judges`, ends what servers have left that do not.
+    pub(super) async fn renew_server_if(&self, judges: bool) -> Result<i64> {
         let (moment, name) = (self.context(), self.server_name.clone());
         let (others, wake) = self
             .database

@@ -4,14 +4,8 @@ use super::lease::{self, LeaseEnd, LiveLease};
 use super::{Connection, Result, TransitionContext, Wake, expect_rows, job_transitions, lease_ends, tile_results};
 use crate::db;
 
-/// Makes a frame's stitch ready after its last tile.
+/// Makes a frame's stitch ready after its last tile; the frame is stitching.
 pub(super) async fn create(connection: &mut Connection, job: i64, frame: u32) -> Result<()> {
-    let stitching = db::query("UPDATE frame SET state = 'stitching' WHERE job = ? AND number = ? AND state = 'open'")
-        .bind(job)
-        .bind(frame)
-        .execute(&mut *connection)
-        .await?;
-    expect_rows("frame: open to stitching", 1, stitching)?;
     let made = db::query(
         "INSERT INTO tile (job, frame, kind, position, x_px, y_px, width_px, height_px, rays, state)
          SELECT number, ?2, 'stitch', -1, 0, 0, width_px, height_px, 0, 'ready' FROM job WHERE number = ?1

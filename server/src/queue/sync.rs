@@ -9,11 +9,11 @@ use proto::{LeaseId, WorkerId};
 
 use super::claim::{self, ClaimOutcome, ClaimRequest};
 use super::doomed::CheckedNames;
-use super::lease::{self, LeaseEnd};
+use super::lease::{self, LeaseEnd, LeaseGrant};
 use super::reported::{self, RejectedResult};
-use super::verification::{self, VerificationOutcome};
-use super::{Connection, FrameOpening, Result, TransitionContext, Wake, deliver, open_frame, parse_column, workers};
-use crate::db;
+use super::verification::{self, VerificationOutcome, VerifierLease};
+use super::worker_state::{self, WorkerState, WorkerStatus};
+use super::{Connection, FrameOpening, Result, TransitionContext, Wake, deliver, open_frame, workers};
 use crate::tile_plan::TilePlan;
 
 /// A lease granted in a response that the worker never received is released after this time: the worker does
@@ -62,6 +62,11 @@ impl SyncInput {
     pub(crate) fn without_reports(&self) -> Self {
         Self { reports: Vec::new(), rejected: Vec::new(), checked: None, ..self.clone() }
     }
+
+    /// The same sync without its claim.
+    pub(super) fn without_claim(self) -> Self {
+        Self { wants_work: false, ..self }
+    }
 }
 
 /// Outcome of a sync.
@@ -94,6 +99,11 @@ impl SyncOutcome {
     /// Whether the worker must get the response at once.
     pub(crate) fn needs_response(&self) -> bool {
         !self.revoked_leases.is_empty() || matches!(self.next, NextWork::Run(_))
+    }
+
+    /// The outcome of a sync whose claim failed.
+    pub(super) fn after_failed_claim(self) -> Self {
+        Self { next: NextWork::Nothing(Some(FAILED_CLAIM_RETRY_MS)), ..self }
     }
 
     /// If a tile is backing off: the time until it is ready.
@@ -129,20 +139,34 @@ pub(super) async fn sync(
     turn: SyncInput,
     moment: TransitionContext,
 ) -> Result<Option<SyncOutcome>> {
-    let Some(worker) = touch_worker(connection, &turn, moment).await? else { return Ok(None) };
+    let Some(mut worker) = WorkerState::read(connection, &turn, moment).await? else { return Ok(None) };
     // A pass with the opening that the previous pass asked for belongs to the same sync.
     let is_new = turn.opening.is_none();
-    let (expired, mut ring) = if is_new { lease::rescue(connection, moment).await? } else { Default::default() };
+    let (mut expired, mut ring) = (0, Wake::default());
+    if is_new && worker.is_anything_overdue {
+        worker_state::touch(connection, &turn, false, moment).await?;
+        (expired, ring) = lease::rescue(connection, moment).await?;
+        let Some(rescued) = WorkerState::read(connection, &turn, moment).await? else { return Ok(None) };
+        worker = rescued;
+    }
     // The leases of verifications are apart from those of tiles.
-    let id = turn.worker.to_string();
-    let verified = verification::live_lease_ids(connection, &id).await?;
-    let is_verified = |lease: &LeaseId| !verified.is_empty() && verified.contains(&lease.to_string());
+    let verified: Vec<VerifierLease> = match worker.has_verifications {
+        true => verification::live_leases(connection, &worker.id).await?,
+        false => Vec::new(),
+    };
+    let is_verified = |lease: &LeaseId| {
+        let lease = if verified.is_empty() { String::new() } else { lease.to_string() };
+        verified.iter().any(|verified| verified.lease == lease)
+    };
     let (verifications, reports): (Vec<_>, Vec<_>) =
         turn.reports.iter().cloned().partition(|report| is_verified(&report.lease));
-    let delivered = deliver::deliver(connection, turn.worker, &reports, moment).await?;
+    let delivered = deliver::deliver(connection, &worker, &reports, moment).await?;
+    if is_new {
+        worker_state::touch(connection, &turn, delivered.has_results, moment).await?;
+    }
     ring.add(delivered.ring);
     let (mut verification, verdict_wake) =
-        verification::deliver(connection, turn.worker, &verifications, moment).await?;
+        verification::deliver(connection, &worker, &verified, &verifications, moment).await?;
     ring.add(verdict_wake);
     verification.skipped += delivered.unverified;
     let (fenced, nondeterministic) = (delivered.lost.len() as u64, delivered.nondeterministic);
@@ -151,24 +175,35 @@ pub(super) async fn sync(
         reported::reject(connection, turn.worker, &turn.rejected, moment).await?;
     lost.extend(late);
     ring.add(rejection_wake);
+    // Otherwise nothing has happened but to the delivered leases and their tiles.
+    let is_known = verification.differed == 0 && turn.rejected.is_empty() && !delivered.has_failures;
     if is_new {
         let (held, tiles): (Vec<LeaseId>, Vec<LeaseId>) = turn.held_leases.iter().partition(|lease| is_verified(lease));
-        if !verified.is_empty() {
+        if verified.len() > verifications.len() {
             let held: Vec<String> = held.iter().map(ToString::to_string).collect();
-            ring.add(verification::renew(connection, &id, &held, moment).await?);
+            ring.add(verification::renew(connection, &worker.id, &held, moment).await?);
         }
-        ring.add(renew_leases(connection, turn.worker, &tiles, moment, &mut lost).await?);
+        let live = if is_known {
+            let open = worker.leases.iter().filter(|held| held.is_open && !delivered.ended.contains(&held.live.lease));
+            open.map(|held| LeaseGrant::of(&held.live)).collect()
+        } else {
+            lease::live_leases(connection, &worker.id).await?
+        };
+        ring.add(renew_leases(connection, turn.worker, &live, &tiles, moment, &mut lost).await?);
     }
     if turn.shutting_down {
         ring.add(workers::deregister(connection, turn.worker, moment).await?);
     }
-    let (next, more) = if turn.wants_work && !turn.shutting_down && worker.state == SyncState::Ready && !is_quarantined
-    {
-        claim_or_nothing(connection, &turn, worker.max_nodes, moment).await?
-    } else {
-        (NextWork::Nothing(None), Vec::new())
-    };
-    let drain = turn.shutting_down || worker.state == SyncState::Draining;
+    let (next, more) =
+        if turn.wants_work && !turn.shutting_down && worker.status == WorkerStatus::Ready && !is_quarantined {
+            if !is_known {
+                worker.others_max_nodes = claim::others_max_nodes(connection, &worker.id).await?;
+            }
+            claim_work(connection, &turn, &worker, moment).await?
+        } else {
+            (NextWork::Nothing(None), Vec::new())
+        };
+    let drain = turn.shutting_down || worker.status == WorkerStatus::Draining;
     Ok(Some(SyncOutcome {
         revoked_leases: lost,
         drain,
@@ -184,56 +219,16 @@ pub(super) async fn sync(
     }))
 }
 
-#[derive(Clone, Copy, PartialEq, Eq)]
-enum SyncState {
-    Ready,
-    Draining,
-    Other,
-}
-
-/// Data about the worker that a sync needs.
-struct WorkerRow {
-    state: SyncState,
-    max_nodes: i64,
-}
-
-async fn touch_worker(
-    connection: &mut Connection,
-    turn: &SyncInput,
-    moment: TransitionContext,
-) -> Result<Option<WorkerRow>> {
-    let row = db::query(
-        "UPDATE worker SET seen_ms = ?1, rays_per_second = coalesce(?2, rays_per_second), owner = coalesce(owner, ?3)
-         WHERE id = ?4 AND state <> 'gone' AND coalesce(owner, ?3) = ?3
-         RETURNING state, coalesce(max_nodes, ?5) AS max_nodes",
-    )
-    .bind(moment.now_ms)
-    .bind(turn.rays_per_second.map(RaysPerSecond::get))
-    .bind(&turn.owner)
-    .bind(turn.worker.to_string())
-    .bind(claim::ANY_NODES)
-    .fetch_optional(connection)
-    .await?;
-    let Some(row) = row else { return Ok(None) };
-    let state = parse_column("worker.state", &row.get::<String>("state")?, |state| match state {
-        "ready" => Some(SyncState::Ready),
-        "draining" => Some(SyncState::Draining),
-        "starting" | "quarantined" => Some(SyncState::Other),
-        _ => None,
-    })?;
-    Ok(Some(WorkerRow { state, max_nodes: row.get("max_nodes")? }))
-}
-
 /// Renews the leases that the worker lists, reports those that have ended, and releases those that it never
 /// received.
 async fn renew_leases(
     connection: &mut Connection,
     worker: WorkerId,
+    live: &[LeaseGrant],
     held_leases: &[LeaseId],
     moment: TransitionContext,
     lost: &mut Vec<LeaseId>,
 ) -> Result<Wake> {
-    let live = lease::live_leases(connection, &worker.to_string()).await?;
     let mut holding: HashSet<String> = held_leases.iter().map(ToString::to_string).collect();
     let (held, unknown): (Vec<_>, Vec<_>) = live.iter().partition(|live| holding.remove(&live.lease));
     lost.extend(held_leases.iter().filter(|lease| holding.contains(&lease.to_string())));
@@ -258,43 +253,29 @@ async fn renew_leases(
     Ok(ring)
 }
 
-/// Claims work under a savepoint of its own, so that a claim that fails takes no results and renewals with it: then
-/// the worker gets no work, and asks again after a while.
-async fn claim_or_nothing(
-    connection: &mut Connection,
-    turn: &SyncInput,
-    max_nodes: i64,
-    moment: TransitionContext,
-) -> Result<(NextWork, Vec<Batch>)> {
-    connection.command("SAVEPOINT claim").await?;
-    match claim_work(connection, turn, max_nodes, moment).await {
-        Ok(next) => {
-            connection.command("RELEASE SAVEPOINT claim").await?;
-            Ok(next)
-        }
-        Err(error) => {
-            connection.command("ROLLBACK TO SAVEPOINT claim; RELEASE SAVEPOINT claim").await?;
-            tracing::error!(
-                code = "claim_failed", worker = %turn.worker, %error, cause = ?std::error::Error::source(&error),
-                "a claim failed; its worker gets no work: run `sdfarm doctor`"
-            );
-            Ok((NextWork::Nothing(Some(FAILED_CLAIM_RETRY_MS)), Vec::new()))
-        }
-    }
-}
-
 /// Claims a batch, and further ones as long as they are short and the worker asks for them.
 async fn claim_work(
     connection: &mut Connection,
     turn: &SyncInput,
-    max_nodes: i64,
+    worker: &WorkerState,
     moment: TransitionContext,
 ) -> Result<(NextWork, Vec<Batch>)> {
     if let Some(opening) = &turn.opening {
         open_frame::open(connection, opening, moment).await?;
     }
-    let claimant = ClaimRequest { worker: turn.worker, rays_per_second: turn.rays_per_second, max_nodes };
-    if let Some(batch) = verification::claim(connection, claimant, moment).await? {
+    if worker.is_paused {
+        return Ok((NextWork::Nothing(None), Vec::new()));
+    }
+    let claimant = ClaimRequest {
+        worker: turn.worker,
+        rays_per_second: turn.rays_per_second,
+        max_nodes: worker.max_nodes,
+        others_max_nodes: worker.others_max_nodes,
+    };
+    // A worker does not verify what it has just delivered.
+    if worker.has_verifications
+        && let Some(batch) = verification::claim(connection, claimant, moment).await?
+    {
         return Ok((NextWork::Run(batch), Vec::new()));
     }
     let mut openings = turn.next_openings.iter();

@@ -12,6 +12,7 @@ mod sequences;
 mod servers;
 mod several_batches;
 mod sharing;
+mod statements;
 mod workers;
 
 use proto::bounded::RaysPerSecond;

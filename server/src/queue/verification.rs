@@ -12,12 +12,13 @@ use crate::db;
 use proto::LeaseId;
 use proto::worker_protocol::{Batch, BatchWork};
 
-pub(super) use leases::{discard_expired, live_lease_ids, release_of, renew, reset_after_restart};
-pub(super) use verdict::{deliver, reject};
+pub(super) use leases::{discard_expired, release_of, renew, reset_after_restart};
+pub(super) use verdict::{VerifierLease, deliver, live_leases, reject};
 
 use super::claim::{self, ClaimRequest};
-use super::lease::{LiveLease, jitter};
-use super::{Connection, Result, TransitionContext, Wake};
+use super::lease::jitter;
+use super::worker_state::{HeldLease, UsedLease, WorkerState};
+use super::{Connection, Result, TransitionContext, Wake, expect_rows, json_numbers, parse_column};
 
 /// Position of the picture of a stitched frame.
 const STITCH: i64 = -1;
@@ -55,117 +56,94 @@ pub(crate) struct VerificationOutcome {
 pub(super) struct Candidate {
     job: i64,
     frame: u32,
-    part: DeliveredPart,
+    /// Of its tile, or [`STITCH`], or [`WHOLE_FRAME`].
+    position: i64,
     lease: String,
     hash: String,
 }
 
-/// Part of a frame that a result covers.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum DeliveredPart {
-    /// The tile with this row.
-    Tile(i64),
-    /// A frame's picture, made from the blobs of its tiles.
-    Stitch,
-    /// A frame's picture, rendered as a whole.
-    WholeFrame,
-}
-
 impl Candidate {
     /// A tile's blob.
-    pub(super) fn tile(held: &LiveLease, hash: &str) -> Self {
-        let (lease, hash) = (held.lease.clone(), hash.to_owned());
-        Self { job: held.job, frame: held.frame, part: DeliveredPart::Tile(held.tile), lease, hash }
+    pub(super) fn tile(held: &HeldLease, hash: &str) -> Self {
+        let (lease, hash) = (held.live.lease.clone(), hash.to_owned());
+        Self { job: held.live.job, frame: held.live.frame, position: held.position, lease, hash }
     }
 
     /// A frame's picture, delivered under these leases.
-    pub(super) fn picture(held: &[LiveLease], hash: &str) -> Option<Self> {
-        let last = held.iter().max_by_key(|held| &held.lease)?;
-        let part = if last.stitch { DeliveredPart::Stitch } else { DeliveredPart::WholeFrame };
-        Some(Self { job: last.job, frame: last.frame, part, lease: last.lease.clone(), hash: hash.to_owned() })
+    pub(super) fn picture(leases: &[UsedLease<'_>], hash: &str) -> Option<Self> {
+        let last = leases.iter().map(|used| &used.held.live).max_by_key(|held| &held.lease)?;
+        let position = if last.stitch { STITCH } else { WHOLE_FRAME };
+        Some(Self { job: last.job, frame: last.frame, position, lease: last.lease.clone(), hash: hash.to_owned() })
     }
 }
 
-/// Chooses among results of a worker those that are verified. Returns how many cannot be, and wakes verifiers.
+/// Chooses among a worker's results of one frame those that are verified. Returns how many cannot be, and wakes
+/// verifiers.
 pub(super) async fn choose(
     connection: &mut Connection,
-    worker: &str,
+    worker: &WorkerState,
     candidates: &[Candidate],
     moment: TransitionContext,
 ) -> Result<(u64, Wake)> {
     let policy = moment.verification;
-    let (mut skipped, mut ring) = (0, Wake::default());
-    if candidates.is_empty() || policy == VerificationPolicy::default() {
-        return Ok((skipped, ring));
+    if policy == VerificationPolicy::default() || worker.is_pool {
+        return Ok((0, Wake::default()));
     }
+    let is_new = moment.now_ms - worker.registered_ms < policy.new_worker_ms;
+    let mut chosen: Vec<&Candidate> = candidates.iter().filter(|_| is_new || jitter() < policy.share).collect();
+    let Some(first) = chosen.first() else { return Ok((0, Wake::default())) };
+    let (job, frame) = (first.job, first.frame);
     let row = db::query(
-        "SELECT pool, registered_ms, (SELECT count(*) FROM verification) AS pending,
-                EXISTS (SELECT 1 FROM worker AS other WHERE other.state <> 'gone' AND other.state = 'ready'
-                        AND other.id <> worker.id) AS has_other
-         FROM worker WHERE id = ?",
+        "SELECT (SELECT count(*) FROM verification) AS pending,
+                EXISTS (SELECT 1 FROM verification WHERE job = ?1 AND frame = ?2) AS has_others_of_frame",
     )
-    .bind(worker)
+    .bind(job)
+    .bind(frame)
     .fetch_one(&mut *connection)
     .await?;
-    if row.get("pool")? {
-        return Ok((skipped, ring));
+    let wanted = chosen.len();
+    let has_other_worker = worker.others_max_nodes >= 0;
+    let room = if has_other_worker { (MAX_PENDING - row.get::<i64>("pending")?).max(0) } else { 0 };
+    chosen.truncate(usize::try_from(room).unwrap_or(usize::MAX));
+    let skipped = (wanted - chosen.len()) as u64;
+    if chosen.is_empty() {
+        return Ok((skipped, Wake::default()));
     }
-    let is_new = moment.now_ms - row.get::<i64>("registered_ms")? < policy.new_worker_ms;
-    let (mut pending, has_other): (i64, bool) = (row.get("pending")?, row.get("has_other")?);
-    for candidate in candidates {
-        if !is_new && jitter() >= policy.share {
-            continue;
-        }
-        if !has_other || pending >= MAX_PENDING {
-            skipped += 1;
-            continue;
-        }
-        insert(connection, worker, candidate, moment).await?;
-        pending += 1;
-        ring.add(Wake::WORK);
-    }
-    Ok((skipped, ring))
-}
-
-async fn insert(
-    connection: &mut Connection,
-    worker: &str,
-    candidate: &Candidate,
-    moment: TransitionContext,
-) -> Result<()> {
-    let position = match candidate.part {
-        DeliveredPart::Tile(tile) => {
-            db::query_scalar("SELECT position FROM tile WHERE id = ?").bind(tile).fetch_one(&mut *connection).await?
-        }
-        DeliveredPart::Stitch => STITCH,
-        DeliveredPart::WholeFrame => WHOLE_FRAME,
-    };
-    // A result that was delivered again, because the first was lost, is verified instead of it.
-    db::query("DELETE FROM verification WHERE job = ? AND frame = ? AND position = ?")
-        .bind(candidate.job)
-        .bind(candidate.frame)
-        .bind(position)
+    if row.get("has_others_of_frame")? {
+        // A result that was delivered again, because the first was lost, is verified instead of it.
+        db::query(
+            "DELETE FROM verification WHERE job = ? AND frame = ? AND position IN (SELECT value FROM @numbers(?))",
+        )
+        .bind(job)
+        .bind(frame)
+        .bind(json_numbers(chosen.iter().map(|candidate| candidate.position)))
         .execute(&mut *connection)
         .await?;
-    db::query(
+    }
+    let rows: Vec<(i64, &str, &str)> = chosen
+        .iter()
+        .map(|candidate| (candidate.position, candidate.lease.as_str(), candidate.hash.as_str()))
+        .collect();
+    let made = db::query(
         "INSERT INTO verification (job, frame, position, worker, lease, hash, created_ms)
-         VALUES (?, ?, ?, ?, ?, ?, ?)",
+         SELECT CAST(?1 AS BIGINT), CAST(?2 AS BIGINT), CAST(value ->> 0 AS BIGINT), CAST(?3 AS TEXT), value ->> 1,
+                value ->> 2, CAST(?4 AS BIGINT)
+         FROM @rows(?5)",
     )
-    .bind(candidate.job)
-    .bind(candidate.frame)
-    .bind(position)
-    .bind(worker)
-    .bind(&candidate.lease)
-    .bind(&candidate.hash)
+    .bind(job)
+    .bind(frame)
+    .bind(&worker.id)
     .bind(moment.now_ms)
+    .bind(serde_json::json!(rows).to_string())
     .execute(connection)
     .await?;
-    Ok(())
+    expect_rows("verification: waiting", rows.len() as u64, made)?;
+    Ok((skipped, Wake::WORK))
 }
 
 /// Oldest result that this worker may verify: not its own; if a worker of the pool could verify it, only by the pool.
 const NEXT_SQL: &str = "
-    SELECT verification.number, verification.job, frame, position
+    SELECT verification.number, verification.job, frame, position, job.id, job.tile_seconds
     FROM verification JOIN job ON job.number = verification.job
     WHERE verifier IS NULL AND verification.worker <> ?1 AND second_worker IS DISTINCT FROM ?1
       AND (position = -1 OR job.nodes <= ?2)
@@ -177,11 +155,19 @@ const NEXT_SQL: &str = "
       AND (SELECT value = 0 FROM meta WHERE name = 'paused')
     ORDER BY verification.number LIMIT 1";
 
-/// Other tiles of the same frame that this worker may verify.
+/// Tiles of the same frame that this worker may verify.
 const TOGETHER_SQL: &str = "
-    SELECT number, position FROM verification
-    WHERE job = ?2 AND frame = ?3 AND position >= 0 AND verifier IS NULL AND worker <> ?1 AND second_worker IS DISTINCT FROM ?1
-    ORDER BY position LIMIT ?4";
+    SELECT number, tile.id, tile.position, tile.x_px, tile.y_px, tile.width_px, tile.height_px
+    FROM verification @join tile ON tile.job = verification.job AND tile.frame = verification.frame
+                                AND tile.position = verification.position
+    WHERE verification.job = ?2 AND verification.frame = ?3 AND verification.position >= 0 AND verifier IS NULL
+      AND verification.worker <> ?1 AND second_worker IS DISTINCT FROM ?1
+    ORDER BY verification.position LIMIT ?4";
+
+/// Tiles of a frame.
+const TILES_SQL: &str = "
+    SELECT id, position, x_px, y_px, width_px, height_px FROM tile
+    WHERE job = ? AND frame = ? AND kind = 'render' ORDER BY position";
 
 /// Claims a verification for a worker.
 pub(super) async fn claim(
@@ -194,6 +180,7 @@ pub(super) async fn claim(
     let Some(next) = next else { return Ok(None) };
     let (number, job): (i64, i64) = (next.get("number")?, next.get("job")?);
     let (frame, position): (u32, i64) = (next.get("frame")?, next.get("position")?);
+    let id: String = next.get("id")?;
     let work = match position {
         STITCH => {
             let lease = LeaseId::new();
@@ -201,7 +188,7 @@ pub(super) async fn claim(
             claim::stitch_work(connection, job, frame, lease).await?
         }
         WHOLE_FRAME => {
-            let rows = tiles(connection, job, frame, None).await?;
+            let rows = db::query(TILES_SQL).bind(job).bind(frame).fetch_all(&mut *connection).await?;
             let (tiles, _) = claim::new_leases(&rows)?;
             let granted: Vec<_> = tiles.iter().map(|tile| (number, tile.lease, i64::from(tile.index))).collect();
             leases::grant(connection, &worker, &granted, moment).await?;
@@ -215,31 +202,15 @@ pub(super) async fn claim(
                 .bind(MAX_TILES_TOGETHER)
                 .fetch_all(&mut *connection)
                 .await?;
-            let (mut all, mut granted) = (Vec::new(), Vec::new());
-            for row in together {
-                let (number, position): (i64, i64) = (row.get("number")?, row.get("position")?);
-                let rows = tiles(connection, job, frame, Some(position)).await?;
-                let (tiles, _) = claim::new_leases(&rows)?;
-                granted.extend(tiles.iter().map(|tile| (number, tile.lease, position)));
-                all.extend(tiles);
+            let (tiles, _) = claim::new_leases(&together)?;
+            let mut granted = Vec::with_capacity(tiles.len());
+            for (row, tile) in together.iter().zip(&tiles) {
+                granted.push((row.get("number")?, tile.lease, i64::from(tile.index)));
             }
             leases::grant(connection, &worker, &granted, moment).await?;
-            BatchWork::Render { tiles: all, whole_frame: false }
+            BatchWork::Render { tiles, whole_frame: false }
         }
     };
-    let job = claim::job(connection, job).await?;
-    Ok(Some(Batch { job: job.id, frame, tile_seconds: Some(job.tile_seconds), work }))
-}
-
-/// Tiles of a frame, or one of them.
-async fn tiles(connection: &mut Connection, job: i64, frame: u32, position: Option<i64>) -> Result<Vec<db::Row>> {
-    db::query(
-        "SELECT id, position, x_px, y_px, width_px, height_px FROM tile
-         WHERE job = ?1 AND frame = ?2 AND kind = 'render' AND (?3 IS NULL OR position = ?3) ORDER BY position",
-    )
-    .bind(job)
-    .bind(frame)
-    .bind(position)
-    .fetch_all(connection)
-    .await
+    let job = parse_column("job.id", &id, |id| id.parse().ok())?;
+    Ok(Some(Batch { job, frame, tile_seconds: Some(next.get("tile_seconds")?), work }))
 }

@@ -63,6 +63,13 @@ impl Queue {
         Ok(owner.flatten())
     }
 
+    /// Name and device of a worker.
+    pub(crate) async fn worker_device(&self, worker: WorkerId) -> Result<Option<(String, String)>> {
+        let row = db::query("SELECT name, device FROM worker WHERE id = ?").bind(worker.to_string());
+        let row = row.fetch_optional(self.readers()).await?;
+        row.map(|row| Ok((row.get("name")?, row.get("device")?))).transpose()
+    }
+
     /// Whether a worker of this owner holds a lease that needs the given content.
     pub(crate) async fn has_lease(&self, owner: &str, needs: LeaseNeed<'_>) -> Result<bool> {
         let (job, blob) = match needs {

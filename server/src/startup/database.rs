@@ -103,6 +103,7 @@ fn of_postgres(error: &DatabaseError) -> &'static str {
         Some("42501") => "give the user of --database all rights on it (ALTER DATABASE NAME OWNER TO USER)",
         Some("42P01" | "42703") => "a table or column of it is missing: restore it from a backup (pg_restore)",
         Some("25006") => "it is read-only: give the address of the primary with --database",
+        Some("08P01") => "connect without a pooler, or set the pooler up as docs/cluster.md says",
         Some("53300") => "raise max_connections of its server: each server of a farm uses 9",
         _ => REACH_FIX,
     }

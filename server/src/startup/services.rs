@@ -125,7 +125,7 @@ impl Foundation {
         let counters = Arc::clone(&self.counters);
         let webhooks = Webhooks::new(queue.clone(), Arc::clone(&webhook_addresses), signer, counters);
         let tasks = BackgroundTasks {
-            cluster: Cluster::new(queue.clone(), Arc::clone(&database)),
+            cluster: Cluster::new(queue.clone(), Arc::clone(&database), Arc::clone(&self.counters)),
             maintenance: self.maintenance(&orphans, Arc::clone(&retention)),
             candidates,
             events: Arc::clone(&events),

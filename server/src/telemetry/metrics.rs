@@ -53,6 +53,9 @@ pub(crate) struct Metrics {
     pub(super) refuted: Counter,
     pub(super) unverified: Counter,
     pub(super) webhook_failures: Counter,
+    pub(super) hints_sent: Counter,
+    pub(super) hints_received: Counter,
+    pub(super) servers: FloatGauge,
     pub(super) requests: GaugeFamily,
     pub(super) body_bytes: FloatGauge,
     pub(super) database_bytes: FloatGauge,
@@ -115,6 +118,10 @@ impl Metrics {
         let longest = "Longest database transaction since the start";
         book.add("sdfarm_commit_longest_seconds", longest, commits.longest_seconds.clone());
         book.add("sdfarm_commit_operations", "Operations in one database commit", commits.operations.clone());
+        let begin = "Time until a database transaction that writes has begun, with the wait for other servers";
+        book.add("sdfarm_commit_begin_seconds", begin, commits.begin_seconds.clone());
+        let lost = "Connections to the database that ended while the server used them to write";
+        book.add("sdfarm_database_connections_lost", lost, commits.connections_lost.clone());
         Self {
             uptime_seconds: book.gauge("sdfarm_uptime_seconds", "Time since the server started"),
             jobs: book.gauges("sdfarm_jobs", "Jobs by state"),
@@ -139,6 +146,9 @@ impl Metrics {
             unverified: book
                 .counter("sdfarm_results_unverified", "Results chosen for verification that no other worker rendered"),
             webhook_failures: book.counter("sdfarm_webhook_failures", "Failed attempts to deliver a webhook"),
+            hints_sent: book.counter("sdfarm_hints_sent", "Messages to the other servers of the database"),
+            hints_received: book.counter("sdfarm_hints_received", "Messages of the other servers of the database"),
+            servers: book.gauge("sdfarm_servers", "Servers of the database"),
             requests: book.gauges(
                 "sdfarm_requests_in_progress",
                 "Requests in progress, with unread responses, by class of caller",

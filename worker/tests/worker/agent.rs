@@ -35,7 +35,7 @@ impl Agent {
         let config = AgentConfig {
             scratch: scratch.path().to_owned(),
             grace,
-            ..AgentConfig::new(vec![server.url().to_owned()], "tester")
+            ..AgentConfig::new(vec![server.url().clone()], "tester")
         };
         let shutdown = CancellationToken::new();
         let token = shutdown.clone();

@@ -6,6 +6,7 @@
 mod fake_worker;
 mod latency;
 mod load;
+mod paced;
 mod simulate;
 
 use std::sync::Arc;
@@ -15,7 +16,7 @@ use anyhow::Context;
 use clap::Args;
 use proto::Client;
 use serde::Serialize;
-use server::{Config, PostgresAddress, Server};
+use server::{ClusterSecret, Config, PostgresAddress, Server};
 use tokio_util::sync::CancellationToken;
 
 use crate::commands::serve::current_executable;
@@ -49,6 +50,12 @@ pub(crate) struct Arguments {
         conflicts_with = "simulate"
     )]
     database: Option<PostgresAddress>,
+    /// Measure the turns of this many workers instead, each of which holds a whole frame for 10 s, as a GPU does.
+    #[arg(long, value_name = "N", env = "SDFARM_PACED_WORKERS", conflicts_with = "simulate", value_parser = clap::value_parser!(u32).range(1..=10_000))]
+    paced_workers: Option<u32>,
+    /// Number of servers on the database that the paced workers call.
+    #[arg(long, value_name = "N", env = "SDFARM_SERVERS", default_value_t = 1, requires = "paced_workers", value_parser = clap::value_parser!(u32).range(1..=16))]
+    servers: u32,
     /// Simulate farms in virtual time instead, with the real queue, and measure how well workers are used.
     #[arg(long, env = "SDFARM_SIMULATE", value_parser = clap::builder::FalseyValueParser::new(), action = clap::ArgAction::SetTrue)]
     simulate: bool,
@@ -116,8 +123,19 @@ impl BenchFarm {
         tile_px: Option<u32>,
         database: Option<PostgresAddress>,
     ) -> anyhow::Result<Self> {
+        Self::start_among(workers, tile_px, database, None).await
+    }
+
+    /// Starts a server that may share the database with others of this secret.
+    pub(super) async fn start_among(
+        workers: u32,
+        tile_px: Option<u32>,
+        database: Option<PostgresAddress>,
+        cluster_secret: Option<ClusterSecret>,
+    ) -> anyhow::Result<Self> {
         let data = temporary_farm_folder()?;
         let config = Config {
+            cluster_secret,
             listen: ([127, 0, 0, 1], 0).into(),
             data: data.path().to_owned(),
             database,
@@ -144,6 +162,9 @@ impl BenchFarm {
 pub(crate) async fn run(arguments: &Arguments) -> anyhow::Result<()> {
     if arguments.simulate {
         return simulate::run(arguments).await;
+    }
+    if let Some(workers) = arguments.paced_workers {
+        return paced::run(arguments, workers).await;
     }
     let seconds = Duration::from_secs(arguments.seconds);
     let farm = Arc::new(BenchFarm::start(0, Some(load::TILE_PX), arguments.database.clone()).await?);
@@ -177,15 +198,20 @@ pub(crate) async fn run(arguments: &Arguments) -> anyhow::Result<()> {
     if arguments.json { print_line(&serde_json::to_string_pretty(&report)?) } else { table(&report) }
 }
 
+fn heading() -> anyhow::Result<()> {
+    print_line(&format!("{:<52} {:>9} {:>10} {:>10} {:>10}", "", "per second", "median ms", "p99 ms", "longest"))
+}
+
+fn row(what: &str, rate: Option<f64>, times: Option<Times>) -> anyhow::Result<()> {
+    let rate = rate.map_or_else(String::new, |rate| format!("{rate:.0}"));
+    let times = times.map_or_else(String::new, |times| {
+        format!("{:>10.2} {:>10.2} {:>10.2}", times.median_ms, times.p99_ms, times.longest_ms)
+    });
+    print_line(&format!("{what:<52} {rate:>9} {times}"))
+}
+
 fn table(report: &QueueBenchReport) -> anyhow::Result<()> {
-    let row = |what: &str, rate: Option<f64>, times: Option<Times>| {
-        let rate = rate.map_or_else(String::new, |rate| format!("{rate:.0}"));
-        let times = times.map_or_else(String::new, |times| {
-            format!("{:>10.2} {:>10.2} {:>10.2}", times.median_ms, times.p99_ms, times.longest_ms)
-        });
-        print_line(&format!("{what:<52} {rate:>9} {times}"))
-    };
-    print_line(&format!("{:<52} {:>9} {:>10} {:>10} {:>10}", "", "per second", "median ms", "p99 ms", "longest"))?;
+    heading()?;
     row(
         &format!("jobs submitted by {} clients", report.clients),
         Some(report.submits_per_second),

@@ -153,12 +153,12 @@ impl ClusterSoak<'_> {
             self.servers[slot] = None;
             let data = self.data(slot);
             std::fs::create_dir_all(&data).with_context(|| format!("could not create {}", data.display()))?;
-            let mut fail_points = String::new();
+            let mut fail_points = Vec::new();
             if disturbed {
-                fail_points.push_str("telling=error/2");
+                fail_points.push("telling=error/2".to_owned());
                 if self.servers_left() > 0 && self.chance.below(3) == 0 {
                     let point = self.chance.pick(&kills::SERVER_POINTS).unwrap_or_default();
-                    fail_points.push_str(&format!(",{point}=kill@{}", 1 + self.chance.below(40)));
+                    fail_points.push(format!("{point}=kill@{}", 1 + self.chance.below(40)));
                 }
             }
             let store = self.plan.store.clone().context("several servers need a store: pass --store")?;
@@ -168,7 +168,7 @@ impl ClusterSoak<'_> {
                 database: self.plan.database.as_deref(),
                 workers: 1,
                 flags: &["--store", &store, "--cluster-secret", SECRET, "--lease-seconds", "10"],
-                fail_points: &fail_points,
+                fail_points: &fail_points.join(","),
             };
             if let Some(server) = ServerProcess::start(&launch, &self.log).await? {
                 self.tally.slowest_ready = self.tally.slowest_ready.max(server.ready);

@@ -74,8 +74,14 @@ affinity: {{- toYaml . | nindent 2 }}
 
 {{/* Combinations of values that cannot work. */}}
 {{- define "sdfarm.check" -}}
+{{- if and (gt (int .Values.server.replicas) 1) (not (and .Values.database.secret .Values.cluster.secret)) }}
+{{- fail "server.replicas is more than 1: servers share PostgreSQL and a secret, so name their Secrets in database.secret and cluster.secret" }}
+{{- end }}
+{{- if and .Values.cluster.secret (not .Values.database.secret) }}
+{{- fail "cluster.secret is set: servers share PostgreSQL, so name the Secret with its address in database.secret" }}
+{{- end }}
 {{- if and .Values.database.secret (not .Values.store.url) }}
-{{- fail "database.secret is set: the server has no volume then, so set store.url to s3://BUCKET/PREFIX" }}
+{{- fail "database.secret is set: servers have no volume then, so set store.url to s3://BUCKET/PREFIX" }}
 {{- end }}
 {{- if not (or .Values.server.insecure .Values.keys.workers.secret) }}
 {{- fail "keys.workers.secret is empty: name the Secret with the workers' key" }}

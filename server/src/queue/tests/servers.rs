@@ -12,7 +12,8 @@ use super::{Fixture, leases};
 use crate::clock::{Clock, ManualClock};
 use crate::db::{self, Database, Sharing};
 use crate::postgres_server;
-use crate::queue::{LeaseEnd, Queue, SERVER_GONE_MS};
+use crate::queue::servers::SERVER_GONE_MS;
+use crate::queue::{BusyReceivers, LeaseEnd, Queue};
 
 /// Longer than a server may leave its row unrenewed.
 const GONE: Duration = Duration::from_millis(SERVER_GONE_MS.unsigned_abs() + 1);
@@ -99,16 +100,16 @@ async fn leases_of_a_server_that_has_ended_are_handed_back_by_another() {
     let remote = second.worker(None).await;
     let run = claim(&second, lost).await.expect("work");
     claim(&second, remote).await.expect("work");
-    assert_eq!(first.queue.renew_server(true).await.expect("renews"), 1);
+    assert_eq!(first.queue.renew_server_if(true).await.expect("renews"), 1);
     servers.hand.advance(GONE);
     // It may have been cut off itself, so that it does not judge yet.
-    assert_eq!(first.queue.renew_server(false).await.expect("renews"), 1);
+    assert_eq!(first.queue.renew_server_if(false).await.expect("renews"), 1);
     assert!(live(&first, lost).await > 0);
-    assert_eq!(first.queue.renew_server(true).await.expect("renews"), 0);
+    assert_eq!(first.queue.renew_server_if(true).await.expect("renews"), 0);
     assert_eq!((live(&first, lost).await, state(&first, lost).await), (0, "gone".to_owned()));
     assert!(live(&first, remote).await > 0, "any server renews the leases of remote workers");
     // It had not ended: it comes back, and its worker has to register again.
-    assert_eq!(second.queue.renew_server(true).await.expect("renews"), 1);
+    assert_eq!(second.queue.renew_server_if(true).await.expect("renews"), 1);
     assert!(second.turn(super::turn(lost)).await.is_none());
     let next = second.register(None, Some(8)).await;
     let taken = claim(&second, next).await.expect("what was handed back");
@@ -132,6 +133,21 @@ async fn the_first_server_of_a_farm_gives_remote_workers_another_lease_length() 
 }
 
 #[tokio::test]
+async fn leases_do_not_expire_while_workers_could_not_renew_them() {
+    let servers = Servers::new().await;
+    let server = servers.start("first").await;
+    server.submit(1, 1).await;
+    let remote = server.worker(None).await;
+    let run = claim(&server, remote).await.expect("work");
+    // The first renewal begins the time of grace.
+    server.queue.renew_server().await.expect("renews");
+    servers.hand.advance(Duration::from_millis(LONG_LEASE_MS.unsigned_abs() * 2));
+    assert_eq!(server.queue.expire_leases().await.expect("looks"), 0);
+    let renewed = super::SyncInput { held_leases: leases(&run).collect(), ..super::turn(remote) };
+    assert!(server.turn(renewed).await.expect("known").revoked_leases.is_empty());
+}
+
+#[tokio::test]
 async fn one_server_attempts_a_delivery_and_another_after_it_has_ended() {
     let servers = Servers::new().await;
     let (first, second) = (servers.start("first").await, servers.start("second").await);
@@ -147,7 +163,7 @@ async fn one_server_attempts_a_delivery_and_another_after_it_has_ended() {
         .await;
     written.expect("writes");
     let due = async |server: &Fixture| {
-        let due = server.queue.due_deliveries(&Default::default(), 10).await.expect("reads");
+        let due = server.queue.due_deliveries(&BusyReceivers::default(), 10).await.expect("reads");
         due.iter().map(|delivery| delivery.number).collect::<Vec<_>>()
     };
     let numbers = due(&first).await;

@@ -41,7 +41,7 @@ pub(super) async fn grant(
 }
 
 /// Live leases of a worker on verifications.
-pub(in super::super) async fn live_lease_ids(connection: &mut Connection, worker: &str) -> Result<HashSet<String>> {
+pub(super) async fn live_lease_ids(connection: &mut Connection, worker: &str) -> Result<HashSet<String>> {
     let ids: Vec<String> = db::query_scalar(
         "SELECT id FROM verification JOIN verification_lease ON verification = number WHERE verifier = ?",
     )

@@ -1,14 +1,15 @@
 //! Verdicts: compares the hash of a second rendering with the first, and decides who was wrong.
 
 use crate::db;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashMap};
 
 use db::Row;
+use proto::LeaseId;
 use proto::worker_protocol::{LeaseOutcome, LeaseReport};
-use proto::{LeaseId, WorkerId};
 
 use super::super::reported::RejectedResult;
-use super::super::{Connection, LeaseEnd, Result, TransitionContext, Wake, exclusion, json_list, undo, workers};
+use super::super::worker_state::WorkerState;
+use super::super::{Connection, LeaseEnd, Result, TransitionContext, Wake, exclusion, json_numbers, undo, workers};
 use super::{VerificationOutcome, leases};
 
 /// A result, and what the second worker rendered, if it differs.
@@ -75,67 +76,94 @@ impl Case {
     }
 }
 
-/// Cases of those leases that are a worker's live ones, each with its first report.
-async fn cases<'a>(
-    connection: &mut Connection,
-    worker: &str,
-    reports: &'a [LeaseReport],
-) -> Result<BTreeMap<i64, (Case, &'a LeaseOutcome)>> {
+/// A live lease of a verifier.
+pub(in super::super) struct VerifierLease {
+    /// Its id.
+    pub(in super::super) lease: String,
+    case: Case,
+}
+
+/// Live leases of a worker on verifications.
+pub(in super::super) async fn live_leases(connection: &mut Connection, worker: &str) -> Result<Vec<VerifierLease>> {
     let rows = db::query(
-        "SELECT verification_lease.id, verification.* FROM verification_lease JOIN verification ON number = verification
-         WHERE verifier = ? AND verification_lease.id IN (SELECT value FROM @texts(?))",
+        "SELECT verification_lease.id, verification.* FROM verification JOIN verification_lease ON verification = number
+         WHERE verifier = ?",
     )
     .bind(worker)
-    .bind(json_list(reports.iter().map(|report| report.lease)))
     .fetch_all(connection)
     .await?;
-    let mut cases = BTreeMap::new();
-    for row in &rows {
-        let id: String = row.get("id")?;
-        let report = reports.iter().find(|report| report.lease.to_string() == id);
-        if let Some(report) = report {
-            let case = Case::read(row)?;
-            cases.insert(case.number, (case, &report.outcome));
-        }
-    }
-    Ok(cases)
+    rows.iter().map(|row| Ok(VerifierLease { lease: row.get("id")?, case: Case::read(row)? })).collect()
 }
 
 /// Records the results of verifications.
 pub(in super::super) async fn deliver(
     connection: &mut Connection,
-    worker: WorkerId,
+    worker: &WorkerState,
+    live: &[VerifierLease],
     reports: &[LeaseReport],
     moment: TransitionContext,
 ) -> Result<(VerificationOutcome, Wake)> {
     let (mut outcome, mut ring) = (VerificationOutcome::default(), Wake::default());
-    if reports.is_empty() {
-        return Ok((outcome, ring));
+    let reported: HashMap<String, &LeaseOutcome> =
+        reports.iter().map(|report| (report.lease.to_string(), &report.outcome)).collect();
+    let mut cases: BTreeMap<i64, (&Case, &LeaseOutcome)> = BTreeMap::new();
+    for lease in live {
+        if let Some(told) = reported.get(&lease.lease) {
+            cases.entry(lease.case.number).or_insert((&lease.case, told));
+        }
     }
-    let worker = worker.to_string();
-    let is_pool: bool =
-        db::query_scalar("SELECT pool FROM worker WHERE id = ?").bind(&worker).fetch_one(&mut *connection).await?;
-    for (number, (case, told)) in cases(connection, &worker, reports).await? {
-        let hash = match told {
-            LeaseOutcome::Blob { hash, .. } if case.position >= 0 => hash,
-            LeaseOutcome::Picture { hash, .. } if case.position < 0 => hash,
-            LeaseOutcome::Released => {
-                ring.add(leases::release(connection, &[number]).await?);
-                continue;
-            }
+    let (mut released, mut dropped, mut told_hashes) = (Vec::new(), Vec::new(), Vec::new());
+    for (number, (case, told)) in cases {
+        match told {
+            LeaseOutcome::Blob { hash, .. } if case.position >= 0 => told_hashes.push((case, hash)),
+            LeaseOutcome::Picture { hash, .. } if case.position < 0 => told_hashes.push((case, hash)),
+            LeaseOutcome::Released => released.push(number),
             LeaseOutcome::Blob { .. }
             | LeaseOutcome::Picture { .. }
             | LeaseOutcome::BadBlobs { .. }
             | LeaseOutcome::Failed { .. } => {
                 // Nothing can be said about the result: its blobs may be gone, or the verifier fails.
-                drop_case(connection, number).await?;
+                dropped.push(number);
                 outcome.skipped += 1;
-                continue;
             }
-        };
-        ring.add(conclude(connection, &case, &worker, hash, is_pool, moment, &mut outcome).await?);
+        }
+    }
+    ring.add(leases::release(connection, &released).await?);
+    let is_plain =
+        |(case, hash): &(&Case, &String)| case.decide(hash, worker.is_pool) == Verdict::Confirmed { wrong: None };
+    if told_hashes.iter().all(is_plain) {
+        outcome.agreed += told_hashes.len() as u64;
+        confirm(connection, told_hashes.iter().map(|(case, _)| *case)).await?;
+        dropped.extend(told_hashes.iter().map(|(case, _)| case.number));
+        told_hashes.clear();
+    }
+    drop_cases(connection, &dropped).await?;
+    // In their order, because a verdict undoes what was delivered since the last confirmed result.
+    for (case, hash) in told_hashes {
+        ring.add(conclude(connection, case, &worker.id, hash, worker.is_pool, moment, &mut outcome).await?);
     }
     Ok((outcome, ring))
+}
+
+/// Records for each worker the newest of its confirmed results.
+async fn confirm(connection: &mut Connection, cases: impl Iterator<Item = &Case>) -> Result<()> {
+    let mut newest: BTreeMap<&str, &str> = BTreeMap::new();
+    for case in cases {
+        let lease = newest.entry(&case.first.worker).or_insert(&case.lease);
+        *lease = (*lease).max(&case.lease);
+    }
+    if newest.is_empty() {
+        return Ok(());
+    }
+    let rows: Vec<_> = newest.into_iter().collect();
+    db::query(
+        "UPDATE worker SET verified_lease = @max(coalesce(verified_lease, ''), listed.value ->> 1) FROM @rows(?)
+         WHERE worker.id = listed.value ->> 0",
+    )
+    .bind(serde_json::json!(rows).to_string())
+    .execute(connection)
+    .await?;
+    Ok(())
 }
 
 async fn conclude(
@@ -171,17 +199,13 @@ async fn conclude(
             return Ok(ring);
         }
         Verdict::Confirmed { wrong } => {
-            db::query("UPDATE worker SET verified_lease = @max(coalesce(verified_lease, ''), ?) WHERE id = ?")
-                .bind(&case.lease)
-                .bind(&case.first.worker)
-                .execute(&mut *connection)
-                .await?;
+            confirm(connection, std::iter::once(case)).await?;
             wrong.into_iter().collect()
         }
         Verdict::Refuted { wrong } => wrong,
         Verdict::Undecided => Vec::new(),
     };
-    drop_case(connection, case.number).await?;
+    drop_cases(connection, &[case.number]).await?;
     let mut ring = Wake::default();
     for wrong in wrong {
         ring.add(condemn(connection, &wrong, moment, outcome).await?);
@@ -228,8 +252,13 @@ pub(in super::super) async fn reject(
     Ok((own, ring))
 }
 
-async fn drop_case(connection: &mut Connection, number: i64) -> Result<()> {
-    db::query("DELETE FROM verification WHERE number = ?").bind(number).execute(connection).await?;
+async fn drop_cases(connection: &mut Connection, numbers: &[i64]) -> Result<()> {
+    if !numbers.is_empty() {
+        db::query("DELETE FROM verification WHERE number IN (SELECT value FROM @numbers(?))")
+            .bind(json_numbers(numbers.iter().copied()))
+            .execute(connection)
+            .await?;
+    }
     Ok(())
 }
 

@@ -57,7 +57,7 @@ pub(super) async fn submit(farm: &Arc<BenchFarm>, clients: u32, jobs: u32) -> an
     Ok((f64::from(jobs) / start.elapsed().as_secs_f64(), Times::new(times)))
 }
 
-async fn gather(mut tasks: JoinSet<anyhow::Result<Vec<Duration>>>) -> anyhow::Result<Vec<Duration>> {
+pub(super) async fn gather(mut tasks: JoinSet<anyhow::Result<Vec<Duration>>>) -> anyhow::Result<Vec<Duration>> {
     let mut times = Vec::new();
     while let Some(done) = tasks.join_next().await {
         times.extend(done.context("a client panicked")??);

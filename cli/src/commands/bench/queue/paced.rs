@@ -1,0 +1,82 @@
+//! Measures the turns of many workers that each hold a whole frame for a while, as GPUs do, and call several servers.
+
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use anyhow::Context;
+use tokio::task::JoinSet;
+
+use super::fake_worker::FakeWorker;
+use super::{Arguments, BenchFarm, Times, heading, load, row};
+use crate::terminal::{print_line, print_note};
+
+/// Time for which a worker holds a frame.
+const BATCH: Duration = Duration::from_secs(10);
+/// Speed at which a frame is one batch.
+const RAYS_PER_SECOND: f64 = 1e9;
+/// Secret of these servers, which listen on loopback only.
+const SECRET: &str = "the secret of the servers of a benchmark";
+
+/// Runs the measurement and prints it.
+pub(super) async fn run(arguments: &Arguments, workers: u32) -> anyhow::Result<()> {
+    let mut farms = Vec::new();
+    for _ in 0..arguments.servers {
+        let secret = arguments.database.as_ref().map(|_| SECRET.parse()).transpose()?;
+        let farm = BenchFarm::start_among(0, Some(load::TILE_PX), arguments.database.clone(), secret).await;
+        farms.push(farm.context("several servers need an empty database: pass --database")?);
+    }
+    let time = Duration::from_secs(arguments.seconds).max(2 * BATCH);
+    // Each worker takes one frame at its start, and one after each batch.
+    let jobs = workers * (2 + (time.as_secs() / BATCH.as_secs()) as u32);
+    let first = Arc::new(farms.remove(0));
+    print_note(&format!("submitting {jobs} jobs of 100 tiles"));
+    load::submit(&first, arguments.clients, jobs).await?;
+    print_note(&format!("{workers} workers call {} servers for {time:?}", arguments.servers));
+    let addresses: Vec<String> = std::iter::once(first.client.server())
+        .chain(farms.iter().map(|farm| farm.client.server()))
+        .map(str::to_owned)
+        .collect();
+    // Their turns are spread over the time of a batch, and counted once all have begun.
+    let counted_from = Instant::now() + BATCH;
+    let mut turns = JoinSet::new();
+    for number in 0..workers {
+        let address = addresses[number as usize % addresses.len()].clone();
+        let delay = BATCH.mul_f64(f64::from(number) / f64::from(workers));
+        turns.spawn(async move {
+            tokio::time::sleep(delay).await;
+            work(&address, counted_from, time).await
+        });
+    }
+    let times = load::gather(turns).await?;
+    let rate = times.len() as f64 / time.as_secs_f64();
+    let times = Times::new(times);
+    if arguments.json {
+        print_line(&serde_json::to_string_pretty(&times)?)?;
+    } else {
+        heading()?;
+        row(&format!("turns of {workers} workers on {} servers", addresses.len()), Some(rate), Some(times))?;
+    }
+    for farm in farms {
+        farm.stop().await?;
+    }
+    Arc::into_inner(first).context("a client still uses the farm")?.stop().await
+}
+
+/// Works until the time is over; returns the durations of the turns that are counted.
+async fn work(address: &str, counted_from: Instant, time: Duration) -> anyhow::Result<Vec<Duration>> {
+    let worker = FakeWorker::register(address, Some(RAYS_PER_SECOND)).await?;
+    let (mut results, mut times) = (Vec::new(), Vec::new());
+    while counted_from.elapsed() < time {
+        let start = Instant::now();
+        let batch = worker.sync(std::mem::take(&mut results), true, Duration::ZERO).await?;
+        if start >= counted_from {
+            times.push(start.elapsed());
+        }
+        tokio::time::sleep(BATCH).await;
+        if let Some(batch) = batch {
+            results = worker.results(&batch).await?;
+        }
+    }
+    worker.sync(results, false, Duration::ZERO).await?;
+    Ok(times)
+}

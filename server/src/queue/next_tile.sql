@@ -1,5 +1,0 @@
-SELECT frame, kind FROM tile
- WHERE job = ?5 AND state = 'ready' AND not_before_ms <= ?1
-   AND (kind = 'stitch' OR ?6 <= ?4)
-   AND (avoid IS NULL OR avoid <> ?2 OR CASE WHEN kind = 'stitch' THEN 0 ELSE ?6 END > ?3)
- ORDER BY job, frame, position LIMIT 1
