@@ -171,7 +171,7 @@ impl Queue {
             wall_ms: self.clock.wall_ms(),
             lease_ms: self.lease_ms,
             generation: self.generation,
-            expires_leases: self.contact.is_steady(),
+            expires_leases: !self.clock.is_lasting() || self.contact.is_steady(),
             piece_rows: self.piece_rows,
             verification: self.verification,
         }
