@@ -211,7 +211,7 @@ impl BlobStore {
         self.location.prefix().join(kind.folder()).join(name.as_str())
     }
 
-    fn failed(&self, action: &'static str, key: String) -> impl Fn(object_store::Error) -> ContentError + use<> {
+    fn failed(&self, action: &'static str, key: &str) -> impl Fn(object_store::Error) -> ContentError + use<> {
         let (attempt, is_bucket) = match &self.backend {
             Backend::Folder(_) => (format!("the store could not {action} {key}"), false),
             Backend::Objects(_) => (format!("the store {} could not {action} {key}", self.location), true),
@@ -228,7 +228,7 @@ impl BlobStore {
         kind: ContentKind,
         name: &ContentHash,
     ) -> impl Fn(object_store::Error) -> ContentError + use<> {
-        self.failed(action, format!("{}/{}", kind.folder(), name.as_str()))
+        self.failed(action, &format!("{}/{}", kind.folder(), name.as_str()))
     }
 
     /// Prevents sweeps while the guard is held.
@@ -341,7 +341,7 @@ impl BlobStore {
 
     /// Error of [`BlobStore::list`], with its fix.
     pub(crate) fn list_error(&self, kind: ContentKind, error: object_store::Error) -> ContentError {
-        self.failed("list", format!("{}/", kind.folder()))(error)
+        self.failed("list", &format!("{}/", kind.folder()))(error)
     }
 
     /// BLAKE3 of stored content, in hex; `None` if it is missing.
@@ -386,7 +386,7 @@ impl BlobStore {
                 ("read", unless_missing(read.map_err(late).flatten()).map(drop))
             }
         };
-        answer.map_err(self.failed(action, format!("probe/{name}")))
+        answer.map_err(self.failed(action, &format!("probe/{name}")))
     }
 }
 

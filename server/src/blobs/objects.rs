@@ -52,7 +52,7 @@ pub(super) enum Bucket {
     Memory(Arc<InMemory>),
 }
 
-/// What this server has stored, and when.
+/// Ends of objects that this server has stored, and when.
 #[derive(Debug, Default)]
 struct Remembered {
     ends: HashMap<Path, (Instant, FileEnds)>,
