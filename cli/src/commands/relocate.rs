@@ -48,14 +48,13 @@ fn store(text: &str) -> Result<StoreLocation, String> {
 
 /// Moves the pictures, then the database.
 pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
-    let mut flags = String::new();
+    let mut flags = vec![format!("--data {}", arguments.data.display())];
     if let Some(store) = &arguments.store_to {
         move_pictures(&arguments, store).await?;
         if *store != StoreLocation::Folder {
-            flags.push_str(&format!(" --store {store}"));
+            flags.push(format!("--store {store}"));
         }
     }
-    let data = arguments.data.display();
     if let Some(to) = arguments.to {
         let to = match to {
             Target::File => None,
@@ -68,10 +67,10 @@ pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
             moved.rows, moved.to, moved.from
         ))?;
         if !is_file {
-            flags.push_str(&format!(" --database {}", moved.to));
+            flags.push(format!("--database {}", moved.to));
         }
     }
-    print_line(&format!("start the server with --data {data}{flags}"))
+    print_line(&format!("start the server with {}", flags.join(" ")))
 }
 
 async fn move_pictures(arguments: &Arguments, store: &StoreLocation) -> anyhow::Result<()> {
