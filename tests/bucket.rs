@@ -1,5 +1,6 @@
 //! A farm whose pictures are in a bucket of a real S3 store: rendered, served, checked, backed up and swept.
 
+use std::collections::BTreeMap;
 use std::fs;
 use std::path::Path;
 use std::process::Command;
@@ -84,7 +85,7 @@ fn pictures_in_a_bucket_are_those_of_the_command_line_and_are_swept() {
     eventually("the picture of the deleted job is swept", || {
         (s3.names("renders/farms/one/pictures").len() == 1).then_some(())
     });
-    assert_eq!(s3.names("renders/farms/one/tiles"), Vec::<String>::new(), "tiles of stored frames are swept");
+    eventually("tiles of stored frames are swept", || s3.names("renders/farms/one/tiles").is_empty().then_some(()));
     assert!(farm.picture(&ids[1]) == wanted[1], "that of the other job is kept");
     assert!(farm.terminate().success());
 }
@@ -127,6 +128,81 @@ fn farm_in_a_bucket_is_checked_backed_up_and_restored() {
     let told = text(&output.stderr);
     assert_eq!(output.status.code(), Some(1), "{told}");
     assert!(told.contains(&format!("has its pictures in {STORE}, not in the data folder")), "{told}");
+}
+
+/// Files of a folder by their names.
+fn files(folder: &Path) -> BTreeMap<String, Vec<u8>> {
+    let entries = fs::read_dir(folder).into_iter().flatten().map(|entry| entry.expect("an entry"));
+    let name = |entry: &fs::DirEntry| entry.file_name().into_string().expect("plain");
+    entries.map(|entry| (name(&entry), fs::read(entry.path()).expect("readable"))).collect()
+}
+
+/// Moves a farm's pictures, here and there killed on the way.
+#[test]
+fn pictures_move_to_a_bucket_and_back() {
+    let Some(s3) = SeaweedFs::start() else { return };
+    s3.make_bucket("renders");
+    let folder = tempfile::tempdir().expect("a folder");
+    let data = folder.path().join("data");
+    let flags = ["--device", "cpu", "--workers", "2", "--tile", "32"];
+    let farm = Farm::start_on(folder.path(), &flags);
+    let mut several = job(96, 64, 8);
+    several["frames"] = serde_json::json!({ "count": 6 });
+    let done = farm.accept(&several.to_string());
+    farm.succeeded(&done);
+    let mut heavy = job(640, 480, 8);
+    heavy["image"]["samples"] = 64.into();
+    let open = farm.accept(&heavy.to_string());
+    eventually("tiles of an unfinished frame are stored", || (files(&data.join("tiles")).len() > 1).then_some(()));
+    // The variable is that of the farm's database, if it is on PostgreSQL.
+    let move_to = |place: &str, fail_points: &str| {
+        let mut command = with_keys(&s3, &["--allow-fail-points", "move", "--data", word(&data), "--store-to", place]);
+        command.env("SDFARM_FAIL_POINTS", fail_points);
+        finish(command, b"")
+    };
+    assert!(text(&move_to(STORE, "").stderr).contains("stop it first"));
+    assert!(farm.terminate().success());
+    let (pictures, tiles) = (files(&data.join("pictures")), files(&data.join("tiles")));
+    assert!(pictures.len() >= 6 && !tiles.is_empty(), "{} pictures, {} tiles", pictures.len(), tiles.len());
+
+    let killed = move_to(STORE, "store_put=kill@4");
+    assert_eq!(killed.status.code(), None, "{}", text(&killed.stderr));
+    assert!(!data.join("store").exists(), "the farm is as before");
+    let moved = move_to(STORE, "");
+    assert!(moved.status.success(), "{}", text(&moved.stderr));
+    let told = text(&moved.stdout);
+    assert!(told.contains(&format!("to {STORE}, where ")) && told.contains(&format!(" --store {STORE}")), "{told}");
+    assert!(!told.contains("missing"), "{told}");
+    assert_eq!(s3.names("renders/farms/one/pictures").len(), pictures.len());
+    let again = move_to(STORE, "");
+    assert!(text(&again.stderr).contains(&format!("are in {STORE} already")), "{}", text(&again.stderr));
+
+    // The farm works there, without the folder's files, and finishes what it had begun.
+    fs::rename(data.join("pictures"), folder.path().join("old")).expect("renames");
+    fs::remove_dir_all(data.join("tiles")).expect("removes");
+    let farm = start(&s3, folder.path(), &[]);
+    for frame in 0..6 {
+        let picture = farm.get(&format!("/v1/jobs/{done}/frames/{frame}/image"));
+        assert!(picture.status == 200 && picture.body == rendered_here(&several, frame), "frame {frame}");
+    }
+    farm.succeeded(&open);
+    assert!(farm.picture(&open) == rendered_here(&heavy, 0));
+    assert!(farm.terminate().success());
+
+    let killed = move_to("folder", "store_put=kill@3");
+    assert_eq!(killed.status.code(), None, "{}", text(&killed.stderr));
+    assert!(data.join("store").exists(), "the farm is as before");
+    let back = move_to("folder", "");
+    assert!(back.status.success(), "{}", text(&back.stderr));
+    let now = files(&data.join("pictures"));
+    assert_eq!(now.len(), pictures.len() + 1, "those of before, and that of the unfinished frame");
+    for (name, bytes) in &now {
+        assert!(blake3::hash(bytes).to_hex().as_str() == name && pictures.get(name).is_none_or(|had| had == bytes));
+    }
+    assert!(pictures.keys().all(|name| now.contains_key(name)));
+    let farm = Farm::start_on(folder.path(), &flags);
+    assert!(farm.picture(&open) == rendered_here(&heavy, 0));
+    assert!(farm.terminate().success());
 }
 
 #[test]

@@ -141,7 +141,7 @@ pub(crate) enum Command {
     Restore(restore::Arguments),
     /// Apply the migrations of this release to a farm's database, without starting a server.
     Migrate(migrate::Arguments),
-    /// Move the database of a stopped farm to a PostgreSQL server, or back to a file.
+    /// Move the database of a stopped farm to a PostgreSQL server, its pictures to a bucket, or either back.
     Move(relocate::Arguments),
     /// Check a farm's data folder and machine, and suggest fixes.
     Doctor(doctor::Arguments),

@@ -14,6 +14,7 @@ mod incoming;
 mod local_copies;
 mod location;
 mod objects;
+mod sweep;
 mod verified;
 
 use std::io;
@@ -22,7 +23,6 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use bytes::Bytes;
-use futures_util::future::join_all;
 use futures_util::stream::{BoxStream, Stream, StreamExt};
 use object_store::memory::InMemory;
 use object_store::path::Path;
@@ -37,9 +37,9 @@ pub use claim::ClaimError;
 pub(crate) use content::{ContentHash, ContentKind};
 pub(crate) use error::{ContentError, OpenStoreError};
 pub(crate) use local_copies::LocalCopies;
-pub(crate) use location::FILE as RECORD_FILE;
 pub use location::{ParseStoreError, StoreLocation};
 pub(crate) use objects::age;
+pub(crate) use sweep::Swept;
 
 use self::bucket::Settings;
 use self::error::BucketFault;
@@ -47,7 +47,6 @@ use self::folder::Folder;
 use self::incoming::Incoming;
 use self::objects::{Bucket, Memory, Objects};
 use self::verified::VerifiedContent;
-use crate::clock::monotonic_now;
 use crate::delivery_check::FileEnds;
 
 /// Number of bytes written at a time.
@@ -60,10 +59,6 @@ const MIN_FILE_SWEEP_AGE: Duration = Duration::from_secs(1);
 const FILE_ORPHAN_AGE: Duration = Duration::from_mins(10);
 /// Objects younger than this are never swept: the store's clock is another, and so may be the server that reports them.
 const MIN_OBJECT_SWEEP_AGE: Duration = Duration::from_mins(15);
-/// Number of objects deleted at a time.
-const MAX_CONCURRENT_DELETIONS: usize = 16;
-/// Time in which names are deleted that were found to be unused; the rest waits for the next sweep.
-const MAX_SWEEP_TIME: Duration = Duration::from_secs(30);
 /// Time in which a bucket must answer that the server is ready.
 const READY_TIMEOUT: Duration = Duration::from_secs(5);
 /// Validity of a presigned address.
@@ -94,19 +89,6 @@ struct SweepAges {
     unused: Duration,
     /// Content found in the store that no row refers to.
     orphan: Duration,
-}
-
-/// Result of sweeping one name.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Swept {
-    /// It was deleted.
-    Deleted,
-    /// It is too recent.
-    TooNew,
-    /// It was missing.
-    Missing,
-    /// It could not be deleted, or perhaps will be.
-    Failed,
 }
 
 /// Pictures and blobs, and the lock that protects content being reported from sweeps.
@@ -229,7 +211,7 @@ impl BlobStore {
         self.location.prefix().join(kind.folder()).join(name.as_str())
     }
 
-    fn failed(&self, action: &'static str, key: String) -> impl Fn(object_store::Error) -> ContentError + use<> {
+    fn failed(&self, action: &'static str, key: &str) -> impl Fn(object_store::Error) -> ContentError + use<> {
         let (attempt, is_bucket) = match &self.backend {
             Backend::Folder(_) => (format!("the store could not {action} {key}"), false),
             Backend::Objects(_) => (format!("the store {} could not {action} {key}", self.location), true),
@@ -246,7 +228,7 @@ impl BlobStore {
         kind: ContentKind,
         name: &ContentHash,
     ) -> impl Fn(object_store::Error) -> ContentError + use<> {
-        self.failed(action, format!("{}/{}", kind.folder(), name.as_str()))
+        self.failed(action, &format!("{}/{}", kind.folder(), name.as_str()))
     }
 
     /// Prevents sweeps while the guard is held.
@@ -352,49 +334,6 @@ impl BlobStore {
         }
     }
 
-    /// Deletes content if it is not used, however new it is: a result that was about to be reported for the same bytes
-    /// is found missing, and rendered again. Returns whether there was any.
-    pub(crate) async fn delete_if<E: From<ContentError>, F: Future<Output = Result<bool, E>>>(
-        &self,
-        kind: ContentKind,
-        name: &ContentHash,
-        is_unused: impl FnOnce(String) -> F,
-    ) -> Result<bool, E> {
-        let shut = self.sweep_lock.write().await;
-        if !is_unused(name.as_str().to_owned()).await? {
-            return Ok(false);
-        }
-        let deleted = self.delete(kind, name).await;
-        drop(shut);
-        Ok(deleted.map_err(self.failed_on("remove", kind, name))?)
-    }
-
-    /// Deletes content, used or not. Returns whether there was any.
-    pub(crate) async fn delete(&self, kind: ContentKind, name: &ContentHash) -> object_store::Result<bool> {
-        // S3 does not say whether it deleted an object.
-        let is_there = match &self.backend {
-            Backend::Folder(_) => true,
-            Backend::Objects(_) => self.age(kind, name).await?.is_some(),
-        };
-        Ok(is_there && self.remove(kind, name).await?)
-    }
-
-    /// Deletes content; returns whether there was any, or true if the store does not say.
-    async fn remove(&self, kind: ContentKind, name: &ContentHash) -> object_store::Result<bool> {
-        let path = self.path(kind, name);
-        let deleted = match &self.backend {
-            Backend::Folder(folder) => folder.store(kind).delete(&path).await,
-            Backend::Objects(objects) => objects.delete(&path).await,
-        };
-        Ok(unless_missing(deleted)?.is_some())
-    }
-
-    /// Age of content; `None` if it is missing.
-    async fn age(&self, kind: ContentKind, name: &ContentHash) -> object_store::Result<Option<Duration>> {
-        let found = unless_missing(self.store(kind).head(&self.path(kind, name)).await)?;
-        Ok(found.map(|meta| age(&meta)))
-    }
-
     /// Lists the content of a kind.
     pub(crate) fn list(&self, kind: ContentKind) -> BoxStream<'static, object_store::Result<ObjectMeta>> {
         self.store(kind).list(Some(&self.location.prefix().join(kind.folder())))
@@ -402,7 +341,7 @@ impl BlobStore {
 
     /// Error of [`BlobStore::list`], with its fix.
     pub(crate) fn list_error(&self, kind: ContentKind, error: object_store::Error) -> ContentError {
-        self.failed("list", format!("{}/", kind.folder()))(error)
+        self.failed("list", &format!("{}/", kind.folder()))(error)
     }
 
     /// BLAKE3 of stored content, in hex; `None` if it is missing.
@@ -423,71 +362,6 @@ impl BlobStore {
             sum_bytes += meta.map_err(|error| self.list_error(kind, error))?.size;
         }
         Ok(sum_bytes)
-    }
-
-    /// Deletes those of `names` that `unneeded` still lists while no report can arrive. Returns the number
-    /// deleted, and the names that are too recent to delete: the same bytes may have been stored again without
-    /// a report yet.
-    pub(crate) async fn sweep<E, F>(
-        &self,
-        kind: ContentKind,
-        names: &[String],
-        unneeded: impl FnOnce(Vec<String>) -> F,
-    ) -> Result<(u64, Vec<String>), E>
-    where
-        F: Future<Output = Result<Vec<String>, E>>,
-    {
-        let shut = self.sweep_lock.write().await;
-        let names = unneeded(names.to_vec()).await?;
-        let (mut count, mut young) = (0, Vec::new());
-        for (name, swept) in self.delete_old(kind, &names).await {
-            match swept {
-                Swept::Deleted => count += 1,
-                Swept::TooNew => young.push(name),
-                Swept::Missing | Swept::Failed => {}
-            }
-        }
-        drop(shut);
-        Ok((count, young))
-    }
-
-    /// Deletes those of `names` that are not too recent, for at most [`MAX_SWEEP_TIME`].
-    pub(crate) async fn delete_old(&self, kind: ContentKind, names: &[String]) -> Vec<(String, Swept)> {
-        let begun = monotonic_now();
-        let at_a_time = match &self.backend {
-            Backend::Folder(_) => 1,
-            Backend::Objects(_) => MAX_CONCURRENT_DELETIONS,
-        };
-        let mut all = Vec::with_capacity(names.len());
-        for names in names.chunks(at_a_time) {
-            let is_late = begun.elapsed() > MAX_SWEEP_TIME;
-            let swept = names.iter().map(async |name| match ContentHash::parse(name) {
-                // Names that are no hashes are not the farm's.
-                None => Swept::Missing,
-                Some(_) if is_late => Swept::Failed,
-                Some(name) => self.sweep_one(kind, &name).await,
-            });
-            all.extend(names.iter().cloned().zip(join_all(swept).await));
-        }
-        all
-    }
-
-    async fn sweep_one(&self, kind: ContentKind, name: &ContentHash) -> Swept {
-        match self.age(kind, name).await {
-            Ok(Some(age)) if age < self.ages.unused => return Swept::TooNew,
-            // S3 does not say whether it deleted an object.
-            Ok(None) => return Swept::Missing,
-            Ok(Some(_)) | Err(_) => {}
-        }
-        fail_point::trigger_infallible(FailPoint::Sweeping);
-        match self.remove(kind, name).await {
-            Ok(true) => Swept::Deleted,
-            Ok(false) => Swept::Missing,
-            Err(error) => {
-                tracing::warn!(%error, name = name.as_str(), "could not remove orphaned content");
-                Swept::Failed
-            }
-        }
     }
 
     /// Deletes the partial files of writes that were interrupted long ago. A bucket's own rules have to delete those of
@@ -512,7 +386,7 @@ impl BlobStore {
                 ("read", unless_missing(read.map_err(late).flatten()).map(drop))
             }
         };
-        answer.map_err(self.failed(action, format!("probe/{name}")))
+        answer.map_err(self.failed(action, &format!("probe/{name}")))
     }
 }
 

@@ -11,6 +11,7 @@ mod hashed_files;
 mod manifest;
 mod migrate;
 mod move_database;
+mod move_pictures;
 mod restore;
 mod store_check;
 
@@ -21,6 +22,7 @@ pub use backup::{Backup, back_up};
 pub use doctor::{Depth, Finding, Repair, Severity, run_checks};
 pub use migrate::{Migrated, migrate};
 pub use move_database::{MovedDatabase, move_database};
+pub use move_pictures::{MovedPictures, move_pictures};
 pub use restore::{Restored, restore};
 
 use crate::db::{DatabaseError, OpenError, PostgresAddress};
@@ -50,6 +52,9 @@ pub enum DataFolderError {
          and to another folder sdfarm backup and restore"
     )]
     SameEngine(String),
+    /// The farm's pictures already are where they would be moved to.
+    #[error("the farm's pictures are in {0} already")]
+    SameStore(String),
     /// The database to move to has a farm.
     #[error("the database {0} already has a farm: make an empty one with createdb, or move that file away")]
     DatabaseNotEmpty(String),

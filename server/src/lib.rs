@@ -70,8 +70,8 @@ pub use config::{
     MAX_REQUESTS_PER_CALLER, MAX_TILE_SECONDS, TlsFiles, VERIFY_NEW_MINUTES, VERIFY_PERCENT,
 };
 pub use data_folder::{
-    Backup, DataFolderError, Depth, Finding, Migrated, MovedDatabase, Repair, Restored, Severity, back_up, migrate,
-    move_database, restore, run_checks,
+    Backup, DataFolderError, Depth, Finding, Migrated, MovedDatabase, MovedPictures, Repair, Restored, Severity,
+    back_up, migrate, move_database, move_pictures, restore, run_checks,
 };
 pub use db::{DatabaseError, ParseDatabaseError, PostgresAddress};
 pub use integrity::{DoneTile, IntegrityError, IntegrityReport, check_integrity};

@@ -58,9 +58,9 @@ pub enum StartError {
     /// The farm's pictures are in another store.
     #[error(
         "the farm in {folder} has its pictures in {recorded}, not in {given}: start it with the store it has \
-         (--store s3://BUCKET/PREFIX, none for the data folder); or, to move it, copy pictures/ to the new store, and \
-         replace the line in {folder}/{} by it (remove the file for the data folder)",
-        crate::blobs::RECORD_FILE
+         (--store s3://BUCKET/PREFIX, none for the data folder), or stop all its servers and move the pictures (sdfarm move \
+         --data {folder} --store-to s3://BUCKET/PREFIX, or folder); on the machines of its other servers, remove the file \
+         `store` of the data folder then"
     )]
     OtherStore {
         /// The data folder.

@@ -106,7 +106,7 @@ impl<'a> Settings<'a> {
         let last = causes(error).last().map_or_else(String::new, ToString::to_string);
         // The answer's body is XML: its code and its message tell everything.
         let detail = match (element(&last, "Code"), element(&last, "Message")) {
-            (Some(code), Some(message)) => format!("{code}: {}", message.trim_end_matches('.')),
+            (Some(code), Some(message)) => format!("{code}: {}", unescape(message).trim_end_matches('.')),
             _ => last,
         };
         self.fault(fault, format!(" ({detail})"))
@@ -138,6 +138,13 @@ impl<'a> Settings<'a> {
 fn element<'a>(xml: &'a str, name: &str) -> Option<&'a str> {
     let (_, rest) = xml.split_once(&format!("<{name}>"))?;
     Some(rest.split_once(&format!("</{name}>"))?.0)
+}
+
+/// Text of XML without references to characters.
+fn unescape(xml: &str) -> String {
+    let named = [("&#39;", "'"), ("&apos;", "'"), ("&#34;", "\""), ("&quot;", "\""), ("&lt;", "<"), ("&gt;", ">")];
+    let text = named.iter().fold(xml.to_owned(), |text, (name, character)| text.replace(name, character));
+    text.replace("&amp;", "&")
 }
 
 /// Whether a bucket creates an object only if it is absent.

@@ -48,14 +48,14 @@ impl BlobStore {
             match objects.store().put_opts(&path, line.clone().into(), PutOptions::from(PutMode::Create)).await {
                 Ok(_) => return Ok(()),
                 Err(object_store::Error::AlreadyExists { .. }) => {}
-                Err(error) => return Err(self.failed("write", OBJECT.to_owned())(error).into()),
+                Err(error) => return Err(self.failed("write", OBJECT)(error).into()),
             }
             if let Some(owner) = self.owner().await? {
                 return self.expect_owner(owner, farm);
             }
         }
         let error = object_store::Error::Generic { store: "S3", source: "it is neither absent nor there".into() };
-        Err(self.failed("write", OBJECT.to_owned())(error).into())
+        Err(self.failed("write", OBJECT)(error).into())
     }
 
     /// Checks that the store is no other farm's.
@@ -77,7 +77,7 @@ impl BlobStore {
     /// Number of the farm whose store this is; `None` if it is none's, or a folder.
     async fn owner(&self) -> Result<Option<String>, ContentError> {
         let Backend::Objects(objects) = &self.backend else { return Ok(None) };
-        let failed = self.failed("read", OBJECT.to_owned());
+        let failed = self.failed("read", OBJECT);
         let path = self.location.prefix().join(OBJECT);
         let Some(found) = super::unless_missing(objects.store().get(&path).await).map_err(&failed)? else {
             return Ok(None);

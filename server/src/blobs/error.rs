@@ -141,7 +141,7 @@ impl BucketFault {
             Self::NoBucket => "there is no such bucket",
             Self::KeysRefused => "the keys are missing, wrong, or not permitted to do this",
             Self::Unreachable => "its endpoint cannot be reached",
-            Self::Unavailable => "its endpoint fails",
+            Self::Unavailable => "its endpoint answers with an error of its own",
             Self::ClockSkewed => "this machine's clock differs too much from its own",
             Self::HttpNotAllowed => "its endpoint's address is not https, so that its pictures can be read on the way",
             Self::NoConditionalPut => {
@@ -160,7 +160,8 @@ impl BucketFault {
                  delete its objects"
             }
             Self::Unreachable => {
-                "correct AWS_ENDPOINT_URL, and check the network between this machine and the endpoint"
+                "correct AWS_ENDPOINT_URL (http or https, host and port), and check the network between this machine and the \
+                 endpoint"
             }
             Self::Unavailable => "see the log of the endpoint; requests succeed again when it does",
             Self::ClockSkewed => "set the clocks of this machine and of the endpoint, for example by NTP",

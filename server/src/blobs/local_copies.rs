@@ -37,9 +37,7 @@ impl LocalCopies {
             let files = names.iter().map(|name| kind.path(data).join(name)).collect();
             return Ok(Self { files, _folder: None });
         }
-        let made = tempfile::tempdir_in(folder)
-            .map_err(generic_error)
-            .map_err(store.failed("copy", kind.folder().to_owned()))?;
+        let made = tempfile::tempdir_in(folder).map_err(generic_error).map_err(store.failed("copy", kind.folder()))?;
         let files = names.iter().map(|name| made.path().join(name)).collect();
         let copied_bytes = AtomicU64::new(0);
         let names: Vec<_> = names.iter().filter_map(|name| ContentHash::parse(name)).collect();

@@ -13,7 +13,7 @@ use object_store::path::Path;
 use crate::private_files;
 
 /// File of the record in a data folder; there is none if the pictures are in the data folder.
-pub(crate) const FILE: &str = "store";
+const FILE: &str = "store";
 
 /// Place of pictures and blobs.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -109,6 +109,21 @@ impl StoreLocation {
         if !matches!(self, Self::S3 { .. }) || data.join(FILE).exists() {
             return Ok(());
         }
+        self.write_record(data)
+    }
+
+    /// Records in a data folder that its farm uses this store from now on.
+    pub(crate) fn replace_record(&self, data: &FolderPath) -> io::Result<()> {
+        if matches!(self, Self::S3 { .. }) {
+            return self.write_record(data);
+        }
+        match std::fs::remove_file(data.join(FILE)) {
+            Err(error) if error.kind() != io::ErrorKind::NotFound => Err(error),
+            Ok(()) | Err(_) => Ok(()),
+        }
+    }
+
+    fn write_record(&self, data: &FolderPath) -> io::Result<()> {
         let part = data.join("store.part");
         let mut file = private_files::create_file(&part)?;
         writeln!(file, "{self}")?;

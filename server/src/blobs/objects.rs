@@ -15,7 +15,7 @@ use std::fs::File;
 use std::io::{self, Write};
 use std::os::unix::fs::FileExt;
 use std::path::{Path as FolderPath, PathBuf};
-use std::sync::{Arc, Mutex};
+use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::{Duration, SystemTime};
 
 use bytes::Bytes;
@@ -52,6 +52,14 @@ pub(super) enum Bucket {
     Memory(Arc<InMemory>),
 }
 
+/// Ends of objects that this server has stored, and when.
+#[derive(Debug, Default)]
+struct Remembered {
+    ends: HashMap<Path, (Instant, FileEnds)>,
+    /// Number of deletions.
+    deletions: u64,
+}
+
 /// Whether what is remembered of an object may answer for it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Memory {
@@ -68,7 +76,7 @@ pub(super) struct Objects {
     /// Folder in which content is received.
     spool: PathBuf,
     uploads: Semaphore,
-    remembered: Mutex<HashMap<Path, (Instant, FileEnds)>>,
+    remembered: Mutex<Remembered>,
     /// Age from which an object that is stored again is written again, so that no sweep deletes it.
     refresh_age: Duration,
 }
@@ -109,24 +117,36 @@ impl Objects {
         let ends = received.ends().await.map_err(&failed)?;
         // Only uploads are counted, not clients that are still sending: a slow one keeps no other waiting.
         let _upload = self.uploads.acquire().await.expect("never closed");
+        let deletions_before = self.remembered().deletions;
         let sent = if received.size_bytes() <= PART_BYTES {
             self.put_whole(name, path, received).await
         } else {
             self.put_parts(name, path, received).await
         };
         let version = sent.map_err(failed)?;
-        let mut remembered = self.remembered.lock().expect("no holder panics");
-        if remembered.len() >= MAX_REMEMBERED {
-            remembered.clear();
+        let mut remembered = self.remembered();
+        if remembered.ends.len() >= MAX_REMEMBERED {
+            remembered.ends.clear();
         }
-        remembered.insert(path.clone(), (monotonic_now(), ends));
+        // A deletion in the meantime may have been that of this object.
+        if remembered.deletions == deletions_before {
+            remembered.ends.insert(path.clone(), (monotonic_now(), ends));
+        }
         Ok(version)
     }
 
     /// Deletes an object, whether or not there is one.
     pub(super) async fn delete(&self, path: &Path) -> object_store::Result<()> {
-        self.remembered.lock().expect("no holder panics").remove(path);
-        self.store().delete(path).await
+        let deleted = self.store().delete(path).await;
+        // Also if it failed, because the store may have deleted it.
+        let mut remembered = self.remembered();
+        remembered.deletions += 1;
+        remembered.ends.remove(path);
+        deleted
+    }
+
+    fn remembered(&self) -> MutexGuard<'_, Remembered> {
+        self.remembered.lock().expect("no holder panics")
     }
 
     async fn receive<S: Stream<Item = io::Result<Bytes>> + Unpin>(
@@ -233,7 +253,7 @@ impl Objects {
     /// Size, first and last bytes of an object.
     pub(super) async fn ends(&self, path: &Path, memory: Memory) -> object_store::Result<FileEnds> {
         let remembered = match memory {
-            Memory::Trusted => self.remembered.lock().expect("no holder panics").get(path).cloned(),
+            Memory::Trusted => self.remembered().ends.get(path).cloned(),
             Memory::Unused => None,
         };
         if let Some((_, ends)) = remembered.filter(|(stored, _)| stored.elapsed() < self.refresh_age) {

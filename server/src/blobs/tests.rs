@@ -2,6 +2,7 @@
 
 use std::io;
 
+use futures_util::future::join_all;
 use futures_util::stream::TryStreamExt;
 use object_store::PutPayload;
 
@@ -292,12 +293,16 @@ async fn wrong_settings_are_explained(s3: &SeaweedFs) {
     };
     check("s3://renders/farm", &[]).await.expect("everything is right");
     let nothing_listens = "http://127.0.0.1:1".to_owned();
+    let no_host = "http://no-such-host.invalid".to_owned();
+    let with_tls = s3.endpoint().replace("http://", "https://");
     for (text, changed, fault) in [
         ("s3://elsewhere/farm", vec![], BucketFault::NoBucket),
         ("s3://renders", vec![("AWS_SECRET_ACCESS_KEY", "wrong".to_owned())], BucketFault::KeysRefused),
         ("s3://renders", vec![("AWS_ACCESS_KEY_ID", "unknown".to_owned())], BucketFault::KeysRefused),
         ("s3://renders", vec![("AWS_ACCESS_KEY_ID", "test-reader".to_owned())], BucketFault::KeysRefused),
         ("s3://renders", vec![("AWS_ENDPOINT_URL", nothing_listens)], BucketFault::Unreachable),
+        ("s3://renders", vec![("AWS_ENDPOINT_URL", no_host)], BucketFault::Unreachable),
+        ("s3://renders", vec![("AWS_ENDPOINT_URL", with_tls)], BucketFault::Unreachable),
         ("s3://renders", vec![("AWS_ALLOW_HTTP", "false".to_owned())], BucketFault::HttpNotAllowed),
     ] {
         let error = check(text, &changed).await.expect_err("the settings are wrong");

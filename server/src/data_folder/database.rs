@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use super::DataFolderError;
-use crate::db::{self, Connection, Database, DatabaseError, DatabaseLocation, FarmId};
+use crate::db::{self, Connection, Database, DatabaseError, DatabaseLocation, FarmId, Target};
 
 /// Picture in the database.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -33,23 +33,23 @@ pub(super) async fn open_file(file: &Path) -> Result<Connection, DataFolderError
 }
 
 /// Every picture in the database.
-pub(super) async fn pictures(connection: &mut Connection) -> Result<Vec<PictureRef>, DatabaseError> {
+pub(super) async fn pictures(database: impl Into<Target<'_>>) -> Result<Vec<PictureRef>, DatabaseError> {
     let rows = db::query(
         "SELECT picture AS hash, size_bytes FROM frame WHERE picture IS NOT NULL
          UNION SELECT hash, size_bytes FROM picture ORDER BY 1",
     )
-    .fetch_all(connection)
+    .fetch_all(database)
     .await?;
     rows.iter().map(|row| Ok(PictureRef { hash: row.get("hash")?, size_bytes: row.get("size_bytes")? })).collect()
 }
 
 /// Every blob of an unfinished frame.
-pub(super) async fn blobs(connection: &mut Connection) -> Result<Vec<String>, DatabaseError> {
+pub(super) async fn blobs(database: impl Into<Target<'_>>) -> Result<Vec<String>, DatabaseError> {
     db::query_scalar(
         "SELECT DISTINCT tile.blob FROM tile JOIN frame ON frame.job = tile.job AND frame.number = tile.frame
          WHERE tile.blob IS NOT NULL AND frame.state IN ('open', 'stitching')",
     )
-    .fetch_all(connection)
+    .fetch_all(database)
     .await
 }
 

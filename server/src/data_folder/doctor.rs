@@ -217,8 +217,8 @@ async fn check_store(
     repairs: bool,
 ) -> Result<Vec<Finding>, DataFolderError> {
     let failed = DataFolderError::database(&Database::file(data));
-    let pictures = database::pictures(connection).await.map_err(&failed)?;
-    let blobs = database::blobs(connection).await.map_err(&failed)?;
+    let pictures = database::pictures(&mut *connection).await.map_err(&failed)?;
+    let blobs = database::blobs(&mut *connection).await.map_err(&failed)?;
     let bucket = bucket::open(data)?;
     let is_deep = depth == Depth::Bytes;
     let mut findings = Vec::new();

@@ -46,7 +46,7 @@ enum Doom {
 /// Kind and name of content.
 type Named = (ContentKind, String);
 
-/// What was known of the names of results before their bytes were looked for.
+/// Known states of the names of results before their bytes were looked for.
 #[derive(Clone, Debug)]
 pub(crate) struct CheckedNames {
     doomed: HashMap<Named, Doom>,
@@ -109,7 +109,7 @@ impl Queue {
         orphans_among(self.readers(), kind, names).await
     }
 
-    /// What is known of the names of these results; to be read before their bytes are looked for.
+    /// Known states of the names of these results; to be read before their bytes are looked for.
     pub(crate) async fn begin_check(&self, names: &[Named]) -> Result<CheckedNames> {
         let at = monotonic_now();
         Ok(CheckedNames { doomed: doomed_among(self.readers(), names).await?, at })

@@ -38,7 +38,7 @@ pub(crate) struct SyncInput {
     pub(crate) reports: Vec<LeaseReport>,
     /// Results whose bytes are not what was asked for.
     pub(crate) rejected: Vec<RejectedResult>,
-    /// What was known of the names of the results when their bytes were looked for, if other servers may delete them.
+    /// Known states of the names of the results when their bytes were looked for, if other servers may delete them.
     pub(crate) checked: Option<CheckedNames>,
     /// Whether the worker requests a batch.
     pub(crate) wants_work: bool,

@@ -20,6 +20,8 @@ struct Endpoint {
     object: Mutex<Bytes>,
     /// Whether conditions are answered with 501.
     knows_no_conditions: bool,
+    /// Answer to every request.
+    fixed: Option<(StatusCode, &'static str)>,
     /// Requests that are answered with 503 before the others.
     failures_left: AtomicU32,
     requests: AtomicU32,
@@ -31,6 +33,9 @@ impl Endpoint {
         let fails = this.failures_left.fetch_update(Ordering::Relaxed, Ordering::Relaxed, |left| left.checked_sub(1));
         if fails.is_ok() {
             return StatusCode::SERVICE_UNAVAILABLE.into_response();
+        }
+        if let Some(answer) = this.fixed {
+            return answer.into_response();
         }
         let is_list = request.uri().query().is_some_and(|query| query.contains("list-type"));
         match *request.method() {
@@ -75,6 +80,33 @@ async fn an_endpoint_without_create_if_absent_is_refused() {
         let settings = Settings::from_env(&location, &bucket).with(&endpoint.serve().await);
         let error = settings.check().await.expect_err("conditions have no effect");
         assert_eq!(error.fault(), BucketFault::NoConditionalPut, "{error}");
+    }
+}
+
+/// The answer of `SeaweedFS` to a request that was signed an hour ago.
+const SKEWED: &str = r#"<?xml version="1.0" encoding="UTF-8"?>
+<Error><Code>RequestTimeTooSkewed</Code><Message>The difference between the request time and the server&#39;s time is too large.</Message><Resource>/renders</Resource><RequestId>18EB316FDE9E8F072B631DFB</RequestId><BucketName>renders</BucketName></Error>"#;
+
+#[tokio::test]
+async fn a_wrong_clock_and_another_kind_of_server_are_explained() {
+    for (fixed, fault, words) in [
+        (
+            (StatusCode::FORBIDDEN, SKEWED),
+            BucketFault::ClockSkewed,
+            "(RequestTimeTooSkewed: The difference between the request time and the server's time is too large)",
+        ),
+        ((StatusCode::OK, "<html>Hello</html>"), BucketFault::Failed, "did not answer as an S3 store does"),
+        ((StatusCode::NOT_FOUND, "nothing here"), BucketFault::Failed, "did not answer as an S3 store does"),
+        ((StatusCode::BAD_GATEWAY, "no upstream"), BucketFault::Unavailable, "502 Bad Gateway: no upstream"),
+    ] {
+        let endpoint = Arc::new(Endpoint { fixed: Some(fixed), ..Endpoint::default() });
+        let (location, bucket) = location("s3://renders/farm");
+        let settings = Settings::from_env(&location, &bucket).with(&endpoint.serve().await);
+        let error = settings.check().await.expect_err("it is no S3 store, or refuses");
+        assert_eq!(error.fault(), fault, "{error}");
+        let told = error.to_string();
+        assert!(told.contains(words) && told.contains(fault.cure()), "{told}");
+        println!("{told}");
     }
 }
 

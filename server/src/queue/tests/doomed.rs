@@ -122,14 +122,14 @@ fn orders(first: usize, second: usize) -> Vec<Vec<usize>> {
 
 /// Outcomes of reports.
 #[derive(Debug, Default)]
-struct Tally {
+struct Outcomes {
     accepted: u32,
     rejected: u32,
 }
 
 /// Runs the steps in this order: 0 is the report, the others are sweeps of other servers. Then what no row refers to can be
 /// stored and reported.
-async fn run(servers: &[Fixture], stores: &[BlobStore], order: &[usize], content: &Content, tally: &mut Tally) {
+async fn run(servers: &[Fixture], stores: &[BlobStore], order: &[usize], content: &Content, outcomes: &mut Outcomes) {
     let mut report = Report::new(&servers[0], content).await;
     let mut sweeps: Vec<_> = (1..servers.len()).map(|_| Sweep::default()).collect();
     let mut steps = vec![0; servers.len()];
@@ -142,9 +142,9 @@ async fn run(servers: &[Fixture], stores: &[BlobStore], order: &[usize], content
         steps[actor] += 1;
     }
     if report.is_accepted {
-        tally.accepted += 1;
+        outcomes.accepted += 1;
     } else {
-        tally.rejected += 1;
+        outcomes.rejected += 1;
         report = Report::new(&servers[0], content).await;
         for step in 0..REPORT_STEPS {
             report.step(step, &servers[0], &stores[0], content).await;
@@ -168,8 +168,8 @@ async fn no_order_of_a_sweep_and_a_report_loses_bytes() {
     let both = [servers.start("reports").await, servers.start("sweeps").await];
     let spool = tempfile::tempdir().expect("a folder");
     let stores = BlobStore::in_memory(2, spool.path());
-    let (mut tally, mut number) = (Tally::default(), 0);
-    // What was there before: nothing, bytes that this server stored, bytes that the other stored, and a mark.
+    let (mut outcomes, mut number) = (Outcomes::default(), 0);
+    // Before: nothing, bytes that this server stored, bytes that the other stored, and a mark.
     for (stored_by, is_marked) in [(None, false), (Some(0), false), (Some(1), false), (Some(0), true), (Some(1), true)]
     {
         for order in orders(REPORT_STEPS, SWEEP_STEPS) {
@@ -181,10 +181,10 @@ async fn no_order_of_a_sweep_and_a_report_loses_bytes() {
             if is_marked {
                 both[1].queue.mark_doomed(KIND, content.names()).await.expect("marks");
             }
-            run(&both, &stores, &order, &content, &mut tally).await;
+            run(&both, &stores, &order, &content, &mut outcomes).await;
         }
     }
-    assert!(tally.accepted > 20 && tally.rejected > 20, "both happen: {tally:?}");
+    assert!(outcomes.accepted > 20 && outcomes.rejected > 20, "both happen: {outcomes:?}");
 }
 
 #[tokio::test]
@@ -193,7 +193,7 @@ async fn no_order_of_two_sweeps_and_a_report_loses_bytes() {
     let all = [servers.start("reports").await, servers.start("sweeps").await, servers.start("sweeps as well").await];
     let spool = tempfile::tempdir().expect("a folder");
     let stores = BlobStore::in_memory(3, spool.path());
-    let mut tally = Tally::default();
+    let mut outcomes = Outcomes::default();
     for number in 0..150 {
         let content = Content::new(number);
         content.put(&stores[number as usize % 3]).await;
@@ -205,9 +205,9 @@ async fn no_order_of_two_sweeps_and_a_report_loses_bytes() {
             random.fill(&mut byte);
             order.swap(place, usize::from(byte[0]) % (place + 1));
         }
-        run(&all, &stores, &order, &content, &mut tally).await;
+        run(&all, &stores, &order, &content, &mut outcomes).await;
     }
-    assert!(tally.accepted > 0 && tally.rejected > 20, "both happen: {tally:?}");
+    assert!(outcomes.accepted > 0 && outcomes.rejected > 20, "both happen: {outcomes:?}");
 }
 
 #[tokio::test]
@@ -236,7 +236,7 @@ async fn a_mark_lasts_for_the_grace_and_a_deletion_for_longer_than_any_check() {
     server.hand.advance(grace / 2);
     assert!(take().await.is_empty());
     assert_eq!(known().await.expect("counts"), 0);
-    // What was stored again meanwhile waits for another grace.
+    // Content that was stored again meanwhile waits for another grace.
     queue.mark_doomed(KIND, content.names()).await.expect("marks");
     server.hand.advance(grace);
     assert_eq!(take().await, content.names());
