@@ -417,6 +417,12 @@ impl BlobStore {
         Ok((count, young))
     }
 
+    /// Whether a file is too recent to delete; asking a bucket for each object takes longer than a sweep.
+    pub(crate) async fn is_too_recent(&self, kind: ContentKind, name: &str) -> bool {
+        let Some(name) = ContentHash::parse(name).filter(|_| self.folder().is_some()) else { return false };
+        matches!(self.age(kind, &name).await, Ok(Some(age)) if age < self.ages.unused)
+    }
+
     async fn sweep_one(&self, kind: ContentKind, name: &ContentHash) -> Swept {
         match self.age(kind, name).await {
             Ok(Some(age)) if age < self.ages.unused => return Swept::TooNew,
