@@ -74,7 +74,7 @@ impl Shared {
             self.open.lock().expect("no holder panics").push(from.try_clone().expect("a handle"));
             let this = Arc::clone(self);
             std::thread::spawn(move || {
-                let mut piece = [0; 1 << 16];
+                let mut piece = vec![0; 1 << 16];
                 while let Ok(length @ 1..) = from.read(&mut piece) {
                     std::thread::sleep(this.delay());
                     if to.write_all(&piece[..length]).is_err() {

@@ -68,6 +68,12 @@ impl BlobStore {
         Ok(unless_missing(deleted)?.is_some())
     }
 
+    /// Whether a file is too recent to delete; asking a bucket for each object takes longer than a sweep.
+    pub(crate) async fn is_too_recent(&self, kind: ContentKind, name: &str) -> bool {
+        let Some(name) = ContentHash::parse(name).filter(|_| self.folder().is_some()) else { return false };
+        matches!(self.age(kind, &name).await, Ok(Some(age)) if age < self.ages.unused)
+    }
+
     /// Age of content; `None` if it is missing.
     async fn age(&self, kind: ContentKind, name: &ContentHash) -> object_store::Result<Option<Duration>> {
         let found = unless_missing(self.store(kind).head(&self.path(kind, name)).await)?;

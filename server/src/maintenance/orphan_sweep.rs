@@ -34,7 +34,13 @@ pub(crate) struct OrphanSweep {
 impl OrphanSweep {
     /// Deletes orphans a few at a time: results wait while a sweep decides.
     pub(super) async fn sweep_in_pieces(&self, kind: ContentKind, hashes: &[String]) -> Result<(), DatabaseError> {
-        for piece in self.orphans.due(kind, hashes).chunks(SWEEP_BATCH) {
+        // Those that are too recent are found before results wait: most of what finished frames used is.
+        let (mut young, mut old) = (Vec::new(), Vec::new());
+        for hash in self.orphans.due(kind, hashes) {
+            if self.content.is_too_recent(kind, &hash).await { &mut young } else { &mut old }.push(hash);
+        }
+        self.try_later(kind, young);
+        for piece in old.chunks(SWEEP_BATCH) {
             self.sweep(kind, piece).await?;
         }
         Ok(())
@@ -113,14 +119,19 @@ impl OrphanSweep {
             return if orphans.is_empty() { Ok(()) } else { queue.mark_doomed(kind, orphans).await };
         }
         let (count, young) = self.content.sweep(kind, hashes, async |names| queue.orphans(kind, &names).await).await?;
-        // Young objects of a bucket are not remembered for that long: the next cleanup lists them again.
-        if let (false, Some(delay)) = (young.is_empty(), self.content.sweep_retry_delay()) {
-            self.orphans.sweep_after(delay, kind, young);
-        }
+        self.try_later(kind, young);
         if count > 0 {
             tracing::debug!(count, ?kind, "removed orphaned content");
         }
         Ok(())
+    }
+
+    /// Has young files checked again. Young objects of a bucket are not remembered for that long: the next cleanup lists
+    /// them again.
+    fn try_later(&self, kind: ContentKind, young: Vec<String>) {
+        if let (false, Some(delay)) = (young.is_empty(), self.content.sweep_retry_delay()) {
+            self.orphans.sweep_after(delay, kind, young);
+        }
     }
 
     async fn unreported_hashes(&self, kind: ContentKind) -> object_store::Result<Vec<String>> {

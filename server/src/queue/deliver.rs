@@ -121,14 +121,14 @@ async fn sort<'a>(
     let mut results = Results { late, ..Results::default() };
     let mut live: HashMap<&str, UsedLease<'a>> =
         open.into_iter().map(|used| (used.held.live.lease.as_str(), used)).collect();
-    let mut pictures: BTreeMap<(&str, u64), BTreeMap<(i64, u32), Vec<UsedLease<'a>>>> = BTreeMap::new();
+    let mut pictures: BTreeMap<(&str, u64, i64, u32), Vec<UsedLease<'a>>> = BTreeMap::new();
     let mut blobs = Vec::new();
     for report in reports {
         match &report.outcome {
             LeaseOutcome::Picture { hash, size_bytes } => match live.remove(&*report.lease.to_string()) {
                 Some(used) => {
-                    let frame = (used.held.live.job, used.held.live.frame);
-                    pictures.entry((hash, *size_bytes)).or_default().entry(frame).or_default().push(used);
+                    let (job, frame) = (used.held.live.job, used.held.live.frame);
+                    pictures.entry((hash, *size_bytes, job, frame)).or_default().push(used);
                 }
                 None => lose(connection, delivered, FIRST_PICTURE_SQL, report.lease, hash).await?,
             },
@@ -148,16 +148,14 @@ async fn sort<'a>(
             }
         }
     }
-    for ((hash, size_bytes), frames) in pictures {
-        for ((job, frame), leases) in frames {
-            let stitched = matches!(leases.as_slice(), [used] if used.held.live.stitch);
-            let is_complete = leases[0].held.frame_tiles == Some(row_count(leases.len()));
-            if stitched || is_complete {
-                results.pictures.push((StoredPicture { job, frame, hash, size_bytes, stitched }, leases));
-            } else {
-                let message = "its worker delivered a picture without leases for all tiles of the frame";
-                results.misfits.extend(leases.into_iter().map(|used| (used, LeaseEnd::Released, message)));
-            }
+    for ((hash, size_bytes, job, frame), leases) in pictures {
+        let stitched = matches!(leases.as_slice(), [used] if used.held.live.stitch);
+        let is_complete = leases[0].held.frame_tiles == Some(row_count(leases.len()));
+        if stitched || is_complete {
+            results.pictures.push((StoredPicture { job, frame, hash, size_bytes, stitched }, leases));
+        } else {
+            let message = "its worker delivered a picture without leases for all tiles of the frame";
+            results.misfits.extend(leases.into_iter().map(|used| (used, LeaseEnd::Released, message)));
         }
     }
     let tiles = results.tiles.values().flatten().map(|tile| tile.used);

@@ -150,10 +150,8 @@ pub(super) async fn sync(
         worker = rescued;
     }
     // The leases of verifications are apart from those of tiles.
-    let verified: Vec<VerifierLease> = match worker.has_verifications {
-        true => verification::live_leases(connection, &worker.id).await?,
-        false => Vec::new(),
-    };
+    let verified: Vec<VerifierLease> =
+        if worker.has_verifications { verification::live_leases(connection, &worker.id).await? } else { Vec::new() };
     let is_verified = |lease: &LeaseId| {
         let lease = if verified.is_empty() { String::new() } else { lease.to_string() };
         verified.iter().any(|verified| verified.lease == lease)

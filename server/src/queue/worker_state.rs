@@ -20,6 +20,7 @@ pub(super) enum WorkerStatus {
 
 /// A worker before its sync.
 #[derive(Debug)]
+#[expect(clippy::struct_excessive_bools, reason = "independent columns of one row")]
 pub(super) struct WorkerState {
     /// Its id.
     pub(super) id: String,
