@@ -1,5 +1,5 @@
-//! A slow and unreliable network between a server and its database: a TCP proxy on loopback that delays, stops and cuts
-//! what it forwards.
+//! A slow and unreliable network between a server and its database: a TCP proxy on loopback that delays and cuts
+//! connections.
 
 use std::io::{Read, Write};
 use std::net::{Shutdown, TcpListener, TcpStream};

@@ -1,6 +1,6 @@
 //! This server among the others of its database: it renews its row, tells the others of changes, and hears of theirs.
 //!
-//! What it is told are hints that may be lost. Once a second the database is asked, which decides.
+//! Messages between servers are hints that may be lost. Once a second the database is asked, which decides.
 
 use std::sync::Arc;
 use std::sync::atomic::Ordering;

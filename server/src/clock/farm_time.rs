@@ -11,7 +11,7 @@ use rustix::time::{ClockId, clock_gettime};
 /// Difference between the database's clock and this machine's, since the last reading, that counts as a jump.
 const JUMP_MS: i64 = 5_000;
 
-/// What a transaction reads at its beginning, while it holds the farm's lock.
+/// Reading of a transaction at its beginning, while it holds the farm's lock.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct TimeReading {
     /// Milliseconds since 1970 by the database's clock.

@@ -137,7 +137,7 @@ impl Queue {
             .await
     }
 
-    /// Records the outcome of an attempt. If it took so long that another server has recorded one, it does not count.
+    /// Records the outcome of an attempt. It does not count if another server has recorded one since, because this attempt took more than a minute.
     pub(crate) async fn record_attempt(&self, number: i64, attempt: Attempt) -> Result<()> {
         let wall_ms = self.clock.wall_ms();
         let (state, status, error, again_in) = match attempt {
