@@ -67,13 +67,25 @@ impl WorkerSync {
             self.preview_helper.forget(hash);
         }
         self.orphans.sweep_later(ContentKind::Picture, forgotten);
+        let mut opening_turn = None;
         while let NextWork::OpenFrame { job, frame, plan } = turned.next {
-            let Some(opening) = self.openings.of(job, frame, plan).await? else {
-                turned.next = NextWork::Nothing(None);
-                break;
+            let has_waited = match opening_turn {
+                Some(_) => false,
+                None => opening_turn.insert(self.openings.turn().await).has_waited,
             };
-            let next_openings = self.openings.following(&opening, plan, again.max_batches - 1).await?;
-            let input = SyncInput { opening: Some(opening), next_openings, ..again.clone() };
+            let input = if has_waited {
+                // The syncs before this one may have opened its frame.
+                again.clone()
+            } else {
+                let Some(opening) = self.openings.of(job, frame, plan).await? else {
+                    turned.next = NextWork::Nothing(None);
+                    break;
+                };
+                let frames_ahead = self.openings.ahead();
+                let count = frames_ahead.max(again.max_batches - 1);
+                let next_openings = self.openings.following(&opening, plan, count).await?;
+                SyncInput { opening: Some(opening), next_openings, frames_ahead, ..again.clone() }
+            };
             let Some(more) = self.queue.turn(input).await? else {
                 tracing::warn!(%worker, "a worker exited while it claimed work");
                 return Ok(None);

@@ -189,6 +189,7 @@ fn turn(worker: WorkerId) -> SyncInput {
         opening: None,
         max_batches: 1,
         next_openings: Vec::new(),
+        frames_ahead: 0,
     }
 }
 

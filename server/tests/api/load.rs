@@ -3,10 +3,12 @@
 use std::collections::HashSet;
 use std::time::Instant;
 
+use futures_util::future::join_all;
 use futures_util::{StreamExt, stream};
 use proto::job::JobState;
+use serde_json::json;
 
-use super::harness::{Farm, assert_state, small_job};
+use super::harness::{Farm, Worker, assert_state, small_job};
 
 /// Number of queued jobs, in every run of the tests and in the long ones.
 const JOBS: [u32; 2] = [500, 10_000];
@@ -27,6 +29,42 @@ async fn hundreds_of_jobs_are_each_claimed_once() {
 #[ignore = "long: 10,000 jobs; 30 s"]
 async fn ten_thousand_jobs_are_each_claimed_once() {
     assert_claimed_once(JOBS[1]).await;
+}
+
+/// Workers that ask at the same time are all told to open the next frame: they must not all try again for each.
+#[tokio::test(flavor = "multi_thread")]
+async fn workers_that_ask_at_once_open_frames_in_few_transactions() {
+    const WORKERS: usize = 100;
+    let animation = {
+        let mut job = small_job(0);
+        job["frames"] = json!({ "count": WORKERS, "fps": 24 });
+        vec![job]
+    };
+    for jobs in [(0..WORKERS as u32).map(small_job).collect(), animation] {
+        let farm = Farm::start().await;
+        for job in &jobs {
+            farm.submit(job).await;
+        }
+        let mut workers = Vec::new();
+        for number in 0..WORKERS {
+            workers.push(farm.worker(&number.to_string()).await);
+        }
+        let before = operations(&farm).await;
+        let batches = join_all(workers.iter().map(Worker::claim)).await;
+        let operations = operations(&farm).await - before;
+        let frames: HashSet<_> = batches.iter().flatten().map(|batch| (batch.job, batch.frame)).collect();
+        assert_eq!(frames.len(), WORKERS, "{} jobs", jobs.len());
+        eprintln!("{WORKERS} claims of {} jobs took {operations} operations", jobs.len());
+        assert!(operations <= 4.0 * WORKERS as f64, "{operations} operations for {WORKERS} claims");
+        farm.stop().await;
+    }
+}
+
+/// Number of operations that the database has committed.
+async fn operations(farm: &Farm) -> f64 {
+    let text = farm.get("/metrics").await.text().await.expect("text");
+    let sum = text.lines().find_map(|line| line.strip_prefix("sdfarm_commit_operations_sum "));
+    sum.expect("the sum").parse().expect("a number")
 }
 
 async fn assert_claimed_once(jobs: u32) {
