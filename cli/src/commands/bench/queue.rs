@@ -50,9 +50,12 @@ pub(crate) struct Arguments {
         conflicts_with = "simulate"
     )]
     database: Option<PostgresAddress>,
-    /// Measure the turns of this many workers instead, each of which holds a whole frame for 10 s, as a GPU does.
+    /// Measure the turns of this many workers instead, each of which holds a whole frame for a while, as a GPU does.
     #[arg(long, value_name = "N", env = "SDFARM_PACED_WORKERS", conflicts_with = "simulate", value_parser = clap::value_parser!(u32).range(1..=10_000))]
     paced_workers: Option<u32>,
+    /// Seconds for which a paced worker holds a frame; it renews its leases every 10 s.
+    #[arg(long, value_name = "SECONDS", env = "SDFARM_FRAME_SECONDS", default_value_t = 10, requires = "paced_workers", value_parser = clap::value_parser!(u64).range(1..=600))]
+    frame_seconds: u64,
     /// Number of servers on the database that the paced workers call.
     #[arg(long, value_name = "N", env = "SDFARM_SERVERS", default_value_t = 1, requires = "paced_workers", value_parser = clap::value_parser!(u32).range(1..=16))]
     servers: u32,

@@ -46,10 +46,30 @@ impl FakeWorker {
         wants_work: bool,
         wait: Duration,
     ) -> anyhow::Result<Option<Batch>> {
+        self.send(Vec::new(), results, wants_work, wait).await
+    }
+
+    /// Renews the leases of a batch.
+    pub(super) async fn renew(&self, batch: Option<&Batch>) -> anyhow::Result<()> {
+        let held = match batch.map(|batch| &batch.work) {
+            Some(BatchWork::Render { tiles, .. }) => tiles.iter().map(|tile| tile.lease).collect(),
+            Some(BatchWork::Stitch { lease, .. }) => vec![*lease],
+            None => Vec::new(),
+        };
+        self.send(held, Vec::new(), false, Duration::ZERO).await.map(drop)
+    }
+
+    async fn send(
+        &self,
+        held: Vec<LeaseId>,
+        results: Vec<LeaseReport>,
+        wants_work: bool,
+        wait: Duration,
+    ) -> anyhow::Result<Option<Batch>> {
         let request = json!({
             "worker": self.id,
             "rays_per_second": self.rays_per_second,
-            "held_leases": [],
+            "held_leases": held,
             "reports": results,
             "wants_work": wants_work,
             "wait_ms": wait.as_millis() as u64,

@@ -10,8 +10,8 @@ use super::fake_worker::FakeWorker;
 use super::{Arguments, BenchFarm, Times, heading, load, row};
 use crate::terminal::{print_line, print_note};
 
-/// Time for which a worker holds a frame.
-const BATCH: Duration = Duration::from_secs(10);
+/// Time after which a worker renews its leases: a third of a lease's.
+const RENEWAL: Duration = Duration::from_secs(10);
 /// Speed at which a frame is one batch.
 const RAYS_PER_SECOND: f64 = 1e9;
 /// Secret of these servers, which listen on loopback only.
@@ -25,9 +25,10 @@ pub(super) async fn run(arguments: &Arguments, workers: u32) -> anyhow::Result<(
         let farm = BenchFarm::start_among(0, Some(load::TILE_PX), arguments.database.clone(), secret).await;
         farms.push(farm.context("several servers need an empty database: pass --database")?);
     }
-    let time = Duration::from_secs(arguments.seconds).max(2 * BATCH);
-    // Each worker takes one frame at its start, and one after each batch.
-    let jobs = workers * (2 + (time.as_secs() / BATCH.as_secs()) as u32);
+    let frame = Duration::from_secs(arguments.frame_seconds);
+    let time = Duration::from_secs(arguments.seconds).max(2 * frame);
+    // Each worker takes one frame at its start, and one after each.
+    let jobs = workers * (2 + (time.as_secs() / frame.as_secs()) as u32);
     let first = Arc::new(farms.remove(0));
     print_note(&format!("submitting {jobs} jobs of 100 tiles"));
     load::submit(&first, arguments.clients, jobs).await?;
@@ -36,15 +37,15 @@ pub(super) async fn run(arguments: &Arguments, workers: u32) -> anyhow::Result<(
         .chain(farms.iter().map(|farm| farm.client.server()))
         .map(str::to_owned)
         .collect();
-    // Their turns are spread over the time of a batch, and counted once all have begun.
-    let counted_from = Instant::now() + BATCH;
+    // Their turns are spread over the time of a frame, and counted once all have begun.
+    let counted_from = Instant::now() + frame;
     let mut turns = JoinSet::new();
     for number in 0..workers {
         let address = addresses[number as usize % addresses.len()].clone();
-        let delay = BATCH.mul_f64(f64::from(number) / f64::from(workers));
+        let delay = frame.mul_f64(f64::from(number) / f64::from(workers));
         turns.spawn(async move {
             tokio::time::sleep(delay).await;
-            work(&address, counted_from, time).await
+            work(&address, frame, counted_from, time).await
         });
     }
     let times = load::gather(turns).await?;
@@ -63,16 +64,27 @@ pub(super) async fn run(arguments: &Arguments, workers: u32) -> anyhow::Result<(
 }
 
 /// Works until the time is over; returns the durations of the turns that are counted.
-async fn work(address: &str, counted_from: Instant, time: Duration) -> anyhow::Result<Vec<Duration>> {
+async fn work(address: &str, frame: Duration, counted_from: Instant, time: Duration) -> anyhow::Result<Vec<Duration>> {
     let worker = FakeWorker::register(address, Some(RAYS_PER_SECOND)).await?;
     let (mut results, mut times) = (Vec::new(), Vec::new());
-    while counted_from.elapsed() < time {
-        let start = Instant::now();
-        let batch = worker.sync(std::mem::take(&mut results), true, Duration::ZERO).await?;
+    let mut count = |start: Instant| {
         if start >= counted_from {
             times.push(start.elapsed());
         }
-        tokio::time::sleep(BATCH).await;
+    };
+    while counted_from.elapsed() < time {
+        let start = Instant::now();
+        let batch = worker.sync(std::mem::take(&mut results), true, Duration::ZERO).await?;
+        count(start);
+        let mut left = frame;
+        while left > RENEWAL {
+            tokio::time::sleep(RENEWAL).await;
+            left -= RENEWAL;
+            let start = Instant::now();
+            worker.renew(batch.as_ref()).await?;
+            count(start);
+        }
+        tokio::time::sleep(left).await;
         if let Some(batch) = batch {
             results = worker.results(&batch).await?;
         }
