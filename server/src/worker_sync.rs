@@ -81,10 +81,8 @@ impl WorkerSync {
                     turned.next = NextWork::Nothing(None);
                     break;
                 };
-                let frames_ahead = self.openings.ahead();
-                let count = frames_ahead.max(again.max_batches - 1);
-                let next_openings = self.openings.following(&opening, plan, count).await?;
-                SyncInput { opening: Some(opening), next_openings, frames_ahead, ..again.clone() }
+                let next_openings = self.openings.following(&opening, plan, again.max_batches - 1).await?;
+                SyncInput { opening: Some(opening), next_openings, ..again.clone() }
             };
             let Some(more) = self.queue.turn(input).await? else {
                 tracing::warn!(%worker, "a worker exited while it claimed work");

@@ -137,7 +137,6 @@ pub(super) async fn sync(
         shutting_down: request.shutting_down,
         opening: None,
         next_openings: Vec::new(),
-        frames_ahead: 0,
     };
     let mut metrics = Some(request.metrics);
     loop {

@@ -50,8 +50,6 @@ pub(crate) struct SyncInput {
     pub(crate) opening: Option<FrameOpening>,
     /// The frames after it, which are opened as further batches reach them.
     pub(crate) next_openings: Vec<FrameOpening>,
-    /// Number of those that are opened even if no batch of this sync reaches them, for the syncs that wait.
-    pub(crate) frames_ahead: u32,
 }
 
 impl SyncInput {
@@ -304,10 +302,5 @@ async fn claim_work(
             break NextWork::Nothing(None);
         }
     };
-    if first.is_some() {
-        for opening in openings.take(turn.frames_ahead as usize) {
-            open_frame::open(connection, opening, moment).await?;
-        }
-    }
     Ok((first.map_or(reason, NextWork::Run), more))
 }

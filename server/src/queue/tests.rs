@@ -189,7 +189,6 @@ fn turn(worker: WorkerId) -> SyncInput {
         opening: None,
         max_batches: 1,
         next_openings: Vec::new(),
-        frames_ahead: 0,
     }
 }
 

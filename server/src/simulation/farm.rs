@@ -298,7 +298,6 @@ fn sync_input(worker: &SimulatedWorker, reports: Vec<LeaseReport>, wants_work: b
         opening: None,
         max_batches: 1,
         next_openings: Vec::new(),
-        frames_ahead: 0,
     }
 }
 

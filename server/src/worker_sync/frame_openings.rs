@@ -1,7 +1,6 @@
 //! Prepares the frames that a claim must open: their jobs are parsed, and the keys of their pictures computed.
 
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU32, Ordering};
 
 use tokio::sync::{Semaphore, SemaphorePermit};
 
@@ -9,9 +8,6 @@ use crate::db::DatabaseError;
 use crate::job_cache::{JobCache, JobLoadError, Reader};
 use crate::queue::{FrameOpening, Queue};
 use crate::tile_plan::TilePlan;
-
-/// Maximum number of frames that are opened ahead, for the syncs that wait for their turn.
-const MAX_AHEAD: u32 = 16;
 
 /// Preparation of frames.
 #[derive(Debug)]
@@ -21,7 +17,6 @@ pub(crate) struct FrameOpenings {
     /// Syncs open frames one at a time. They are all told to open the same frame, the next one, so that of `n` at once one
     /// would succeed and `n - 1` try again.
     turn: Semaphore,
-    waiting: AtomicU32,
 }
 
 /// A sync's turn to open frames; ends when it is dropped.
@@ -32,26 +27,10 @@ pub(super) struct OpeningTurn<'a> {
     pub(super) has_waited: bool,
 }
 
-/// Counts a sync that waits for its turn, until it is dropped.
-struct WaitingSync<'a>(&'a AtomicU32);
-
-impl<'a> WaitingSync<'a> {
-    fn new(waiting: &'a AtomicU32) -> Self {
-        waiting.fetch_add(1, Ordering::Relaxed);
-        Self(waiting)
-    }
-}
-
-impl Drop for WaitingSync<'_> {
-    fn drop(&mut self) {
-        self.0.fetch_sub(1, Ordering::Relaxed);
-    }
-}
-
 impl FrameOpenings {
     /// Prepares frames of this queue's jobs.
     pub(crate) fn new(queue: Queue, jobs: Arc<JobCache>) -> Self {
-        Self { queue, jobs, turn: Semaphore::new(1), waiting: AtomicU32::new(0) }
+        Self { queue, jobs, turn: Semaphore::new(1) }
     }
 
     /// Waits for a turn to open frames.
@@ -59,14 +38,8 @@ impl FrameOpenings {
         if let Ok(permit) = self.turn.try_acquire() {
             return OpeningTurn { _permit: permit, has_waited: false };
         }
-        let _waiting = WaitingSync::new(&self.waiting);
         let permit = self.turn.acquire().await.expect("the semaphore is never closed");
         OpeningTurn { _permit: permit, has_waited: true }
-    }
-
-    /// Number of frames to open ahead for the syncs that wait for their turn.
-    pub(super) fn ahead(&self) -> u32 {
-        self.waiting.load(Ordering::Relaxed).min(MAX_AHEAD)
     }
 
     /// Opening of a frame; `None` if its job cannot be parsed now, or not any more.

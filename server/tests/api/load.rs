@@ -9,6 +9,7 @@ use proto::job::JobState;
 use serde_json::json;
 
 use super::harness::{Farm, Worker, assert_state, small_job};
+use super::metrics::Metrics;
 
 /// Number of queued jobs, in every run of the tests and in the long ones.
 const JOBS: [u32; 2] = [500, 10_000];
@@ -35,6 +36,7 @@ async fn ten_thousand_jobs_are_each_claimed_once() {
 #[tokio::test(flavor = "multi_thread")]
 async fn workers_that_ask_at_once_open_frames_in_few_transactions() {
     const WORKERS: usize = 100;
+    const OPERATIONS: &str = "sdfarm_commit_operations_sum";
     let animation = {
         let mut job = small_job(0);
         job["frames"] = json!({ "count": WORKERS, "fps": 24 });
@@ -49,22 +51,15 @@ async fn workers_that_ask_at_once_open_frames_in_few_transactions() {
         for number in 0..WORKERS {
             workers.push(farm.worker(&number.to_string()).await);
         }
-        let before = operations(&farm).await;
+        let before = Metrics::of(&farm).await.value(OPERATIONS);
         let batches = join_all(workers.iter().map(Worker::claim)).await;
-        let operations = operations(&farm).await - before;
+        let operations = Metrics::of(&farm).await.value(OPERATIONS) - before;
         let frames: HashSet<_> = batches.iter().flatten().map(|batch| (batch.job, batch.frame)).collect();
         assert_eq!(frames.len(), WORKERS, "{} jobs", jobs.len());
         eprintln!("{WORKERS} claims of {} jobs took {operations} operations", jobs.len());
         assert!(operations <= 4.0 * WORKERS as f64, "{operations} operations for {WORKERS} claims");
         farm.stop().await;
     }
-}
-
-/// Number of operations that the database has committed.
-async fn operations(farm: &Farm) -> f64 {
-    let text = farm.get("/metrics").await.text().await.expect("text");
-    let sum = text.lines().find_map(|line| line.strip_prefix("sdfarm_commit_operations_sum "));
-    sum.expect("the sum").parse().expect("a number")
 }
 
 async fn assert_claimed_once(jobs: u32) {

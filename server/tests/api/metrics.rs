@@ -10,10 +10,10 @@ use reqwest::StatusCode;
 use super::harness::{Farm, LEASE, Said, in_time, job, read, small_job};
 
 /// Samples of a metric: the text after its name, and the value.
-struct Metrics(String);
+pub(crate) struct Metrics(String);
 
 impl Metrics {
-    async fn of(farm: &Farm) -> Self {
+    pub(crate) async fn of(farm: &Farm) -> Self {
         let answer = farm.get("/metrics").await;
         assert_eq!(answer.status(), StatusCode::OK);
         let kind = answer.headers()["content-type"].to_str().expect("text").to_owned();
@@ -22,7 +22,7 @@ impl Metrics {
     }
 
     /// Value of a sample, by its name with labels.
-    fn value(&self, sample: &str) -> f64 {
+    pub(crate) fn value(&self, sample: &str) -> f64 {
         let line = self.0.lines().find_map(|line| line.strip_prefix(sample)?.strip_prefix(' '));
         line.unwrap_or_else(|| panic!("no {sample} in {}", self.0)).parse().expect("a number")
     }
