@@ -271,6 +271,17 @@ pub struct Batch {
     pub work: BatchWork,
 }
 
+impl Batch {
+    /// Its leases, each with the index of its tile in the frame; `None` for a stitch.
+    pub fn leases(&self) -> impl Iterator<Item = (LeaseId, Option<u32>)> {
+        let leases: Vec<_> = match &self.work {
+            BatchWork::Render { tiles, .. } => tiles.iter().map(|tile| (tile.lease, Some(tile.index))).collect(),
+            BatchWork::Stitch { lease, .. } => vec![(*lease, None)],
+        };
+        leases.into_iter()
+    }
+}
+
 /// Work that a batch asks for.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]

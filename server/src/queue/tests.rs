@@ -16,7 +16,7 @@ mod statements;
 mod workers;
 
 use proto::bounded::RaysPerSecond;
-use proto::worker_protocol::{BatchWork, RegisterRequest};
+use proto::worker_protocol::RegisterRequest;
 use proto::{JobId, WorkerId};
 
 use super::{FrameOpening, NewJob, NewWorker, NextWork, Queue, SyncInput};
@@ -193,11 +193,7 @@ fn turn(worker: WorkerId) -> SyncInput {
 }
 
 fn leases(run: &proto::worker_protocol::Batch) -> impl Iterator<Item = proto::LeaseId> {
-    let leases: Vec<_> = match &run.work {
-        BatchWork::Render { tiles, .. } => tiles.iter().map(|tile| tile.lease).collect(),
-        BatchWork::Stitch { lease, .. } => vec![*lease],
-    };
-    leases.into_iter()
+    run.leases().map(|(lease, _)| lease)
 }
 
 #[tokio::test]

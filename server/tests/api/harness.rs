@@ -341,10 +341,7 @@ impl<'a> Worker<'a> {
 
 /// All leases of a run.
 pub(crate) fn leases(run: &Batch) -> Vec<LeaseId> {
-    match &run.work {
-        BatchWork::Render { tiles, .. } => tiles.iter().map(|tile| tile.lease).collect(),
-        BatchWork::Stitch { lease, .. } => vec![*lease],
-    }
+    run.leases().map(|(lease, _)| lease).collect()
 }
 
 /// Asserts the state of a job.

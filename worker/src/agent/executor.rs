@@ -105,15 +105,6 @@ pub(super) struct FrameTask {
     pub(super) tile_seconds: Option<u32>,
 }
 
-/// Leases of a batch and the indices of their tiles, in the batch's order.
-pub(super) fn leases(run: &Batch) -> impl Iterator<Item = (LeaseId, Option<u32>)> {
-    let leases: Vec<(LeaseId, Option<u32>)> = match &run.work {
-        BatchWork::Render { tiles, .. } => tiles.iter().map(|tile| (tile.lease, Some(tile.index))).collect(),
-        BatchWork::Stitch { lease, .. } => vec![(*lease, None)],
-    };
-    leases.into_iter()
-}
-
 /// Device and server of the worker.
 pub(super) struct BatchExecutor {
     pub(super) link: Arc<ServerClient>,

@@ -19,7 +19,7 @@ use tracing::Instrument;
 
 use super::AgentConfig;
 use super::back_off::BackOff;
-use super::executor::{BatchEvent, BatchExecutor, LeaseHandle, leases};
+use super::executor::{BatchEvent, BatchExecutor, LeaseHandle};
 use super::metrics::MetricsBuffer;
 use super::rendering::milliseconds;
 use super::server_client::{ServerClient, ServerError};
@@ -387,7 +387,7 @@ impl Session {
     }
 
     fn accept_batch(&mut self, run: Batch, trace: Option<String>) {
-        let holds: Vec<LeaseHandle> = leases(&run).map(|(lease, tile)| LeaseHandle::new(lease, tile)).collect();
+        let holds: Vec<LeaseHandle> = run.leases().map(|(lease, tile)| LeaseHandle::new(lease, tile)).collect();
         if self.draining {
             self.pending_reports.extend(holds.iter().map(|hold| hold.report(LeaseOutcome::Released)));
             return;

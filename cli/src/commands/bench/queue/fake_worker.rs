@@ -51,11 +51,7 @@ impl FakeWorker {
 
     /// Renews the leases of a batch.
     pub(super) async fn renew(&self, batch: Option<&Batch>) -> anyhow::Result<()> {
-        let held = match batch.map(|batch| &batch.work) {
-            Some(BatchWork::Render { tiles, .. }) => tiles.iter().map(|tile| tile.lease).collect(),
-            Some(BatchWork::Stitch { lease, .. }) => vec![*lease],
-            None => Vec::new(),
-        };
+        let held = batch.into_iter().flat_map(Batch::leases).map(|(lease, _)| lease).collect();
         self.send(held, Vec::new(), false, Duration::ZERO).await.map(drop)
     }
 
@@ -93,10 +89,9 @@ impl FakeWorker {
                 }
                 Ok(reports)
             }
-            BatchWork::Render { tiles, whole_frame: true } => {
-                self.picture(&job, run.frame, tiles.iter().map(|tile| tile.lease)).await
+            BatchWork::Render { whole_frame: true, .. } | BatchWork::Stitch { .. } => {
+                self.picture(&job, run.frame, run.leases().map(|(lease, _)| lease)).await
             }
-            BatchWork::Stitch { lease, .. } => self.picture(&job, run.frame, [*lease]).await,
         }
     }
 
