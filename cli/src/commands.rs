@@ -25,6 +25,7 @@ mod pause;
 mod pool;
 mod preview;
 mod preview_helper;
+mod price;
 mod priority;
 mod relocate;
 mod render;
@@ -38,6 +39,7 @@ mod soak;
 mod status;
 mod submit;
 mod top;
+mod verify;
 mod watch;
 mod webhook;
 mod worker;
@@ -85,6 +87,8 @@ pub(crate) enum Command {
     Preview(preview::Arguments),
     /// Create a signed link to a picture, which works without a key until it expires.
     Link(link::Arguments),
+    /// Say whether a picture is what its job makes, by rendering it again.
+    Verify(verify::Arguments),
     /// Forget a wrong picture everywhere, and render the frames that showed it again.
     Forget(forget::Arguments),
     /// Remove jobs past their retention, or list them (--dry-run).
@@ -115,6 +119,8 @@ pub(crate) enum Command {
     New(new::Arguments),
     /// Check a job file: report every error with its line and column.
     Check(check::Arguments),
+    /// Say what a job would take and cost, where its time goes, and what would save most.
+    Price(price::Arguments),
     /// Format job files; their comments are kept.
     Fmt(fmt::Arguments),
     /// Say how two job files differ, and whether their pictures do.
@@ -171,6 +177,7 @@ impl Command {
             Self::Resubmit(arguments) => run_async(interruptible(resubmit::run(arguments))),
             Self::Preview(arguments) => run_async(interruptible(preview::run(arguments))),
             Self::Link(arguments) => run_async(interruptible(link::run(arguments))),
+            Self::Verify(arguments) => run_async(interruptible(verify::run(arguments))),
             Self::Forget(arguments) => run_async(interruptible(forget::run(arguments))),
             Self::Gc(arguments) => run_async(interruptible(gc::run(arguments))),
             Self::Jobs(arguments) => run_async(interruptible(jobs::run(arguments))),
@@ -186,6 +193,7 @@ impl Command {
             Self::Audit(arguments) => run_async(interruptible(audit::run(arguments))),
             Self::New(arguments) => new::run(&arguments),
             Self::Check(arguments) => check::run(&arguments),
+            Self::Price(arguments) => run_async(interruptible(price::run(arguments))),
             Self::Fmt(arguments) => fmt::run(&arguments),
             Self::Diff(arguments) => diff::run(&arguments),
             Self::Schema(arguments) => schema::run(&arguments),

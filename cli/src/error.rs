@@ -24,6 +24,11 @@ pub(crate) struct UnusableDevice(pub(crate) anyhow::Error);
 #[error("the jobs differ")]
 pub(crate) struct JobsDiffer;
 
+/// A verified picture differs: the exit code says so, and no message.
+#[derive(Debug, thiserror::Error)]
+#[error("the picture differs")]
+pub(crate) struct PictureDiffers;
+
 /// Invalid job file, with its errors.
 #[derive(Debug, thiserror::Error)]
 #[error("{} {}: {}; fix the file and try again", .file, count(.faults.len()), .consequence)]
@@ -47,7 +52,7 @@ pub(crate) fn report(error: &anyhow::Error) -> u8 {
             print_note(&line(&bad.file, fault));
         }
     }
-    if !error.is::<JobsDiffer>() {
+    if !error.is::<JobsDiffer>() && !error.is::<PictureDiffers>() {
         print_note(&format!("error: {}", message(error)));
     }
     exit_code(error)

@@ -23,6 +23,7 @@ mod signals;
 mod size;
 mod systemd;
 mod terminal;
+mod verify;
 
 use std::process::ExitCode;
 

@@ -5,11 +5,20 @@ mod canvas;
 mod coarse;
 mod cost_sample;
 mod preview;
+mod price;
 mod thumbnail;
 
+use std::time::Duration;
+
+use anyhow::Context;
 use proto::preview_helper::HelperRequest;
+use worker::image::stored::StoredPicture;
+use worker::{CancelFlag, CpuRenderer, Simd};
+
+use crate::verify::{Extent, Original, unreadable};
 
 pub(crate) use cost_sample::sample;
+pub(crate) use price::price;
 
 /// Handles a request; returns the bytes of the response.
 pub(crate) fn handle(sketch: &HelperRequest) -> anyhow::Result<Vec<u8>> {
@@ -19,6 +28,24 @@ pub(crate) fn handle(sketch: &HelperRequest) -> anyhow::Result<Vec<u8>> {
             preview::draw(&job, *frame, *width_px, tiles, &coarse::CoarseCache { file: coarse, limit_ms: *coarse_ms })
         }
         HelperRequest::Thumbnail { file, width_px } => thumbnail::draw(file, *width_px),
+        HelperRequest::Verify { job, frame, file, tiles, render_ms } => {
+            let job = scene::parse(job.as_bytes())?;
+            let file = std::fs::read(file).context("could not read the stored picture")?;
+            let original = Original::new(&job, *frame)?;
+            let checked = match StoredPicture::read(&file) {
+                Ok(stored) => {
+                    let renderer = CpuRenderer::new(None, Simd::Auto)?;
+                    let limit = Some(Duration::from_millis(*render_ms));
+                    original.check(&file, stored, Extent::Sample(*tiles), &renderer, limit, &CancelFlag::new())?
+                }
+                Err(error) => unreadable(&original, &error),
+            };
+            Ok(serde_json::to_vec(&checked.comparison)?)
+        }
+        HelperRequest::Price { job: text, threads, plan } => {
+            let job = scene::parse(text.as_bytes())?;
+            Ok(serde_json::to_vec(&price(text, &job, *threads, *plan)?)?)
+        }
         HelperRequest::MeasureCost { job, threads, render_ms } => {
             let job = scene::parse(job.as_bytes())?;
             Ok(serde_json::to_vec(&sample(&job, *threads, *render_ms)?)?)

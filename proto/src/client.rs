@@ -19,6 +19,7 @@ use crate::client_auth::{ClientAuth, ClientAuthError, server_url};
 use crate::farm::FarmView;
 use crate::job::{DryRun, JobPage, JobState, JobView};
 use crate::pool::{PoolSize, PoolView, WorkerList};
+use crate::price::Price;
 use crate::scaling::ScalingView;
 use crate::{JobId, Problem};
 
@@ -128,6 +129,12 @@ impl Client {
     /// Validates a job file without submitting it.
     pub async fn dry_run(&self, job: Vec<u8>) -> Result<DryRun, ClientError> {
         let request = self.request(Method::POST, "/v1/jobs").query(&[("dry_run", "true")]);
+        self.json(job_body::attach(request, job)).await
+    }
+
+    /// Price of a job on the farm's workers, with a map of its time if asked for.
+    pub async fn price(&self, job: Vec<u8>, has_map: bool) -> Result<Price, ClientError> {
+        let request = self.request(Method::POST, "/v1/price").query(&[("map", has_map)]);
         self.json(job_body::attach(request, job)).await
     }
 

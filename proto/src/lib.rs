@@ -18,12 +18,14 @@ pub mod link;
 pub mod plain_text;
 pub mod pool;
 pub mod preview_helper;
+pub mod price;
 pub mod problem;
 pub mod retention;
 pub mod rounding;
 pub mod scaling;
 pub mod tile;
 pub mod trace_context;
+pub mod verify;
 pub mod webhook;
 pub mod worker_protocol;
 

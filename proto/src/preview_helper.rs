@@ -35,6 +35,28 @@ pub enum HelperRequest {
         /// Maximum width of the PNG, in pixels.
         width_px: u32,
     },
+    /// A [`crate::verify::Comparison`] of a stored picture with what it should be, as JSON.
+    Verify {
+        /// The job file.
+        job: String,
+        /// The frame, from 0.
+        frame: u32,
+        /// The picture's file.
+        file: PathBuf,
+        /// Number of tiles to render again.
+        tiles: u32,
+        /// Maximum time for rendering, in milliseconds.
+        render_ms: u64,
+    },
+    /// A [`crate::price::PriceSample`] of a job, as JSON.
+    Price {
+        /// The job file.
+        job: String,
+        /// Threads to render on.
+        threads: usize,
+        /// Parts to measure, and the time for each.
+        plan: PricePlan,
+    },
     /// A [`CostSample`] of a job, as JSON.
     MeasureCost {
         /// The job file.
@@ -44,6 +66,17 @@ pub enum HelperRequest {
         /// Maximum time for rendering, in milliseconds.
         render_ms: u64,
     },
+}
+
+/// Parts of a price that are measured, each with a time limit for rendering in milliseconds; 0 leaves it out.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct PricePlan {
+    /// Time and cost.
+    pub sample_ms: u64,
+    /// Map of the time.
+    pub map_ms: u64,
+    /// Numbers that would save most.
+    pub savings_ms: u64,
 }
 
 /// Measured cost of a sample of a job's pixels.
@@ -60,6 +93,8 @@ pub struct CostSample {
     pub shared_seconds_per_frame: f64,
     /// Time that one thread needs to encode a pixel into the picture's file, in seconds.
     pub encode_seconds_per_pixel: f64,
+    /// Error of the times as a fraction of them, with a chance of 95 %: from the spread of blocks and frames.
+    pub relative_error: f64,
     /// Peak memory of the sample, in bytes.
     pub memory_bytes: u64,
 }

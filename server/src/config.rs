@@ -6,6 +6,7 @@ use std::time::Duration;
 
 use proto::Secret;
 use proto::pool::MAX_POOL_WORKERS;
+use proto::price::{DEFAULT_CURRENCY, Rates};
 
 use crate::blobs::StoreLocation;
 use crate::cluster_secret::ClusterSecret;
@@ -106,6 +107,8 @@ pub struct Config {
     pub allowed_hosts: Vec<String>,
     /// Address ranges that webhooks may reach although they are not on the public internet.
     pub allowed_webhook_ranges: Vec<AddressRange>,
+    /// Prices of the machines' time.
+    pub rates: Rates,
     /// Secret that signs webhooks; `None` means the one in the data folder.
     pub webhook_secret: Option<Secret>,
     /// Program of the local workers, called with `worker` as first argument.
@@ -164,6 +167,7 @@ impl Default for Config {
             verify_new: Duration::from_secs(60 * VERIFY_NEW_MINUTES),
             allowed_hosts: Vec::new(),
             allowed_webhook_ranges: Vec::new(),
+            rates: Rates { currency: DEFAULT_CURRENCY.to_owned(), ..Rates::default() },
             webhook_secret: None,
             worker_program: PathBuf::from("sdfarm"),
             job_retention: None,

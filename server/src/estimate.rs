@@ -4,17 +4,22 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use proto::preview_helper::{CostSample, Estimate, HelperRequest};
+use proto::preview_helper::{CostSample, Estimate, HelperRequest, PricePlan};
+use proto::price::{Price, PriceSample, Rates};
 use proto::rounding;
 
 use crate::fair_queue::{FairQueue, WaitingLimits};
 use crate::pool::Pool;
-use crate::preview_helper::PreviewHelper;
+use crate::preview_helper::{HelperError, PreviewHelper};
 use crate::queue::{Queue, ReadyWorker};
 use crate::tile_plan::TilePlan;
 
 /// Maximum time for rendering a sample, in milliseconds.
 const SAMPLE_BUDGET_MS: u64 = 700;
+/// Maximum times for rendering what a price is measured by, in milliseconds.
+const PRICE_SAMPLE_MS: u64 = 1200;
+const MAP_MS: u64 = 800;
+const SAVINGS_MS: u64 = 3000;
 /// Maximum wait for a turn; without one, the response to a dry run has no estimate.
 const MAX_WAIT: Duration = Duration::from_secs(10);
 /// Maximum number of estimates that one submitter waits for.
@@ -69,6 +74,65 @@ impl Estimator {
     }
 }
 
+/// Parts of a price that are measured besides time and cost.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct PriceParts {
+    /// Map of the time.
+    pub(crate) map: bool,
+    /// Numbers that would save most.
+    pub(crate) savings: bool,
+}
+
+impl Estimator {
+    /// Price of a job file.
+    pub(crate) async fn price(
+        &self,
+        submitter: &str,
+        text: String,
+        plan: TilePlan,
+        parts: PriceParts,
+        rates: &Rates,
+    ) -> Result<Price, HelperError> {
+        let turn = tokio::time::timeout(MAX_WAIT, self.turns.enter(submitter)).await;
+        let Ok(Ok(_turn)) = turn else { return Err(HelperError::Busy) };
+        let present = match self.queue.ready_workers().await {
+            Ok(present) => present,
+            Err(error) => {
+                tracing::warn!(%error, "pricing without the workers' speeds");
+                Vec::new()
+            }
+        };
+        let of = |wanted: bool, limit_ms: u64| if wanted { limit_ms } else { 0 };
+        let measured = PricePlan {
+            sample_ms: PRICE_SAMPLE_MS,
+            map_ms: of(parts.map, MAP_MS),
+            savings_ms: of(parts.savings, SAVINGS_MS),
+        };
+        let threads = self.threads;
+        let request = HelperRequest::Price { job: text, threads, plan: measured };
+        let PriceSample { cost: sample, map, savings, .. } = self.preview_helper.measure(&request).await?;
+        let estimate = estimate_from_sample(&sample, plan, &present, threads, self.pool.target_size());
+        let high = 1.0 + sample.relative_error;
+        let gpus: Vec<&ReadyWorker> = present.iter().filter(|worker| worker.device.starts_with("cuda")).collect();
+        let gpu_rate: f64 = gpus.iter().filter_map(|worker| worker.rays_per_second).sum();
+        // The part of the rays that GPUs would render, and their time for it.
+        let gpu_seconds = estimate.seconds.unwrap_or(0.0) * gpus.len() as f64;
+        let by_gpus = estimate.seconds.map_or(0.0, |seconds| (gpu_rate * seconds / estimate.rays as f64).min(1.0));
+        let gpu_seconds = if gpu_rate > 0.0 { gpu_seconds } else { 0.0 };
+        Ok(Price {
+            seconds: estimate.seconds,
+            seconds_low: estimate.seconds.map(|seconds| rounding::seconds(seconds / high)),
+            seconds_high: estimate.seconds.map(|seconds| rounding::seconds(seconds * high)),
+            core_seconds: estimate.core_seconds,
+            relative_error: rounding::fraction(sample.relative_error),
+            cost: rates.cost(estimate.core_seconds * (1.0 - by_gpus), gpu_seconds),
+            sample_rays: sample.rays,
+            map,
+            savings,
+        })
+    }
+}
+
 /// Scales a sample to workers; the pool's CPU workers share `threads` threads.
 fn estimate_from_sample(
     sample: &CostSample,
@@ -110,6 +174,7 @@ mod tests {
         setup_seconds_per_tile: 0.03125,
         shared_seconds_per_frame: 0.0,
         encode_seconds_per_pixel: 1e-6,
+        relative_error: 0.1,
         memory_bytes: 7,
     };
 

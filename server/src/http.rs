@@ -23,6 +23,7 @@ mod pause;
 mod pool;
 mod prefer;
 mod previews;
+mod price;
 mod quota;
 mod range;
 mod request_id;
@@ -34,6 +35,7 @@ mod state;
 mod submission;
 mod submit_options;
 mod trace_context;
+mod verify;
 mod webhooks;
 mod worker_protocol;
 
@@ -53,6 +55,7 @@ routes::table! {
     described {
         GET    "/"                                          PUBLIC     MINUTE Nothing start_page::get;
         POST   "/v1/jobs"                                   SUBMIT     NONE   NewJob  jobs::submit;
+        POST   "/v1/price"                                  SUBMIT     MINUTE Nothing price::price;
         GET    "/v1/jobs"                                   READ_OWN   MINUTE Nothing jobs::list;
         GET    "/v1/jobs/{id}"                              READ_OWN   MINUTE Nothing jobs::get;
         PATCH  "/v1/jobs/{id}"                              CHANGE_OWN MINUTE Work    job_changes::patch;
@@ -74,6 +77,7 @@ routes::table! {
         GET    "/v1/jobs/{id}/frames/{frame}/image"         READ_OWN   MINUTE Nothing images::frame;
         GET    "/v1/jobs/{id}/frames/{frame}/preview"       READ_OWN   MINUTE Nothing previews::preview;
         GET    "/v1/jobs/{id}/frames/{frame}/thumbnail"     READ_OWN   MINUTE Nothing previews::thumbnail;
+        POST   "/v1/jobs/{id}/frames/{frame}/verify"        READ_OWN   MINUTE Nothing verify::verify;
         POST   "/v1/jobs/{id}/frames/{frame}/link"          READ_OWN   MINUTE Work    links::sign;
         GET    "/v1/pictures/{id}/{frame}/{content}"        PUBLIC     MINUTE Nothing links::follow;
         DELETE "/v1/pictures/{hash}"                        ADMIN      MINUTE Admin   images::forget;

@@ -130,19 +130,7 @@ impl JobCache {
         Err(JobLoadError::Thread)
     }
 
-    /// Cache key of a frame's picture; for an animated job this copies the scene.
-    pub(crate) async fn picture_key(
-        &self,
-        reader: Reader<'_>,
-        job: &Arc<scene::Job>,
-        frame: u32,
-    ) -> Result<String, JobLoadError> {
-        let (moves, job) = (job.is_animated(), Arc::clone(job));
-        let key = move || job.cache_key(frame).to_hex().to_string();
-        if moves { self.run(reader, key).await } else { Ok(key()) }
-    }
-
-    /// Opening of a frame of a job with this number and plan.
+    /// Opening of a frame of a job with this number and plan; for an animated job this copies the scene.
     pub(crate) async fn frame_opening(
         &self,
         reader: Reader<'_>,
@@ -151,8 +139,14 @@ impl JobCache {
         frame: u32,
         plan: TilePlan,
     ) -> Result<FrameOpening, JobLoadError> {
-        let picture_key = self.picture_key(reader, job, frame).await?;
-        Ok(FrameOpening { job: number, frame, picture_key, tiles: plan.tiles(), samples: plan.samples })
+        let (moves, at) = (job.is_animated(), Arc::clone(job));
+        let keys = move || match at.at(frame) {
+            Ok(still) => (still.cache_key(), Some(still.scene_hash().to_hex().to_string())),
+            Err(_) => (at.cache_key(frame), None),
+        };
+        let (key, scene) = if moves { self.run(reader, keys).await? } else { keys() };
+        let picture_key = key.to_hex().to_string();
+        Ok(FrameOpening { job: number, frame, picture_key, scene, tiles: plan.tiles(), samples: plan.samples })
     }
 
     /// Expected picture of a frame; for an animated job this copies the scene.

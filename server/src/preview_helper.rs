@@ -14,6 +14,7 @@ use std::time::{Duration, SystemTime};
 use bytes::Bytes;
 use proto::JobId;
 use proto::preview_helper::{self, CostSample, HelperRequest};
+use serde::de::DeserializeOwned;
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::process::{Child, Command};
 
@@ -119,8 +120,25 @@ impl PreviewHelper {
         Ok(picture)
     }
 
+    /// Response to a request that is made in the turn of its submitter, and never cached.
+    pub(crate) async fn answer(
+        &self,
+        submitter: &str,
+        request: impl Future<Output = Result<(HelperRequest, LocalCopies), HelperError>>,
+    ) -> Result<Vec<u8>, HelperError> {
+        let _turn = self.turn(submitter).await?;
+        let made = tokio::time::timeout(TIME_LIMIT, request).await;
+        let (request, _copies) = made.map_err(|_| HelperError::TimedOut).flatten()?;
+        self.run(&request).await
+    }
+
     /// Measures a sample of a job.
     pub(crate) async fn sample(&self, request: &HelperRequest) -> Result<CostSample, HelperError> {
+        self.measure(request).await
+    }
+
+    /// Measures a job in the turn of estimates.
+    pub(crate) async fn measure<T: DeserializeOwned>(&self, request: &HelperRequest) -> Result<T, HelperError> {
         let _turn = self.turn(ESTIMATES).await?;
         let answer = self.run(request).await?;
         serde_json::from_slice(&answer).map_err(|error| HelperError::Failed(error.to_string()))

@@ -56,6 +56,11 @@ impl CpuRenderer {
         Ok(self.kernel(&job.at(frame)?)?.table().is_some())
     }
 
+    /// Runs work on a thread of its own pool, where its renders run too: with one thread, all on that one.
+    pub fn on_thread<T: Send>(&self, work: impl FnOnce() -> T + Send) -> T {
+        self.threads.install(work)
+    }
+
     /// Number of threads.
     pub fn threads(&self) -> usize {
         self.threads.current_num_threads()

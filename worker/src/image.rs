@@ -6,6 +6,7 @@ pub mod encoders;
 pub mod exr;
 pub mod metadata;
 pub mod png;
+pub mod stored;
 
 use std::io::{self, Seek, Write};
 

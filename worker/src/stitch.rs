@@ -35,7 +35,26 @@ impl RowBand {
         &self.planes[plane][row * self.width..][..self.width]
     }
 
-    fn reset(&mut self, rows: Range<u32>) {
+    /// Band of the rows of a tile in a picture of this width; beside the tile it is 0.
+    pub(crate) fn of_tile(width: u32, tile: &TilePixels) -> Self {
+        let Rect { x, y, width: columns, height } = tile.rect;
+        let mut band = Self::new(width, tile.planes.len());
+        band.reset(y..y + height);
+        for (plane, samples) in tile.planes.iter().enumerate() {
+            for (row, samples) in samples.chunks_exact(columns as usize).enumerate() {
+                band.row_mut(plane, row)[x as usize..][..columns as usize].copy_from_slice(samples);
+            }
+        }
+        band
+    }
+
+    /// One row of one plane, to be written; the row is counted from the band's top.
+    pub(crate) fn row_mut(&mut self, plane: usize, row: usize) -> &mut [f32] {
+        &mut self.planes[plane][row * self.width..][..self.width]
+    }
+
+    /// Makes room for these rows.
+    pub(crate) fn reset(&mut self, rows: Range<u32>) {
         let length = rows.len() * self.width;
         for plane in &mut self.planes {
             plane.resize(length, 0.0);

@@ -1,6 +1,6 @@
 //! `sdfarm check`: reports every error of a job file, or its warnings and what would be rendered.
 
-mod size;
+pub(crate) mod size;
 
 use clap::Args;
 use proto::problem::ValidationErrorView;

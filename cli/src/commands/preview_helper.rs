@@ -43,7 +43,9 @@ pub(crate) fn run() -> anyhow::Result<()> {
 fn set_limits(sketch: &HelperRequest) -> anyhow::Result<()> {
     let niceness = match sketch {
         HelperRequest::Preview { .. } | HelperRequest::Thumbnail { .. } => DRAWING_NICENESS,
-        HelperRequest::MeasureCost { .. } => SAMPLE_NICENESS,
+        HelperRequest::MeasureCost { .. } | HelperRequest::Price { .. } | HelperRequest::Verify { .. } => {
+            SAMPLE_NICENESS
+        }
     };
     nice(niceness).context("could not lower this process's priority")?;
     match sketch {
@@ -51,6 +53,6 @@ fn set_limits(sketch: &HelperRequest) -> anyhow::Result<()> {
             let most = Some(MAX_HELPER_BYTES);
             setrlimit(Resource::As, Rlimit { current: most, maximum: most }).context("could not limit memory")
         }
-        HelperRequest::MeasureCost { .. } => Ok(()),
+        HelperRequest::MeasureCost { .. } | HelperRequest::Price { .. } | HelperRequest::Verify { .. } => Ok(()),
     }
 }

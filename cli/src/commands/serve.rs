@@ -17,6 +17,7 @@ use tokio_util::sync::CancellationToken;
 use worker::{CpuRenderer, RenderError, Simd};
 
 use crate::arguments::{DeviceChoice, MAX_THREADS, simd_parser};
+use crate::commands::price::RateArguments;
 use crate::signals::Signals;
 use crate::size::Size;
 use crate::systemd;
@@ -125,6 +126,8 @@ pub(crate) struct Arguments {
     /// 10.0.0.0/8.
     #[arg(long, value_name = "RANGE", env = "SDFARM_ALLOW_WEBHOOK_TO", value_delimiter = ',')]
     allow_webhook_to: Vec<AddressRange>,
+    #[command(flatten)]
+    rates: RateArguments,
     /// Secret that signs webhooks: whsec_ and base64 [default: created once, stored in the data folder].
     #[arg(long, value_name = "SECRET", env = "SDFARM_WEBHOOK_SECRET", hide_env_values = true)]
     webhook_secret: Option<Secret>,
@@ -167,6 +170,7 @@ impl Arguments {
             },
             max_store_bytes: self.max_store.map(|Size(bytes)| bytes),
             allowed_webhook_ranges: self.allow_webhook_to,
+            rates: self.rates.rates(),
             webhook_secret: self.webhook_secret,
             worker_program: current_executable()?,
             worker_env,

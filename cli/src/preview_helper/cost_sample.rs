@@ -4,7 +4,6 @@
 //! It measures CPU time rather than elapsed time, because the farm may be busy.
 
 use std::io::Cursor;
-use std::sync::Mutex;
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 use std::sync::mpsc::{self, RecvTimeoutError};
 use std::time::{Duration, Instant};
@@ -12,13 +11,14 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, ensure};
 use proto::Rect;
 use proto::preview_helper::CostSample;
+use rustix::time::{ClockId, clock_gettime};
 use scene::{Integrator, Job};
 use worker::image::{Encoders, PictureSpec};
 use worker::stitch::TileRows;
 use worker::{CancelFlag, CpuRenderer, Renderer, Simd, TilePixels, TileRequest};
 
 /// Edge of a block, in pixels.
-const BLOCK_PX: u32 = 16;
+pub(super) const BLOCK_PX: u32 = 16;
 /// In each square with this edge, one block is rendered: a sixteenth.
 const CELL_PX: u32 = 64;
 /// Maximum rays per pixel of a sample; more would add little precision.
@@ -35,9 +35,13 @@ pub(crate) fn sample(job: &Job, threads: usize, render_ms: u64) -> anyhow::Resul
     let limit = Duration::from_millis(render_ms) / count;
     let first = CpuRenderer::new(Some(1), Simd::Auto)?;
     let renderers: Vec<CpuRenderer> = (0..threads.max(1)).map(|_| first.sharing(1)).collect::<Result<_, _>>()?;
-    let mut sum = FrameCost::default();
+    let mut costs = Vec::new();
     for index in 0..count {
-        sum.add(&measure(job, spread(index) as u32, &renderers, limit)?);
+        costs.push(measure(job, spread(index) as u32, &renderers, limit)?);
+    }
+    let mut sum = FrameCost::default();
+    for cost in &costs {
+        sum.add(cost);
     }
     let frames = f64::from(count);
     ensure!(sum.rays > 0, "its pixels take too long to render a sample of them");
@@ -48,6 +52,7 @@ pub(crate) fn sample(job: &Job, threads: usize, render_ms: u64) -> anyhow::Resul
         setup_seconds_per_tile: sum.setup_seconds / frames,
         shared_seconds_per_frame: sum.shared_seconds / frames,
         encode_seconds_per_pixel: sum.encode_seconds_per_pixel / frames,
+        relative_error: relative_error(&costs, job.frames.count),
         memory_bytes: peak_memory_bytes() + frame_bytes.min(MAX_FRAME_BYTES),
     })
 }
@@ -60,6 +65,10 @@ struct FrameCost {
     setup_seconds: f64,
     shared_seconds: f64,
     encode_seconds_per_pixel: f64,
+    /// Variance of the estimate of `seconds_per_ray`, from the spread of its blocks.
+    variance: f64,
+    /// Fraction of the frame's time that is for what its tiles share, which is only roughly known.
+    shared_fraction: f64,
 }
 
 impl FrameCost {
@@ -89,15 +98,25 @@ fn measure(job: &Job, frame: u32, renderers: &[CpuRenderer], limit: Duration) ->
     let rects = blocks(job.image.width, job.image.height);
     let first = renderers.first().context("there is a renderer")?;
     let (all, shared_seconds) = if first.has_cells(&job, frame)? {
-        let making = Pass::render(&job, frame, renderers, limit / 2, &rects)?;
-        // With the cells that exist by then, also for blocks that were not finished.
-        let begun = &rects[..rects.len().min(making.blocks.len().max(renderers.len()))];
-        let again = || Pass::render(&job, frame, renderers, limit / 4, begun);
+        // Cells are made by one ray a pixel nearly as much as by several, so that this reaches more of them.
+        let mut single = job.clone();
+        if single.image.layers.is_empty() {
+            single.image.samples = 1;
+        }
+        first.has_cells(&single, frame)?;
+        let making = Pass::render(&single, frame, renderers, limit / 2, &rects)?;
+        // What was not finished would still make cells.
+        let mut finished: Vec<Rect> = making.blocks.iter().map(|block| block.pixels.rect).collect();
+        if finished.is_empty() {
+            finished.extend(rects.first());
+        }
+        let made = Pass::render(&single, frame, renderers, limit / 6, &finished)?;
+        let again = || Pass::render(&job, frame, renderers, limit / 6, &finished);
         let passes = [again()?, again()?].into_iter().filter(|pass| pass.rays > 0);
         match passes.min_by(|a, b| a.seconds_per_ray(0.0).total_cmp(&b.seconds_per_ray(0.0))) {
             Some(pass) => {
                 let frame_blocks = job.image.pixels() as f64 / f64::from(BLOCK_PX * BLOCK_PX);
-                let shared_seconds = making.shared_seconds(pass.seconds_per_ray(0.0), frame_blocks);
+                let shared_seconds = making.shared_seconds(made.seconds_per_ray(0.0), frame_blocks);
                 (pass, shared_seconds)
             }
             None => (making, 0.0),
@@ -106,69 +125,142 @@ fn measure(job: &Job, frame: u32, renderers: &[CpuRenderer], limit: Duration) ->
         (Pass::render(&job, frame, renderers, limit, &rects)?, 0.0)
     };
     let (rays, seconds_per_ray) = (all.rays, all.seconds_per_ray(program_seconds));
-    let encode_seconds_per_pixel = encode(picture, all.blocks)?;
-    Ok(FrameCost { rays, seconds_per_ray, setup_seconds, shared_seconds, encode_seconds_per_pixel })
+    let variance = all.variance(rects.len());
+    let rendering = seconds_per_ray * job.image.rays() as f64;
+    let shared_fraction = shared_seconds / (shared_seconds + rendering).max(f64::MIN_POSITIVE);
+    let blocks = all.blocks.into_iter().map(|block| block.pixels).collect();
+    let encode_seconds_per_pixel = encode(picture, blocks)?;
+    Ok(FrameCost {
+        rays,
+        seconds_per_ray,
+        setup_seconds,
+        shared_seconds,
+        encode_seconds_per_pixel,
+        variance,
+        shared_fraction,
+    })
+}
+
+/// Error of the estimate from these frames of an animation, as a fraction, with a chance of 95 %.
+fn relative_error(costs: &[FrameCost], frames: u32) -> f64 {
+    /// Part that no spread shows: the state of the machine, and the parts that are not sampled.
+    const SYSTEMATIC: f64 = 0.1;
+    /// Error of the time for cells, as a fraction of it.
+    const SHARED: f64 = 0.4;
+    /// Half the width of a range of 95 %, in standard deviations.
+    const DEVIATIONS: f64 = 1.96;
+    let count = costs.len() as f64;
+    let mean = costs.iter().map(|cost| cost.seconds_per_ray).sum::<f64>() / count;
+    if mean <= 0.0 {
+        return 1.0;
+    }
+    let within = costs.iter().map(|cost| cost.variance).sum::<f64>() / (count * count);
+    let squares: f64 = costs.iter().map(|cost| (cost.seconds_per_ray - mean).powi(2)).sum();
+    let unseen = 1.0 - count / f64::from(frames);
+    let between = if count > 1.0 { squares / (count - 1.0) / count * unseen } else { 0.0 };
+    let shared = costs.iter().map(|cost| cost.shared_fraction).sum::<f64>() / count * SHARED;
+    let spread = DEVIATIONS * (within + between).sqrt() / mean;
+    (spread.powi(2) + shared.powi(2) + SYSTEMATIC.powi(2)).sqrt().min(1.0)
+}
+
+/// A finished block.
+#[derive(Debug)]
+pub(super) struct Block {
+    pub(super) pixels: TilePixels,
+    /// CPU time, in seconds.
+    pub(super) seconds: f64,
 }
 
 /// Rays and finished blocks, and the CPU time of all threads for them, in seconds.
 #[derive(Debug)]
-struct Pass {
-    rays: u64,
-    seconds: f64,
-    blocks: Vec<TilePixels>,
+pub(super) struct Pass {
+    pub(super) rays: u64,
+    pub(super) seconds: f64,
+    pub(super) blocks: Vec<Block>,
 }
 
 impl Pass {
-    /// Renders blocks until the time limit, on all renderers at once.
-    fn render(
+    /// Renders blocks until each thread has used the time limit, on all renderers at once; on a busy machine for at most twice
+    /// that time.
+    pub(super) fn render(
         job: &Job,
         frame: u32,
         renderers: &[CpuRenderer],
         limit: Duration,
         rects: &[Rect],
     ) -> anyhow::Result<Self> {
-        let (rays, done, next) = (AtomicU64::new(0), Mutex::new(Vec::new()), AtomicUsize::new(0));
-        let before = cpu_seconds();
+        let next = AtomicUsize::new(0);
         let start = Instant::now();
         let cancel = CancelFlag::new();
         let (finished, over) = mpsc::channel::<()>();
-        std::thread::scope(|scope| {
+        let passes = std::thread::scope(|scope| {
             let flag = cancel.clone();
             // A block that takes too long is cancelled.
             scope.spawn(move || {
-                if over.recv_timeout(limit * 2) == Err(RecvTimeoutError::Timeout) {
+                if over.recv_timeout(limit * 3) == Err(RecvTimeoutError::Timeout) {
                     flag.cancel();
                 }
             });
-            let (rays, done, next, cancel) = (&rays, &done, &next, &cancel);
+            let (next, cancel) = (&next, &cancel);
             let work = move |renderer: &CpuRenderer| {
-                while start.elapsed() < limit {
+                let mut pass = Self { rays: 0, seconds: 0.0, blocks: Vec::new() };
+                while pass.seconds < limit.as_secs_f64() && start.elapsed() < limit * 2 {
                     let Some(&rect) = rects.get(next.fetch_add(1, Ordering::Relaxed)) else { break };
+                    let rays = AtomicU64::new(0);
                     let count = |more: u64| {
                         rays.fetch_add(more, Ordering::Relaxed);
                     };
-                    match renderer.render(&TileRequest { job, frame, rect }, cancel, &count) {
-                        Ok(pixels) => done.lock().expect("no holder panics").push(pixels),
+                    let before = thread_seconds();
+                    let rendered = renderer.render(&TileRequest { job, frame, rect }, cancel, &count);
+                    let seconds = thread_seconds() - before;
+                    // The rays of a cancelled block count as well: it is the expensive ones that are cancelled.
+                    pass.rays += rays.into_inner();
+                    pass.seconds += seconds;
+                    match rendered {
+                        Ok(pixels) => pass.blocks.push(Block { pixels, seconds }),
                         Err(worker::RenderError::Cancelled) => break,
                         Err(error) => return Err(error),
                     }
                 }
-                Ok(())
+                Ok(pass)
             };
-            let threads: Vec<_> = renderers.iter().map(|renderer| scope.spawn(move || work(renderer))).collect();
+            let run = move |renderer: &CpuRenderer| renderer.on_thread(|| work(renderer));
+            let threads: Vec<_> = renderers.iter().map(|renderer| scope.spawn(move || run(renderer))).collect();
             let ended: Vec<_> = threads.into_iter().map(std::thread::ScopedJoinHandle::join).collect();
             drop(finished);
-            for end in ended {
-                end.map_err(|_| anyhow::anyhow!("a rendering thread panicked"))?
-                    .context("could not render a sample")?;
-            }
-            anyhow::Ok(())
+            let ended = ended.into_iter().map(|end| {
+                end.map_err(|_| anyhow::anyhow!("a rendering thread panicked"))?.context("could not render a sample")
+            });
+            ended.collect::<anyhow::Result<Vec<Self>>>()
         })?;
-        let seconds = match (before, cpu_seconds()) {
-            (Some(before), Some(after)) => after - before,
-            _ => start.elapsed().as_secs_f64() * renderers.len() as f64,
+        let mut all = Self { rays: 0, seconds: 0.0, blocks: Vec::new() };
+        for pass in passes {
+            all.rays += pass.rays;
+            all.seconds += pass.seconds;
+            all.blocks.extend(pass.blocks);
+        }
+        Ok(all)
+    }
+
+    /// Variance of the mean time of a ray, where these are some of `total` blocks. Few blocks say little of their own spread.
+    fn variance(&self, total: usize) -> f64 {
+        let per_ray = |block: &Block| {
+            let rays = block.pixels.rect.pixels() as f64 * self.rays as f64 / self.pixels().max(1.0);
+            block.seconds / rays.max(1.0)
         };
-        Ok(Self { rays: rays.into_inner(), seconds, blocks: done.into_inner().expect("no holder panics") })
+        let count = self.blocks.len() as f64;
+        let mean = self.blocks.iter().map(per_ray).sum::<f64>() / count.max(1.0);
+        if self.blocks.len() < 2 {
+            return self.seconds_per_ray(0.0).powi(2);
+        }
+        let squares: f64 = self.blocks.iter().map(|block| (per_ray(block) - mean).powi(2)).sum();
+        // A block stands for the cell around it, of which it shows a sixteenth.
+        let shown = count / total.max(1) as f64 / 16.0;
+        squares / (count - 1.0) / count * (1.0 - shown) * (1.0 + 5.0 / count)
+    }
+
+    fn pixels(&self) -> f64 {
+        self.blocks.iter().map(|block| block.pixels.rect.pixels() as f64).sum()
     }
 
     /// CPU time of a ray, without that for preparing each block.
@@ -188,7 +280,7 @@ impl Pass {
 }
 
 /// Returns a block in each cell of a picture, ordered so that the first few are spread all over it.
-fn blocks(width: u32, height: u32) -> Vec<Rect> {
+pub(super) fn blocks(width: u32, height: u32) -> Vec<Rect> {
     let mut dice = 0x9e37_79b9_7f4a_7c15_u64;
     let mut roll = |sides: u32| {
         dice = dice.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
@@ -227,14 +319,10 @@ fn encode(mut picture: PictureSpec, mut blocks: Vec<TilePixels>) -> anyhow::Resu
     Ok(start.elapsed().as_secs_f64() / Rect::full(picture.width, picture.height).pixels() as f64)
 }
 
-/// CPU time of this process's threads, in seconds; `None` if the system does not report it.
-fn cpu_seconds() -> Option<f64> {
-    let mut nanoseconds = 0_u64;
-    for task in std::fs::read_dir("/proc/self/task").ok()?.flatten() {
-        let text = std::fs::read_to_string(task.path().join("schedstat")).ok()?;
-        nanoseconds += text.split_whitespace().next()?.parse::<u64>().ok()?;
-    }
-    Some(nanoseconds as f64 / 1e9)
+/// CPU time of this thread, in seconds.
+fn thread_seconds() -> f64 {
+    let time = clock_gettime(ClockId::ThreadCPUTime);
+    time.tv_sec as f64 + time.tv_nsec as f64 / 1e9
 }
 
 /// Peak memory of this process, in bytes; 0 if the system does not report it.

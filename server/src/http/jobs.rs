@@ -16,8 +16,9 @@ use super::content_encoding::ContentEncoding;
 use super::error::ApiError;
 use super::prefer::JobWaiter;
 use super::submission::{Intake, Submission};
+use crate::blobs::ContentHash;
 use crate::orphans::Orphans;
-use crate::queue::{CancelOutcome, Queue};
+use crate::queue::{CancelOutcome, PictureMark, Queue};
 use crate::space_reserve::SpaceReserve;
 
 /// Default number of jobs on a page.
@@ -30,6 +31,8 @@ const MAX_PAGE: u32 = 1000;
 struct ListQuery {
     state: Option<JobState>,
     r#match: Option<String>,
+    picture: Option<String>,
+    scene: Option<String>,
     limit: Option<u32>,
     cursor: Option<String>,
 }
@@ -86,13 +89,16 @@ pub(super) async fn submit(
 
 /// List jobs, newest first.
 ///
-/// With `match`, lists only jobs with that name or that part of an id. A key with scope submit but not read lists only
+/// With `match`, lists only jobs with that name or that part of an id; with `picture` or `scene`, those that have this
+/// picture, or one of this scene, as the provenance in a picture's file names it. A key with scope submit but not read lists only
 /// jobs of its own name.
 #[utoipa::path(
     get, path = "/v1/jobs", tag = "jobs", operation_id = "list_jobs",
     params(
         ("state" = Option<String>, Query, description = "Only jobs in this state: queued, running, succeeded, failed, cancelled"),
         ("match" = Option<String>, Query, description = "Only jobs with this id, with an id that starts or ends with this text (4 characters or more), or with this name; `latest` is the newest job. Can be combined with `limit` only"),
+        ("picture" = Option<String>, Query, description = "Only jobs with a picture whose bytes have this BLAKE3, in hex. Can be combined with `limit` only"),
+        ("scene" = Option<String>, Query, description = "Only jobs with a picture of the scene with this BLAKE3, in hex. Can be combined with `limit` only"),
         ("limit" = Option<u32>, Query, description = "Jobs on the page", minimum = 1, maximum = 1000),
         ("cursor" = Option<String>, Query, description = "`next_cursor` of the page before"),
     ),
@@ -106,6 +112,25 @@ pub(super) async fn list(State(queue): State<Queue>, caller: Caller, uri: Uri) -
     let limit = query.limit.unwrap_or(DEFAULT_PAGE_SIZE);
     if !(1..=MAX_PAGE).contains(&limit) {
         return Err(ApiError::WrongQuery(format!("limit is {limit}, but must be from 1 to {MAX_PAGE}")));
+    }
+    let mark = match (&query.picture, &query.scene) {
+        (None, None) => None,
+        (Some(hash), None) => Some((hash, PictureMark::Bytes(hash))),
+        (None, Some(hash)) => Some((hash, PictureMark::Scene(hash))),
+        (Some(_), Some(_)) => {
+            return Err(ApiError::WrongQuery("picture cannot be combined with scene: remove one".into()));
+        }
+    };
+    if let Some((hash, mark)) = mark {
+        if query.state.is_some() || query.cursor.is_some() || query.r#match.is_some() {
+            return Err(ApiError::WrongQuery(
+                "picture and scene can be combined with limit only: remove state, cursor and match".into(),
+            ));
+        }
+        if ContentHash::parse(hash).is_none() {
+            return Err(ApiError::WrongHash(hash.clone()));
+        }
+        return Ok(Json(queue.jobs_of_picture(caller.visible_submitter(), mark, limit).await?));
     }
     if let Some(text) = query.r#match {
         if query.state.is_some() || query.cursor.is_some() {

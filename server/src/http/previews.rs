@@ -214,7 +214,7 @@ impl Previews {
     }
 
     /// Stored content as files that the helper can read.
-    async fn copies(&self, kind: ContentKind, names: &[String]) -> Result<LocalCopies, ContentError> {
+    pub(super) async fn copies(&self, kind: ContentKind, names: &[String]) -> Result<LocalCopies, ContentError> {
         LocalCopies::fetch(&self.content, self.preview_helper.folder(), kind, names).await
     }
 }

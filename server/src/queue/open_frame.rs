@@ -15,6 +15,8 @@ pub(crate) struct FrameOpening {
     pub(crate) frame: u32,
     /// Cache key of the frame's picture.
     pub(crate) picture_key: String,
+    /// Hash of its scene, by which the picture's file leads here.
+    pub(crate) scene: Option<String>,
     /// The frame's tiles.
     pub(crate) tiles: Vec<Rect>,
     /// Rays per pixel.
@@ -43,10 +45,11 @@ pub(super) async fn open(
         settled @ (OpenOutcome::Stored | OpenOutcome::Stale) => return Ok(settled),
     }
     count_opened(connection, opening).await?;
-    db::query("INSERT INTO frame (job, number, state, picture_key, tiles_total) VALUES (?, ?, 'open', ?, ?)")
+    db::query("INSERT INTO frame (job, number, state, picture_key, scene, tiles_total) VALUES (?, ?, 'open', ?, ?, ?)")
         .bind(opening.job)
         .bind(opening.frame)
         .bind(&opening.picture_key)
+        .bind(&opening.scene)
         .bind(row_count(opening.tiles.len()))
         .execute(&mut *connection)
         .await?;
@@ -92,14 +95,15 @@ pub(super) async fn open_from_cache(
         return Ok(OpenOutcome::Open);
     }
     let stored = db::query(
-        "INSERT INTO frame (job, number, state, picture_key, tiles_total, tiles_done, picture, size_bytes)
-         SELECT ?1, ?2, 'stored', key, ?3, ?3, hash, size_bytes FROM picture WHERE key = ?4
+        "INSERT INTO frame (job, number, state, picture_key, scene, tiles_total, tiles_done, picture, size_bytes)
+         SELECT ?1, ?2, 'stored', key, CAST(?5 AS TEXT), ?3, ?3, hash, size_bytes FROM picture WHERE key = ?4
          RETURNING picture, size_bytes",
     )
     .bind(opening.job)
     .bind(opening.frame)
     .bind(row_count(opening.tiles.len()))
     .bind(&opening.picture_key)
+    .bind(&opening.scene)
     .fetch_optional(&mut *connection)
     .await?;
     let Some(stored) = stored else { return Ok(OpenOutcome::Open) };

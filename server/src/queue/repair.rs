@@ -164,6 +164,7 @@ async fn reopen(connection: &mut Connection, lost: &LostFrame) -> Result<()> {
         job: lost.job,
         frame: lost.frame,
         picture_key: lost.picture_key.clone(),
+        scene: None,
         tiles: lost.plan.tiles(),
         samples: lost.plan.samples,
     };

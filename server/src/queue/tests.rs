@@ -168,7 +168,7 @@ fn new_job(frames: u32) -> NewJob {
 /// Opening of a frame, whose key belongs to it alone.
 fn opening(job: i64, frame: u32, plan: TilePlan) -> FrameOpening {
     let picture_key = format!("key {job} {frame}");
-    FrameOpening { job, frame, picture_key, tiles: plan.tiles(), samples: plan.samples }
+    FrameOpening { job, frame, picture_key, scene: None, tiles: plan.tiles(), samples: plan.samples }
 }
 
 fn speed(rays_per_second: f64) -> Option<RaysPerSecond> {

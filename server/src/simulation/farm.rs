@@ -200,7 +200,7 @@ impl SimulatedFarm {
             let NextWork::OpenFrame { job, frame, plan } = outcome.next else { break outcome.next };
             let (picture_key, tiles) = (format!("{job} {frame}"), plan.tiles());
             input = input.without_reports();
-            input.opening = Some(FrameOpening { job, frame, picture_key, tiles, samples: plan.samples });
+            input.opening = Some(FrameOpening { job, frame, picture_key, scene: None, tiles, samples: plan.samples });
         };
         if let Some(mut run) = run {
             run.leases.retain(|(lease, _)| !revoked.contains(lease));

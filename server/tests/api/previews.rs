@@ -22,6 +22,42 @@ async fn previews_of_missing_jobs_and_frames_are_rejected() {
 }
 
 #[tokio::test]
+async fn verifications_and_searches_by_picture_are_checked() {
+    let farm = Farm::start().await;
+    let job = farm.submit(&small_job(1)).await.id;
+    let verify = async |path: &str| farm.post(&format!("/v1/jobs/{path}"), String::new()).await;
+    refused(verify(&format!("{job}/frames/1/verify")).await, 404, "unknown_frame").await;
+    refused(verify("nobody/frames/0/verify").await, 404, "unknown_job").await;
+    refused(verify(&format!("{job}/frames/0/verify")).await, 404, "picture_not_stored").await;
+    for query in ["tiles=65", "tiles=-1", "tile=1"] {
+        refused(verify(&format!("{job}/frames/0/verify?{query}")).await, 422, "wrong_query").await;
+    }
+    farm.worker("one").await.work_off().await;
+    let answer: proto::verify::Verification =
+        read(verify(&format!("{job}/frames/0/verify?tiles=0")).await, StatusCode::OK).await;
+    assert!(answer.same && answer.tiles_checked == 0 && answer.tiles_total > 0, "{answer:?}");
+    let makers = answer.made_by.expect("its leases are kept");
+    assert_eq!((makers.len(), makers[0].worker.as_str()), (1, "one"));
+    let scene = answer.scene.expect("recorded");
+    let frames: proto::frame::FramePage = read(farm.get(&format!("/v1/jobs/{job}/frames")).await, StatusCode::OK).await;
+    let picture = frames.frames[0].picture.clone().expect("stored");
+    for (query, count) in [
+        (format!("scene={scene}"), 1),
+        (format!("picture={picture}&limit=5"), 1),
+        (format!("scene={picture}"), 0),
+        (format!("picture={scene}"), 0),
+    ] {
+        let page: proto::job::JobPage = read(farm.get(&format!("/v1/jobs?{query}")).await, StatusCode::OK).await;
+        assert_eq!(page.jobs.len(), count, "{query}");
+    }
+    for query in [format!("scene={scene}&picture={picture}"), format!("scene={scene}&state=queued")] {
+        refused(farm.get(&format!("/v1/jobs?{query}")).await, 422, "wrong_query").await;
+    }
+    refused(farm.get("/v1/jobs?scene=x").await, 422, "wrong_hash").await;
+    farm.stop().await;
+}
+
+#[tokio::test]
 async fn a_failing_helper_affects_only_the_preview() {
     for program in ["/nonexistent/sdfarm", "/bin/false", "/bin/cat"] {
         let folder = tempfile::tempdir().expect("a temporary folder");

@@ -162,15 +162,33 @@ fn text(ascii: &str) -> Text {
 fn append(row: &[f32], sample: SampleType, halves: &mut Vec<f16>, bytes: &mut Vec<u8>) {
     match sample {
         SampleType::F16 => {
-            let clean: Vec<f32> = row.iter().map(|&value| canonical_float(value)).collect();
-            halves.resize(row.len(), f16::ZERO);
-            halves.convert_from_f32_slice(&clean);
-            // A half rounds small negatives to -0.0 again.
-            bytes.extend(halves.iter().flat_map(|&half| if half == f16::ZERO { [0; 2] } else { half.to_ne_bytes() }));
+            to_halves(row, halves);
+            bytes.extend(halves.iter().flat_map(|half| half.to_ne_bytes()));
         }
         SampleType::F32 => bytes.extend(row.iter().flat_map(|&value| canonical_float(value).to_ne_bytes())),
         SampleType::U32 => unreachable!("no channel is an integer"),
     }
+}
+
+/// Rounds a row to halves.
+fn to_halves(row: &[f32], halves: &mut Vec<f16>) {
+    let clean: Vec<f32> = row.iter().map(|&value| canonical_float(value)).collect();
+    halves.resize(row.len(), f16::ZERO);
+    halves.convert_from_f32_slice(&clean);
+    // A half rounds small negatives to -0.0 again.
+    halves.iter_mut().filter(|half| **half == f16::ZERO).for_each(|half| *half = f16::ZERO);
+}
+
+/// Bits of numbers as a file stores them with 16 bits.
+pub fn half_bits(numbers: &[f32]) -> Vec<u16> {
+    let mut halves = Vec::new();
+    to_halves(numbers, &mut halves);
+    halves.into_iter().map(f16::to_bits).collect()
+}
+
+/// Bits of numbers as a file stores them with 32 bits.
+pub fn float_bits(numbers: &[f32]) -> Vec<u32> {
+    numbers.iter().map(|&number| canonical_float(number).to_bits()).collect()
 }
 
 /// Replaces -0.0 and NaN by 0.

@@ -18,7 +18,7 @@ use scene::Bits;
 
 use super::PROVENANCE_KEYWORD;
 use super::{EncodeThreads, ImageError, PictureSpec};
-use crate::renderer::CancelFlag;
+use crate::renderer::{CancelFlag, TilePixels};
 use crate::srgb::{RowMemory, SrgbEncoder};
 use crate::stitch::{RowBand, RowSource, StitchError};
 
@@ -42,16 +42,7 @@ pub fn write(
     let PictureSpec { opaque, bits, display_transform, .. } = *picture;
     let layout = PixelLayout { width: picture.width as usize, opaque, bits };
     let srgb = SrgbEncoder::new(display_transform)?;
-    let mut encoder = Encoder::new(out, picture.width, picture.height);
-    encoder.set_color(if picture.opaque { ColorType::Rgb } else { ColorType::Rgba });
-    encoder.set_depth(match picture.bits {
-        Bits::Eight => BitDepth::Eight,
-        Bits::Sixteen => BitDepth::Sixteen,
-    });
-    encoder.set_deflate_compression(DeflateCompression::FdeflateUltraFast);
-    encoder.set_filter(Filter::Paeth);
-    encoder.set_source_srgb(SrgbRenderingIntent::Perceptual);
-    encoder.add_itxt_chunk(PROVENANCE_KEYWORD.to_owned(), picture.provenance.json())?;
+    let encoder = encoder(picture, out)?;
     let mut header = encoder.write_header()?;
     let mut stream = header.stream_writer_with_size(CHUNK_BYTES)?;
 
@@ -75,6 +66,57 @@ pub fn write(
     stream.finish()?;
     header.finish()?;
     Ok(())
+}
+
+/// Encoder with the settings of every picture.
+fn encoder<W: Write>(picture: &PictureSpec, out: W) -> Result<Encoder<'static, W>, ImageError> {
+    let mut encoder = Encoder::new(out, picture.width, picture.height);
+    encoder.set_color(if picture.opaque { ColorType::Rgb } else { ColorType::Rgba });
+    encoder.set_depth(match picture.bits {
+        Bits::Eight => BitDepth::Eight,
+        Bits::Sixteen => BitDepth::Sixteen,
+    });
+    encoder.set_deflate_compression(DeflateCompression::FdeflateUltraFast);
+    encoder.set_filter(Filter::Paeth);
+    encoder.set_source_srgb(SrgbRenderingIntent::Perceptual);
+    encoder.add_itxt_chunk(PROVENANCE_KEYWORD.to_owned(), picture.provenance.json())?;
+    Ok(encoder)
+}
+
+/// Writes a picture whose rows are known as the file has them: `append` appends row `y`.
+pub fn write_rows(
+    picture: &PictureSpec,
+    append: impl Fn(u32, &mut Vec<u8>),
+    out: &mut (impl Write + Send),
+) -> Result<(), ImageError> {
+    let mut header = encoder(picture, out)?.write_header()?;
+    let mut stream = header.stream_writer_with_size(CHUNK_BYTES)?;
+    let mut bytes = Vec::new();
+    for rows in bands(picture.height, band_rows(EncodeThreads::All)) {
+        bytes.clear();
+        rows.for_each(|y| append(y, &mut bytes));
+        stream.write_all(&bytes)?;
+    }
+    stream.finish()?;
+    header.finish()?;
+    Ok(())
+}
+
+/// Bytes of a tile's pixels as the file has them, row by row.
+pub fn tile_bytes(picture: &PictureSpec, tile: &TilePixels) -> Result<Vec<u8>, ImageError> {
+    let PictureSpec { opaque, bits, display_transform, .. } = *picture;
+    let layout = PixelLayout { width: picture.width as usize, opaque, bits };
+    let srgb = SrgbEncoder::new(display_transform)?;
+    let band = RowBand::of_tile(picture.width, tile);
+    let mut memory = (Vec::new(), srgb.memory());
+    let (mut row, mut bytes) = (vec![0; layout.row_bytes()], Vec::new());
+    let pixel_bytes = layout.row_bytes() / layout.width;
+    let columns = tile.rect.x as usize * pixel_bytes..(tile.rect.x + tile.rect.width) as usize * pixel_bytes;
+    for y in 0..tile.rect.height as usize {
+        layout.encode_row(&srgb, &band, y, &mut memory, &mut row);
+        bytes.extend_from_slice(&row[columns.clone()]);
+    }
+    Ok(bytes)
 }
 
 fn bands(height: u32, band_rows: u32) -> impl Iterator<Item = Range<u32>> + Send {

@@ -8,7 +8,7 @@ use serde_json::{Value, json};
 /// Number of server cores that render as fast as one H200: it takes 0.40 ms for `five-spheres`, and 16 cores take
 /// 20.5 ms
 /// (docs/benchmarks.md).
-const CORES_OF_AN_H200: f64 = 800.0;
+pub(crate) const CORES_OF_AN_H200: f64 = 800.0;
 /// Maximum bytes of a picture's file in addition to its pixels.
 const FILE_HEAD_BYTES: u64 = 64 << 10;
 
@@ -155,7 +155,7 @@ fn file_pixel_bytes(image: &Image) -> u64 {
 }
 
 /// "1 frame", "2 frames", "2,073,600 camera rays".
-pub(super) fn count(number: u64, noun: &str) -> String {
+pub(crate) fn count(number: u64, noun: &str) -> String {
     let ending = if number == 1 { "" } else { "s" };
     format!("{} {noun}{ending}", grouped(number))
 }
@@ -179,7 +179,7 @@ fn tidy(number: f64) -> f64 {
 }
 
 /// Formats seconds for users: "0.4 ms", "2.5 s", "3 min", "4 h 10 min", "12 days".
-fn duration(seconds: f64) -> String {
+pub(crate) fn duration(seconds: f64) -> String {
     let whole = |seconds: f64| seconds.round() as u64;
     match seconds {
         s if s < 0.000_95 => "less than 1 ms".to_owned(),
@@ -227,6 +227,7 @@ mod tests {
             setup_seconds_per_tile: 0.0,
             shared_seconds_per_frame: 0.0,
             encode_seconds_per_pixel: 0.0,
+            relative_error: 0.1,
             memory_bytes: 20_000_000,
         };
         let outlook = Outlook::new(&job, 2, Some(&sample));

@@ -23,7 +23,7 @@ async fn submit(bench: &Fixture) -> (i64, JobId) {
 
 fn opening(job: i64) -> FrameOpening {
     let plan = new_job(1).plan;
-    FrameOpening { job, frame: 0, picture_key: KEY.to_owned(), tiles: plan.tiles(), samples: plan.samples }
+    FrameOpening { job, frame: 0, picture_key: KEY.to_owned(), scene: None, tiles: plan.tiles(), samples: plan.samples }
 }
 
 /// Claims with this speed, and delivers the outcome for all leases.

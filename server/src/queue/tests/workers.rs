@@ -158,7 +158,7 @@ async fn claim_under_one_key(bench: &Fixture, worker: WorkerId) -> Batch {
 }
 
 fn opening(job: i64, frame: u32, plan: TilePlan) -> FrameOpening {
-    FrameOpening { job, frame, picture_key: "key".to_owned(), tiles: plan.tiles(), samples: plan.samples }
+    FrameOpening { job, frame, picture_key: "key".to_owned(), scene: None, tiles: plan.tiles(), samples: plan.samples }
 }
 
 #[tokio::test]
