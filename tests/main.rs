@@ -24,6 +24,8 @@ mod fuzz;
 mod job_files;
 mod jobs;
 mod kills;
+mod layers;
+mod live_previews;
 mod openjd;
 mod operating;
 mod pages;

@@ -4,14 +4,17 @@
 mod canvas;
 mod coarse;
 mod cost_sample;
+mod drawing;
+mod layer_picture;
 mod preview;
 mod price;
+mod stored_picture;
 mod thumbnail;
 
 use std::time::Duration;
 
 use anyhow::Context;
-use proto::preview_helper::HelperRequest;
+use proto::preview_helper::{HelperRequest, PickView};
 use worker::image::stored::StoredPicture;
 use worker::{CancelFlag, CpuRenderer, Simd};
 
@@ -27,7 +30,7 @@ pub(crate) fn handle(sketch: &HelperRequest) -> anyhow::Result<Vec<u8>> {
             let job = scene::parse(job.as_bytes())?;
             preview::draw(&job, *frame, *width_px, tiles, &coarse::CoarseCache { file: coarse, limit_ms: *coarse_ms })
         }
-        HelperRequest::Thumbnail { file, width_px } => thumbnail::draw(file, *width_px),
+        HelperRequest::Thumbnail { file, width_px } => thumbnail::draw(file, *width_px, 0.0),
         HelperRequest::Verify { job, frame, file, tiles, render_ms } => {
             let job = scene::parse(job.as_bytes())?;
             let file = std::fs::read(file).context("could not read the stored picture")?;
@@ -45,6 +48,19 @@ pub(crate) fn handle(sketch: &HelperRequest) -> anyhow::Result<Vec<u8>> {
         HelperRequest::Price { job: text, threads, plan } => {
             let job = scene::parse(text.as_bytes())?;
             Ok(serde_json::to_vec(&price(text, &job, *threads, *plan)?)?)
+        }
+        HelperRequest::Draw { job, frame, drawing } => {
+            Ok(drawing::draw(scene::parse(job.as_bytes())?, *frame, drawing)?.encode()?)
+        }
+        HelperRequest::ReadLayers { file } => stored_picture::layers(file),
+        HelperRequest::DrawLayer { file, layer, width_px, exposure } => {
+            stored_picture::draw(file, *layer, *width_px, *exposure)
+        }
+        HelperRequest::ReadPixel { file, x, y } => stored_picture::pixel(file, *x, *y),
+        HelperRequest::Pick { job: text, frame, at } => {
+            let job = scene::parse(text.as_bytes())?;
+            let pick = scene::pick(text, &job, *frame, *at)?.map_or_else(PickView::default, PickView::from);
+            Ok(serde_json::to_vec(&pick)?)
         }
         HelperRequest::MeasureCost { job, threads, render_ms } => {
             let job = scene::parse(job.as_bytes())?;

@@ -23,6 +23,7 @@ pub mod problem;
 pub mod retention;
 pub mod rounding;
 pub mod scaling;
+pub mod shipped_scenes;
 pub mod tile;
 pub mod trace_context;
 pub mod verify;

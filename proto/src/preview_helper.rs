@@ -1,8 +1,10 @@
 //! Requests to the server's helper process, which draws or measures: a line of JSON on its standard input, a
 //! response on its standard output. The server itself touches no pixel and evaluates no scene.
 
+use std::collections::BTreeMap;
 use std::path::PathBuf;
 
+use scene::Layer;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -66,6 +68,239 @@ pub enum HelperRequest {
         /// Maximum time for rendering, in milliseconds.
         render_ms: u64,
     },
+    /// A [`HelperPicture`] of a frame that is not part of a job on the farm, rendered now.
+    Draw {
+        /// The job file.
+        job: String,
+        /// The frame, from 0.
+        frame: u32,
+        /// The picture.
+        drawing: Drawing,
+    },
+    /// [`StoredAnswer::Layers`] of a stored picture, as JSON.
+    ReadLayers {
+        /// The picture's file.
+        file: PathBuf,
+    },
+    /// A [`HelperPicture`] of a layer of a stored picture, or [`StoredAnswer::NoLayer`] as JSON.
+    DrawLayer {
+        /// The picture's file.
+        file: PathBuf,
+        /// The layer.
+        layer: PictureLayer,
+        /// Maximum width of the PNG, in pixels.
+        width_px: u32,
+        /// Exposure of colors, in stops.
+        exposure: f32,
+    },
+    /// [`StoredAnswer::Pixel`] or [`StoredAnswer::Outside`] of a stored picture, as JSON.
+    ReadPixel {
+        /// The picture's file.
+        file: PathBuf,
+        /// Column, from 0.
+        x: u32,
+        /// Row from the top, from 0.
+        y: u32,
+    },
+    /// A [`PickView`] of a frame, as JSON.
+    Pick {
+        /// The job file.
+        job: String,
+        /// The frame, from 0.
+        frame: u32,
+        /// The point: each coordinate from 0 to 1, from the picture's top left.
+        at: [f32; 2],
+    },
+}
+
+/// Response about a stored picture.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum StoredAnswer {
+    /// Its layers.
+    Layers(LayersView),
+    /// A pixel of it.
+    Pixel(PixelView),
+    /// It lacks the layer: it has these.
+    NoLayer(Vec<PictureLayer>),
+    /// The pixel is outside the picture.
+    Outside {
+        /// Width of the picture, in pixels.
+        width: u32,
+        /// Height of the picture, in pixels.
+        height: u32,
+    },
+}
+
+/// Layers of a stored picture.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct LayersView {
+    /// The layers that can be shown.
+    pub layers: Vec<PictureLayer>,
+    /// Width of the picture, in pixels.
+    pub width: u32,
+    /// Height of the picture, in pixels.
+    pub height: u32,
+    /// Format of the file: `png` or `exr`.
+    pub format: String,
+}
+
+/// Values of a pixel of a stored picture.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct PixelView {
+    /// Column, from 0.
+    pub x: u32,
+    /// Row from the top, from 0.
+    pub y: u32,
+    /// Value of each channel of the file, by its name: of an EXR the numbers in the file, null for one that is infinite; of a
+    /// PNG sRGB from 0 to 1.
+    pub values: BTreeMap<String, Option<f32>>,
+    /// Linear light of R, G and B of a PNG; null for an EXR, whose values are linear.
+    pub linear: Option<BTreeMap<String, Option<f32>>>,
+}
+
+/// Surface at a point of a picture; every member is null where there is none.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct PickView {
+    /// Index of the object, as in the object layer of an EXR.
+    pub object: Option<u32>,
+    /// Name of the object, if it has one.
+    pub name: Option<String>,
+    /// JSON pointer to the object in the job file.
+    pub pointer: Option<String>,
+    /// Name of the material there, if it has one.
+    pub material: Option<String>,
+    /// JSON pointer to the material in the job file; null for the default, which is not written.
+    pub material_pointer: Option<String>,
+    /// The point, in the scene's units.
+    pub position: Option<[f32; 3]>,
+    /// Normal, toward the viewer's side.
+    pub normal: Option<[f32; 3]>,
+    /// Distance from the camera, in the scene's units.
+    pub distance: Option<f32>,
+}
+
+impl From<scene::Pick> for PickView {
+    fn from(pick: scene::Pick) -> Self {
+        let triple = |v: scene::real::Vec3<f32>| Some([v.x, v.y, v.z]);
+        Self {
+            object: u32::try_from(pick.object).ok(),
+            name: pick.name,
+            pointer: Some(pick.pointer),
+            material: pick.material,
+            material_pointer: pick.material_pointer,
+            position: triple(pick.position),
+            normal: triple(pick.normal),
+            distance: Some(pick.distance),
+        }
+    }
+}
+
+/// Picture of a frame, as a client asks for it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Drawing {
+    /// Width, in pixels; the height follows from the job's aspect ratio.
+    pub width_px: u32,
+    /// Samples of a pixel, instead of the job's.
+    pub samples: u32,
+    /// Layer to show.
+    pub layer: PictureLayer,
+    /// Time after which fewer pixels are rendered, in milliseconds.
+    pub limit_ms: u64,
+}
+
+/// Layer of a picture that can be shown.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum PictureLayer {
+    /// The colors.
+    #[default]
+    Color,
+    /// Distance from the camera: near is bright, far is dark.
+    Depth,
+    /// Normals: each coordinate from -1 to 1 as a color channel.
+    Normal,
+    /// Positions: each coordinate within the picture's range as a color channel.
+    Position,
+    /// Colors of the surfaces, without light.
+    Albedo,
+    /// Objects, each in a color of its own.
+    Object,
+    /// Steps of the rays, as a heat map.
+    Steps,
+}
+
+impl PictureLayer {
+    /// All of them, in the order of their names in the schema of jobs.
+    pub const ALL: [Self; 7] =
+        [Self::Color, Self::Depth, Self::Normal, Self::Position, Self::Albedo, Self::Object, Self::Steps];
+
+    /// Its name in JSON.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Color => "color",
+            Self::Depth => "depth",
+            Self::Normal => "normal",
+            Self::Position => "position",
+            Self::Albedo => "albedo",
+            Self::Object => "object",
+            Self::Steps => "steps",
+        }
+    }
+
+    /// Layer of an EXR that it shows; `None` for the colors, which each picture has.
+    pub fn of_exr(self) -> Option<Layer> {
+        match self {
+            Self::Color => None,
+            Self::Depth => Some(Layer::Depth),
+            Self::Normal => Some(Layer::Normal),
+            Self::Position => Some(Layer::Position),
+            Self::Albedo => Some(Layer::Albedo),
+            Self::Object => Some(Layer::Object),
+            Self::Steps => Some(Layer::Steps),
+        }
+    }
+}
+
+/// A helper's picture and what it shows: a line of JSON, then the PNG.
+#[derive(Clone, Debug, PartialEq)]
+pub struct HelperPicture {
+    /// Facts about the picture.
+    pub about: AboutPicture,
+    /// The PNG.
+    pub png: Vec<u8>,
+}
+
+/// Facts about a picture.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct AboutPicture {
+    /// Width of what was rendered or read, in pixels; the PNG may be larger.
+    pub rendered_px: u32,
+    /// Samples of each pixel that were rendered; 0 if none was.
+    pub samples: u32,
+    /// Values that the darkest and the brightest colors stand for, one for each channel of the layer; empty if they
+    /// do not depend on the picture.
+    pub range: [Vec<f32>; 2],
+}
+
+impl HelperPicture {
+    /// Reads a helper's response; `None` if it is none.
+    pub fn decode(mut bytes: Vec<u8>) -> Option<Self> {
+        let end = bytes.iter().position(|byte| *byte == b'\n')?;
+        let about = serde_json::from_slice(&bytes[..end]).ok()?;
+        let png = bytes.split_off(end + 1);
+        Some(Self { about, png })
+    }
+
+    /// The response of a helper.
+    pub fn encode(&self) -> serde_json::Result<Vec<u8>> {
+        let mut bytes = serde_json::to_vec(&self.about)?;
+        bytes.push(b'\n');
+        bytes.extend(&self.png);
+        Ok(bytes)
+    }
 }
 
 /// Parts of a price that are measured, each with a time limit for rendering in milliseconds; 0 leaves it out.

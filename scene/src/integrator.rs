@@ -5,6 +5,7 @@ mod by_cells;
 mod lighting;
 mod media;
 mod path;
+mod pick;
 mod ray_kinds;
 mod scene_distance;
 mod shading;

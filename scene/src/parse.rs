@@ -153,6 +153,14 @@ fn sound(text: &str) -> Result<Job, ParseError> {
     Ok(job)
 }
 
+/// Error of a frame at which a job of this text cannot be evaluated.
+pub fn error_in_frame(text: &[u8], error: FrameError) -> ParseError {
+    match utf8(text) {
+        Ok(text) => in_later_frame(&plain_json(text), error),
+        Err(error) => error,
+    }
+}
+
 fn in_later_frame(text: &str, error: FrameError) -> ParseError {
     let FrameError { pointer, message, frame, seconds } = error;
     let message = format!("{message} (in frame {frame}, at {seconds} seconds)");

@@ -7,6 +7,7 @@
 mod editor;
 mod examples;
 mod shortest;
+mod table;
 
 use std::collections::BTreeMap;
 
@@ -15,6 +16,7 @@ use serde_json::{Map, Value, json};
 
 use crate::document::JobDocument;
 pub use editor::editor_schema;
+pub use table::{Family, KeyView, KindView, NodeTable, node_table};
 
 /// Prefix of references to definitions in a JSON Schema.
 const DEFINITIONS: &str = "#/$defs/";

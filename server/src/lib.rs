@@ -42,6 +42,7 @@ mod scaling;
 #[cfg(test)]
 #[path = "../../tests/seaweedfs.rs"]
 mod seaweedfs;
+pub mod shipped_scenes;
 mod shutdown;
 mod signed_links;
 pub mod simulation;

@@ -19,12 +19,18 @@ use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::process::{Child, Command};
 
 use crate::blobs::{ContentError, LocalCopies};
+use crate::clock::monotonic_now;
 use crate::fair_queue::{FairQueue, Place, WaitingLimits};
 
 /// Maximum number of helper processes.
 const MAX_CHILDREN: usize = 2;
 /// Requests that may wait for a helper.
 const WAITING: WaitingLimits = WaitingLimits { of_one: 16, of_all: 64 };
+/// Maximum number of helper processes for clients that edit a job and wait for its picture. Apart from the others, so
+/// that no preview or estimate of the queue delays a keystroke.
+const MAX_LIVE_CHILDREN: usize = 2;
+/// Requests of editing clients that may wait: a client drops its request when it sends the next.
+const LIVE_WAITING: WaitingLimits = WaitingLimits { of_one: 4, of_all: 64 };
 /// Maximum wait for a helper.
 const MAX_WAIT: Duration = Duration::from_secs(10);
 /// Estimates wait in turn with the submitters of previews, under a name that no key has.
@@ -70,6 +76,7 @@ pub(crate) struct PreviewHelper {
     program: PathBuf,
     folder: PathBuf,
     turns: Arc<FairQueue>,
+    live_turns: Arc<FairQueue>,
     kept: Mutex<VecDeque<(String, Bytes)>>,
 }
 
@@ -83,7 +90,8 @@ impl PreviewHelper {
         }
         std::fs::create_dir_all(&folder)?;
         let turns = FairQueue::new(MAX_CHILDREN, WAITING);
-        Ok(Self { program: program.to_owned(), folder, turns, kept: Mutex::default() })
+        let live_turns = FairQueue::new(MAX_LIVE_CHILDREN, LIVE_WAITING);
+        Ok(Self { program: program.to_owned(), folder, turns, live_turns, kept: Mutex::default() })
     }
 
     /// Path of a frame's coarse pass.
@@ -107,7 +115,7 @@ impl PreviewHelper {
         if let Some(kept) = self.find(tag) {
             return Ok(kept);
         }
-        let turn = self.turn(submitter).await?;
+        let turn = turn(&self.turns, submitter).await?;
         // Another request may have drawn the picture in the meantime.
         if let Some(kept) = self.find(tag) {
             return Ok(kept);
@@ -126,7 +134,7 @@ impl PreviewHelper {
         submitter: &str,
         request: impl Future<Output = Result<(HelperRequest, LocalCopies), HelperError>>,
     ) -> Result<Vec<u8>, HelperError> {
-        let _turn = self.turn(submitter).await?;
+        let _turn = turn(&self.turns, submitter).await?;
         let made = tokio::time::timeout(TIME_LIMIT, request).await;
         let (request, _copies) = made.map_err(|_| HelperError::TimedOut).flatten()?;
         self.run(&request).await
@@ -139,16 +147,22 @@ impl PreviewHelper {
 
     /// Measures a job in the turn of estimates.
     pub(crate) async fn measure<T: DeserializeOwned>(&self, request: &HelperRequest) -> Result<T, HelperError> {
-        let _turn = self.turn(ESTIMATES).await?;
+        let _turn = turn(&self.turns, ESTIMATES).await?;
         let answer = self.run(request).await?;
         serde_json::from_slice(&answer).map_err(|error| HelperError::Failed(error.to_string()))
     }
 
-    async fn turn(&self, submitter: &str) -> Result<Place, HelperError> {
-        match tokio::time::timeout(MAX_WAIT, self.turns.enter(submitter)).await {
-            Ok(Ok(place)) => Ok(place),
-            Ok(Err(_)) | Err(_) => Err(HelperError::Busy),
-        }
+    /// Answers a client that edits a job, and the time of the helper. If the client is gone, which drops this future,
+    /// the helper is killed: what a fast typist no longer waits for takes no turn of others.
+    pub(crate) async fn live(
+        &self,
+        submitter: &str,
+        request: &HelperRequest,
+    ) -> Result<(Vec<u8>, Duration), HelperError> {
+        let _turn = turn(&self.live_turns, submitter).await?;
+        let start = monotonic_now();
+        let answer = self.run(request).await?;
+        Ok((answer, start.elapsed()))
     }
 
     /// Runs a helper; it is killed if the caller is dropped or the time is up.
@@ -208,6 +222,13 @@ impl PreviewHelper {
             std::fs::remove_file(path)?;
         }
         Ok(())
+    }
+}
+
+async fn turn(turns: &Arc<FairQueue>, submitter: &str) -> Result<Place, HelperError> {
+    match tokio::time::timeout(MAX_WAIT, turns.enter(submitter)).await {
+        Ok(Ok(place)) => Ok(place),
+        Ok(Err(_)) | Err(_) => Err(HelperError::Busy),
     }
 }
 

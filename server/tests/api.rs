@@ -11,6 +11,7 @@ mod api {
     mod clocks;
     mod connections;
     mod deliveries;
+    mod editing;
     mod events;
     pub(crate) mod fake_pictures;
     mod files;

@@ -18,6 +18,8 @@ const STACK_BYTES: usize = 32 << 20;
 const MAX_HELPER_BYTES: u64 = 4 << 30;
 /// A sample yields to everything except the pool's own workers.
 const SAMPLE_NICENESS: i32 = 10;
+/// A picture for a client that waits for it yields to everything except the pool's workers and samples.
+const LIVE_NICENESS: i32 = 5;
 /// A drawing yields to everything, also to the pool's workers: at the lowest priority, it takes a few percent of a
 /// busy machine.
 const DRAWING_NICENESS: i32 = 19;
@@ -41,18 +43,23 @@ pub(crate) fn run() -> anyhow::Result<()> {
 
 /// Lowers this helper's priority, and limits its memory.
 fn set_limits(sketch: &HelperRequest) -> anyhow::Result<()> {
-    let niceness = match sketch {
-        HelperRequest::Preview { .. } | HelperRequest::Thumbnail { .. } => DRAWING_NICENESS,
+    let (niceness, most_bytes) = match sketch {
+        HelperRequest::Preview { .. } | HelperRequest::Thumbnail { .. } => (DRAWING_NICENESS, Some(MAX_HELPER_BYTES)),
+        HelperRequest::Draw { .. }
+        | HelperRequest::Pick { .. }
+        | HelperRequest::ReadLayers { .. }
+        | HelperRequest::DrawLayer { .. }
+        | HelperRequest::ReadPixel { .. } => (LIVE_NICENESS, Some(MAX_HELPER_BYTES)),
         HelperRequest::MeasureCost { .. } | HelperRequest::Price { .. } | HelperRequest::Verify { .. } => {
-            SAMPLE_NICENESS
+            (SAMPLE_NICENESS, None)
         }
     };
     nice(niceness).context("could not lower this process's priority")?;
-    match sketch {
-        HelperRequest::Preview { .. } | HelperRequest::Thumbnail { .. } => {
-            let most = Some(MAX_HELPER_BYTES);
-            setrlimit(Resource::As, Rlimit { current: most, maximum: most }).context("could not limit memory")
+    match most_bytes {
+        Some(bytes) => {
+            let limit = Rlimit { current: Some(bytes), maximum: Some(bytes) };
+            setrlimit(Resource::As, limit).context("could not limit memory")
         }
-        HelperRequest::MeasureCost { .. } | HelperRequest::Price { .. } | HelperRequest::Verify { .. } => Ok(()),
+        None => Ok(()),
     }
 }

@@ -206,6 +206,13 @@ impl Integrator<'_> {
         [right, up].map(|side| ray.direction.mul_add(side.dot(hit.normal) / facing, side) * half)
     }
 
+    /// Slot of the material with the greatest weight at a hit of an object.
+    pub(super) fn heaviest_material(&self, hit: &Hit<f32>, object: f32) -> Option<usize> {
+        let all = self.hit_materials(hit, [hit.position; 2], object);
+        let heaviest = all.iter().filter(|one| one.weight > 0.0).max_by(|a, b| a.weight.total_cmp(&b.weight));
+        heaviest.map(|one| one.slot)
+    }
+
     /// Materials at a hit of an object, each with its point in the space of its textures.
     fn hit_materials<R: Real>(&self, hit: &Hit<R>, footprint: [Vec3<R>; 2], object: R) -> Vec<HitMaterial<R>> {
         let (p, zero) = (hit.position, object.constant(0.0));

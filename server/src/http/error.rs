@@ -144,6 +144,12 @@ pub(crate) enum ApiError {
     DamagedPicture,
     #[error("there is no picture {0}: `picture` of a frame (GET /v1/jobs/{{id}}/frames) is its hash")]
     UnknownPicture(String),
+    #[error(
+        "the picture of frame {frame} of job {job} has no layer {layer:?}: it has {layers}; an EXR stores more with image.layers"
+    )]
+    UnknownLayer { job: JobId, frame: u32, layer: String, layers: String },
+    #[error("there is no shipped scene {0:?}: GET /v1/scenes lists them")]
+    UnknownScene(String),
     #[error("the link has expired ({0}): request a new one")]
     LinkExpired(String),
     #[error("the signature does not match the link: use the link unchanged, or request a new one")]
@@ -274,6 +280,8 @@ impl ApiError {
                 (StatusCode::INTERNAL_SERVER_ERROR, "damaged_picture", "The picture's file is damaged")
             }
             Self::UnknownPicture(_) => (StatusCode::NOT_FOUND, "unknown_picture", "There is no such picture"),
+            Self::UnknownLayer { .. } => (StatusCode::NOT_FOUND, "unknown_layer", "There is no such layer"),
+            Self::UnknownScene(_) => (StatusCode::NOT_FOUND, "unknown_scene", "There is no such scene"),
             Self::LinkExpired(_) => (StatusCode::GONE, "link_expired", "The link has expired"),
             Self::WrongSignature => (StatusCode::FORBIDDEN, "wrong_signature", "The signature is invalid"),
             Self::TooManyPreviews(_) => {

@@ -17,11 +17,14 @@ use proto::job::{DeleteDryRun, JobPatch};
 use proto::job::{DryRun, JobPage, JobView};
 use proto::link::{LinkRequest, LinkView};
 use proto::pool::{PoolSize, PoolView, WorkerList};
+use proto::preview_helper::{LayersView, PickView, PixelView};
 use proto::price::Price;
 use proto::retention::GcReport;
 use proto::scaling::ScalingView;
+use proto::shipped_scenes::SceneList;
 use proto::verify::Verification;
 use proto::webhook::DeliveryList;
+use scene::schema::NodeTable;
 use schemars::generate::SchemaSettings;
 use serde_json::{Map, Value};
 
@@ -91,6 +94,11 @@ fn answers() -> Map<String, Value> {
     generator.subschema_for::<Price>();
     generator.subschema_for::<DeliveryList>();
     generator.subschema_for::<WorkerList>();
+    generator.subschema_for::<PickView>();
+    generator.subschema_for::<LayersView>();
+    generator.subschema_for::<PixelView>();
+    generator.subschema_for::<NodeTable>();
+    generator.subschema_for::<SceneList>();
     generator.subschema_for::<PoolView>();
     generator.subschema_for::<ScalingView>();
     generator.subschema_for::<IssuedApiKey>();

@@ -21,7 +21,7 @@ use crate::preview_helper::PreviewHelper;
 use crate::queue::{FrameContents, Queue};
 
 /// Default width of a preview.
-const PREVIEW_PX: u32 = 960;
+pub(super) const PREVIEW_PX: u32 = 960;
 /// Default width of a thumbnail.
 const THUMBNAIL_PX: u32 = 256;
 /// Maximum width of a preview or thumbnail.
@@ -45,14 +45,18 @@ handle_group! {
 
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct WidthQuery {
-    width: Option<u32>,
+pub(super) struct WidthQuery {
+    pub(super) width: Option<u32>,
 }
 
 impl WidthQuery {
     fn read(uri: &Uri) -> Result<Option<u32>, ApiError> {
-        let Self { width } = body::read_query(uri)?;
-        match width {
+        body::read_query::<Self>(uri)?.checked()
+    }
+
+    /// The width, if it is in range.
+    pub(super) fn checked(self) -> Result<Option<u32>, ApiError> {
+        match self.width {
             Some(width) if !(1..=MAX_WIDTH_PX).contains(&width) => {
                 Err(ApiError::WrongQuery(format!("width is {width}, but must be from 1 to {MAX_WIDTH_PX}")))
             }
@@ -219,7 +223,8 @@ impl Previews {
     }
 }
 
-fn is_known(headers: &HeaderMap, tag: &str) -> bool {
+/// Whether the client has the version with this tag.
+pub(super) fn is_known(headers: &HeaderMap, tag: &str) -> bool {
     let known = headers.get(header::IF_NONE_MATCH).and_then(|value| value.to_str().ok());
     known.is_some_and(|named| range::matches_etag(named, tag))
 }
@@ -230,7 +235,8 @@ fn png(picture: bytes::Bytes, tag: &str, cache: &'static str) -> Response {
     response
 }
 
-fn describe(mut response: Response, tag: &str, cache: &'static str) -> Response {
+/// Adds an entity tag and a cache lifetime to a response.
+pub(super) fn describe(mut response: Response, tag: &str, cache: &'static str) -> Response {
     images::set(&mut response, header::ETAG, tag);
     images::set(&mut response, header::CACHE_CONTROL, cache);
     response

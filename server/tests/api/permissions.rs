@@ -45,6 +45,9 @@ const ROWS: &[(&str, Row)] = &[
     ("GET /docs/{*rest}", Open),
     ("GET /openapi.json", Open),
     ("GET /v1/schema/job", Open),
+    ("GET /v1/schema/nodes", Open),
+    ("GET /v1/scenes", Open),
+    ("GET /v1/scenes/{name}", Open),
     ("GET /metrics", Read),
     ("GET /v1/farm", Read),
     ("POST /v1/farm/pause", Admin),
@@ -69,8 +72,13 @@ const ROWS: &[(&str, Row)] = &[
     ("GET /v1/jobs/{id}/frames/{frame}/image", ReadOrOwn),
     ("GET /v1/jobs/{id}/frames/{frame}/preview", ReadOrOwn),
     ("GET /v1/jobs/{id}/frames/{frame}/thumbnail", ReadOrOwn),
+    ("GET /v1/jobs/{id}/frames/{frame}/layers", ReadOrOwn),
+    ("GET /v1/jobs/{id}/frames/{frame}/layers/{layer}", ReadOrOwn),
+    ("GET /v1/jobs/{id}/frames/{frame}/pixel", ReadOrOwn),
     ("POST /v1/jobs/{id}/frames/{frame}/link", ReadOrOwn),
     ("POST /v1/jobs/{id}/frames/{frame}/verify", ReadOrOwn),
+    ("POST /v1/preview", Submit),
+    ("POST /v1/pick", Submit),
     ("GET /v1/pictures/{id}/{frame}/{content}", Open),
     ("DELETE /v1/pictures/{hash}", Admin),
     ("POST /v1/gc", Admin),
@@ -142,6 +150,8 @@ async fn walk(farm: &Farm, bearer: Bearer, key: Option<&str>, job: &str) -> Vec<
             .replace("{id}", job)
             .replace("{frame}", "0")
             .replace("{content}", "image")
+            .replace("{layer}", "color")
+            .replace("{name}", "csg")
             .replace("{hash}", &"0".repeat(64))
             .replace("{*rest}", "index.css");
         let method: Method = method.parse().expect("a method");

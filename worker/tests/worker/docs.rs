@@ -4,6 +4,7 @@
 
 mod camera_and_sky;
 mod gallery;
+mod hover;
 mod lights;
 mod materials;
 mod nodes;
@@ -126,12 +127,28 @@ fn the_gallery_is_current() {
 }
 
 #[test]
+fn the_small_pictures_are_current_and_small() {
+    /// Maximum size of one, and of all together.
+    const MAX_BYTES: [u64; 2] = [20 << 10, 3 << 20];
+    let page = hover::page();
+    assert_fresh(&page, Compared::Provenance);
+    let docs = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs");
+    let bytes = |file: &str| std::fs::metadata(docs.join(file)).expect("it is there").len();
+    let sizes: Vec<u64> = page.pictures.iter().map(|picture| bytes(&picture.file)).collect();
+    let sum: u64 = sizes.iter().sum();
+    assert!(sizes.iter().all(|&size| size <= MAX_BYTES[0]) && sum <= MAX_BYTES[1], "{sum} bytes: {sizes:?}");
+    let folder = std::fs::read_dir(docs.join("../web/pictures")).expect("the folder is there");
+    assert_eq!(folder.count(), page.pictures.len() + 1, "a picture is of no kind");
+}
+
+#[test]
 #[ignore = "long: renders every picture of the generated pages; 1 minute"]
 fn page_pictures_match_a_new_render() {
     assert_fresh(&nodes::page(), Compared::Pixels);
     assert_fresh(&materials::page(), Compared::Pixels);
     assert_fresh(&lights::page(), Compared::Pixels);
     assert_fresh(&camera_and_sky::page(), Compared::Pixels);
+    assert_fresh(&hover::page(), Compared::Pixels);
 }
 
 #[test]

@@ -1,0 +1,238 @@
+//! Picture of a frame for a client that edits the job: exactly the picture of a job of that size, or a smaller one, scaled
+//! up, if that takes too long.
+
+use std::io::Cursor;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::mpsc::{self, RecvTimeoutError};
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, bail, ensure};
+use proto::Rect;
+use proto::preview_helper::{AboutPicture, Drawing, HelperPicture};
+use scene::color::DisplayTransform;
+use scene::{Format, Image, Job};
+use worker::image::{Encoders, PictureSpec};
+use worker::stitch::TileRows;
+use worker::{CancelFlag, CpuRenderer, RenderError, Renderer, Simd, TilePixels, TileRequest};
+
+use super::canvas::Canvas;
+use super::coarse;
+use super::layer_picture::{self, LayerPicture};
+
+/// Maximum number of render threads.
+const MAX_THREADS: usize = 4;
+/// Maximum height, in pixels: pictures may be far higher than wide.
+const MAX_HEIGHT_PX: u64 = 4096;
+/// Interval between two looks at the progress of a render.
+const LOOK_INTERVAL: Duration = Duration::from_millis(10);
+/// Time after which the progress of a render tells how long it takes.
+const CERTAIN_AFTER: Duration = Duration::from_millis(60);
+/// From this width on, a picture is not made smaller, but has one sample a pixel, and as much time as the first one and
+/// this more.
+const LAST_PX: u32 = 16;
+const LAST_MORE: Duration = Duration::from_secs(1);
+/// Fraction of its time that a smaller picture is planned to take.
+const PLANNED_FRACTION: f64 = 0.5;
+/// Most that the width is divided by at a time.
+const MAX_DIVISOR: u32 = 8;
+
+/// Draws a frame.
+pub(super) fn draw(mut job: Job, frame: u32, drawing: &Drawing) -> anyhow::Result<HelperPicture> {
+    let written = job.image.clone();
+    let cores = std::thread::available_parallelism().map_or(1, usize::from);
+    let renderer = CpuRenderer::new(Some(cores.min(MAX_THREADS)), Simd::Auto)?;
+    let limit = Duration::from_millis(drawing.limit_ms);
+    let whole = resized(&written, drawing, drawing.width_px);
+    let mut width_px = whole.width;
+    loop {
+        job.image = resized(&written, drawing, width_px);
+        let is_last = width_px <= LAST_PX;
+        if is_last && width_px < whole.width {
+            job.image.samples = 1;
+        }
+        let attempt = Attempt { limit: if is_last { limit + LAST_MORE } else { limit }, gives_up_early: !is_last };
+        match attempt.render(&renderer, &job, frame)? {
+            Outcome::Finished(pixels) => {
+                let pictured = Pictured { job: &job, frame, drawing, pixels };
+                return if width_px == whole.width {
+                    pictured.exactly(renderer.threads())
+                } else {
+                    pictured.scaled_up(&whole)
+                };
+            }
+            Outcome::TooSlow(fraction) if !is_last => width_px = smaller(width_px, fraction),
+            Outcome::TooSlow(_) => bail!("even {width_px} pixels in a row take too long to render"),
+        }
+    }
+}
+
+/// Width for another attempt after one of which only a fraction was rendered in time.
+fn smaller(width_px: u32, fraction: f64) -> u32 {
+    let planned = (f64::from(width_px) * (fraction * PLANNED_FRACTION).sqrt()) as u32;
+    planned.clamp(width_px / MAX_DIVISOR, width_px / 2).max(1)
+}
+
+/// The image of a drawing, in this width.
+fn resized(written: &Image, drawing: &Drawing, width_px: u32) -> Image {
+    let mut image = written.clone();
+    let [width, height] = [written.width, written.height].map(u64::from);
+    let columns = u64::from(width_px).min((MAX_HEIGHT_PX * width / height).max(1));
+    let rows = ((height * columns * 2 + width) / (width * 2)).clamp(1, MAX_HEIGHT_PX);
+    image.resize(columns as u32, rows as u32);
+    image.samples = drawing.samples;
+    (image.format, image.layers) = match drawing.layer.of_exr() {
+        None => (Format::Png, Vec::new()),
+        Some(layer) => (Format::Exr, vec![layer]),
+    };
+    image
+}
+
+/// A render with a limit.
+struct Attempt {
+    limit: Duration,
+    /// Whether it ends as soon as its progress shows that it will exceed the limit.
+    gives_up_early: bool,
+}
+
+enum Outcome {
+    Finished(TilePixels),
+    /// The fraction that would have been rendered in the time.
+    TooSlow(f64),
+}
+
+impl Attempt {
+    fn render(&self, renderer: &CpuRenderer, job: &Job, frame: u32) -> anyhow::Result<Outcome> {
+        let start = Instant::now();
+        let cancel = CancelFlag::new();
+        let (finished, rays) = (AtomicU64::new(0), job.image.rays());
+        let fraction = || {
+            let done = finished.load(Ordering::Relaxed) as f64 / rays as f64;
+            done * (self.limit.as_secs_f64() / start.elapsed().as_secs_f64())
+        };
+        let (done, over) = mpsc::channel::<()>();
+        let rect = Rect::full(job.image.width, job.image.height);
+        let count = |more: u64| {
+            finished.fetch_add(more, Ordering::Relaxed);
+        };
+        let (rendered, fraction) = std::thread::scope(|scope| {
+            let (flag, fraction) = (cancel.clone(), &fraction);
+            let watch = scope.spawn(move || {
+                while over.recv_timeout(LOOK_INTERVAL) == Err(RecvTimeoutError::Timeout) {
+                    let (elapsed, fraction) = (start.elapsed(), fraction());
+                    let is_hopeless =
+                        self.gives_up_early && elapsed > CERTAIN_AFTER && fraction > 0.0 && fraction < 0.9;
+                    if elapsed > self.limit || is_hopeless {
+                        flag.cancel();
+                        return fraction;
+                    }
+                }
+                1.0
+            });
+            let rendered = renderer.render(&TileRequest { job, frame, rect }, &cancel, &count);
+            drop(done);
+            (rendered, watch.join())
+        });
+        match rendered {
+            Ok(pixels) => Ok(Outcome::Finished(pixels)),
+            Err(RenderError::Cancelled) => Ok(Outcome::TooSlow(fraction.unwrap_or(0.0).min(1.0))),
+            Err(error) => Err(error).context("could not render the frame"),
+        }
+    }
+}
+
+/// Pixels of a frame, and what they are to show.
+struct Pictured<'a> {
+    job: &'a Job,
+    frame: u32,
+    drawing: &'a Drawing,
+    pixels: TilePixels,
+}
+
+impl Pictured<'_> {
+    /// The picture that a job of this size has.
+    fn exactly(&self, threads: usize) -> anyhow::Result<HelperPicture> {
+        if let Some(picture) = self.layer()? {
+            return picture.encode(self.pixels.rect.width, self.job.image.samples);
+        }
+        let spec = PictureSpec::new(&self.job.at(self.frame)?);
+        let mut png = Cursor::new(Vec::new());
+        let tiles = std::slice::from_ref(&self.pixels);
+        Encoders::new(threads)?
+            .run(|threads| spec.write_on(threads, &mut TileRows(tiles), &mut png, &CancelFlag::new()))?;
+        let about =
+            AboutPicture { rendered_px: spec.width, samples: self.job.image.samples, range: [Vec::new(), Vec::new()] };
+        Ok(HelperPicture { about, png: png.into_inner() })
+    }
+
+    /// The picture, scaled up smoothly.
+    fn scaled_up(&self, whole: &Image) -> anyhow::Result<HelperPicture> {
+        let rendered_px = self.pixels.rect.width;
+        if let Some(picture) = self.layer()? {
+            return picture.scaled_up(whole.width, whole.height).encode(rendered_px, self.job.image.samples);
+        }
+        let still = self.job.at(self.frame)?;
+        let (transform, opaque) = (DisplayTransform::new(still.image()), !still.scene().is_transparent());
+        let canvas = Canvas::new(whole.width, whole.height, whole.width);
+        let scaled = coarse::scaled(&self.pixels, transform, opaque, canvas.size());
+        ensure!(scaled.is_some(), "the pixels are not those of the frame");
+        let about = AboutPicture { rendered_px, samples: self.job.image.samples, range: [Vec::new(), Vec::new()] };
+        Ok(HelperPicture { about, png: canvas.png(scaled.as_ref())? })
+    }
+
+    /// The layer as a picture; `None` for colors.
+    fn layer(&self) -> anyhow::Result<Option<LayerPicture>> {
+        let Some(layer) = self.drawing.layer.of_exr() else { return Ok(None) };
+        let colors = self.pixels.planes.len().checked_sub(layer.channels().len());
+        let planes = colors.map(|colors| &self.pixels.planes[colors..]).context("the frame lacks the layer")?;
+        let Rect { width, height, .. } = self.pixels.rect;
+        Ok(Some(layer_picture::shown(layer, planes, [width, height])))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proto::preview_helper::PictureLayer;
+
+    use super::*;
+
+    fn image(width: u32, height: u32) -> Image {
+        serde_json::from_value(serde_json::json!({ "width": width, "height": height })).expect("an image")
+    }
+
+    #[test]
+    fn the_height_follows_from_the_aspect_ratio_and_is_limited() {
+        let drawing = |width_px| Drawing { width_px, samples: 3, layer: PictureLayer::Color, limit_ms: 500 };
+        let size = |[width, height]: [u32; 2], width_px| {
+            let image = resized(&image(width, height), &drawing(width_px), width_px);
+            assert_eq!((image.samples, image.layers.len()), (3, 0));
+            [image.width, image.height]
+        };
+        assert_eq!(size([1920, 1080], 480), [480, 270]);
+        assert_eq!(size([800, 800], 480), [480, 480]);
+        assert_eq!(size([10, 3], 5), [5, 2]);
+        assert_eq!(size([10_000, 1], 100), [100, 1]);
+        assert_eq!(size([1, 10_000], 100), [1, 4096]);
+        assert_eq!(size([100, 1000], 2048), [409, 4090]);
+    }
+
+    #[test]
+    fn a_slow_picture_becomes_smaller_by_the_time_that_it_takes() {
+        assert_eq!(smaller(480, 1.0), 240);
+        assert_eq!(smaller(480, 0.125), 120);
+        assert_eq!(smaller(480, 0.0), 60);
+        assert_eq!(smaller(17, 0.0), 2);
+    }
+
+    #[test]
+    fn a_render_that_takes_too_long_tells_how_much_it_would_have_rendered() {
+        let text = include_bytes!("../../../scenes/csg.json");
+        let mut job = scene::parse(text).expect("a shipped scene");
+        job.image.resize(4000, 4000);
+        let renderer = CpuRenderer::new(Some(1), Simd::Scalar).expect("threads");
+        let attempt = Attempt { limit: Duration::from_millis(100), gives_up_early: true };
+        match attempt.render(&renderer, &job, 0).expect("no error") {
+            Outcome::TooSlow(fraction) => assert!(fraction < 0.9, "{fraction}"),
+            Outcome::Finished(_) => panic!("16 million pixels take more than 100 ms"),
+        }
+    }
+}
