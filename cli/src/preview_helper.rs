@@ -8,6 +8,7 @@ mod drawing;
 mod layer_picture;
 mod preview;
 mod price;
+mod shader;
 mod stored_picture;
 mod thumbnail;
 
@@ -61,6 +62,10 @@ pub(crate) fn handle(sketch: &HelperRequest) -> anyhow::Result<Vec<u8>> {
             let job = scene::parse(text.as_bytes())?;
             let pick = scene::pick(text, &job, *frame, *at)?.map_or_else(PickView::default, PickView::from);
             Ok(serde_json::to_vec(&pick)?)
+        }
+        HelperRequest::Shader { job, frame, width_px, samples, program } => {
+            let job = scene::parse(job.as_bytes())?;
+            Ok(serde_json::to_vec(&shader::of(job, *frame, *width_px, *samples, program.as_deref())?)?)
         }
         HelperRequest::MeasureCost { job, threads, render_ms } => {
             let job = scene::parse(job.as_bytes())?;

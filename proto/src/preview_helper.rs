@@ -59,6 +59,19 @@ pub enum HelperRequest {
         /// Parts to measure, and the time for each.
         plan: PricePlan,
     },
+    /// A [`ShaderView`] of a frame, as JSON.
+    Shader {
+        /// The job file.
+        job: String,
+        /// The frame, from 0.
+        frame: u32,
+        /// Width of the picture, in pixels; the job's if absent.
+        width_px: Option<u32>,
+        /// Number of samples a pixel.
+        samples: u32,
+        /// Program that the client has.
+        program: Option<String>,
+    },
     /// A [`CostSample`] of a job, as JSON.
     MeasureCost {
         /// The job file.
@@ -312,6 +325,29 @@ pub struct PricePlan {
     pub map_ms: u64,
     /// Numbers that would save most.
     pub savings_ms: u64,
+}
+
+/// Program of an approximate picture in a browser, and its inputs.
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
+pub struct ShaderView {
+    /// Hash of the program.
+    pub program: String,
+    /// Text of the program in WGSL; null if the client has it, or if there is none.
+    pub wgsl: Option<String>,
+    /// Numbers of the scene, each by its bits.
+    pub uniforms: Vec<u32>,
+    /// Words of the scene's table; empty if it has none.
+    pub table: Vec<u32>,
+    /// Number of samples that the program can add to a pixel.
+    pub samples: u32,
+    /// Width of the picture, in pixels.
+    pub width: u32,
+    /// Height of the picture, in pixels.
+    pub height: u32,
+    /// Whether the picture is bit-identical to a render: false.
+    pub exact: bool,
+    /// Why WebGPU can't show the scene; null if it can.
+    pub reason: Option<String>,
 }
 
 /// Measured cost of a sample of a job's pixels.

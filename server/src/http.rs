@@ -35,6 +35,7 @@ mod request_id;
 mod retention;
 mod routes;
 mod scaling;
+mod shaders;
 mod start_page;
 mod state;
 mod submission;
@@ -86,6 +87,7 @@ routes::table! {
         GET    "/v1/jobs/{id}/frames/{frame}/layers"        READ_OWN   MINUTE Nothing layers::list;
         GET    "/v1/jobs/{id}/frames/{frame}/layers/{layer}" READ_OWN  MINUTE Nothing layers::layer;
         GET    "/v1/jobs/{id}/frames/{frame}/pixel"         READ_OWN   MINUTE Nothing layers::pixel;
+        POST   "/v1/shader"                                 SUBMIT     MINUTE Nothing shaders::shader;
         POST   "/v1/jobs/{id}/frames/{frame}/link"          READ_OWN   MINUTE Work    links::sign;
         POST   "/v1/preview"                                SUBMIT     MINUTE Nothing drawings::preview;
         POST   "/v1/pick"                                   SUBMIT     MINUTE Nothing pick::pick;

@@ -140,6 +140,12 @@ impl PreviewHelper {
         self.run(&request).await
     }
 
+    /// JSON of a [`proto::preview_helper::ShaderView`], made in the turn of its submitter.
+    pub(crate) async fn shader(&self, submitter: &str, request: &HelperRequest) -> Result<Bytes, HelperError> {
+        let _turn = turn(&self.turns, submitter).await?;
+        Ok(Bytes::from(self.run(request).await?))
+    }
+
     /// Measures a sample of a job.
     pub(crate) async fn sample(&self, request: &HelperRequest) -> Result<CostSample, HelperError> {
         self.measure(request).await

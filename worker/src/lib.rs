@@ -26,6 +26,7 @@ mod skip;
 pub mod srgb;
 pub mod stitch;
 pub mod tape;
+pub mod wgsl;
 mod x86;
 
 pub use cpu::CpuRenderer;

@@ -1,11 +1,13 @@
 //! Records the formulas of a picture, for every compiler.
 
+use scene::color::{DisplayTransform, level_of_256, srgb_from_linear};
 use scene::integrator::{Aovs, Radiance};
 use scene::real::{Real, vec3};
+use scene::sampling::thresholds;
 use scene::{Integrator, JobAtFrame, Layer};
 
 use crate::cells::FastBuilder;
-use crate::tape::{Expr, Tape, record};
+use crate::tape::{Expr, Recording, Tape, record};
 
 /// Adds samples to the sum of a pixel: column, row, first sample, end of the samples, red, green, blue, alpha. Results
 /// are the new sum.
@@ -14,6 +16,9 @@ pub(crate) const ACCUMULATE: &str = "accumulate";
 pub(crate) const MEAN: &str = "mean";
 /// Layers of the pixel in a column and row, one result for each channel.
 pub(crate) const LAYERS: &str = "layers";
+/// Levels from 0 to 255 of a pixel as a PNG of 8 bits has them, before their fractions are truncated: linear red, green,
+/// blue with straight alpha, column, row.
+pub(crate) const LEVELS: &str = "levels";
 /// Number of evaluations of the scene's distance for some samples of a pixel: column, row, first sample, end of the
 /// samples.
 pub(crate) const EVALUATIONS: &str = "evaluations";
@@ -23,15 +28,37 @@ pub(crate) const DISTANCE: &str = "distance_at_point";
 /// Records the entries [`ACCUMULATE`], [`MEAN`] and, if the job requests layers, [`LAYERS`].
 pub(crate) fn record_picture(still: &JobAtFrame<'_>, cells: FastBuilder) -> Tape {
     let (program, image) = (Integrator::of_picture(still, &cells), still.image());
-    let sum = |[r, g, b, alpha]: [Expr; 4]| Radiance { color: vec3(r, g, b), alpha, evaluations: alpha.constant(0.0) };
     record(|recording| {
-        recording.entry(ACCUMULATE, |[x, y, first, end, r, g, b, alpha]| {
-            channels(program.accumulate(x, y, first, end, sum([r, g, b, alpha]))).to_vec()
-        });
+        accumulate(recording, &program);
         recording.entry(MEAN, |all| channels(program.mean(sum(all))).to_vec());
         if !image.layers.is_empty() {
             recording.entry(LAYERS, |[x, y]| layer_channels(&program.aovs(x, y), &image.layers));
         }
+    })
+}
+
+/// Records the entry [`ACCUMULATE`].
+fn accumulate(recording: &Recording, program: &Integrator<'_>) {
+    recording.entry(ACCUMULATE, |[x, y, first, end, r, g, b, alpha]| {
+        channels(program.accumulate(x, y, first, end, sum([r, g, b, alpha]))).to_vec()
+    });
+}
+
+fn sum([r, g, b, alpha]: [Expr; 4]) -> Radiance<Expr> {
+    Radiance { color: vec3(r, g, b), alpha, evaluations: alpha.constant(0.0) }
+}
+
+/// Records the entries [`ACCUMULATE`] and [`LEVELS`].
+pub(crate) fn record_shown_picture(still: &JobAtFrame<'_>, cells: FastBuilder) -> Tape {
+    let program = Integrator::of_picture(still, &cells);
+    let transform = DisplayTransform::new(still.image());
+    record(|recording| {
+        accumulate(recording, &program);
+        recording.entry(LEVELS, |[red, green, blue, x, y]| {
+            let level = |linear, threshold| level_of_256(srgb_from_linear(transform.apply(linear)), threshold);
+            let [at_red, at_green, at_blue] = thresholds(x, y);
+            vec![level(red, at_red), level(green, at_green), level(blue, at_blue)]
+        });
     })
 }
 

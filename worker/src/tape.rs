@@ -15,16 +15,18 @@ mod mutants;
 mod recorder;
 #[cfg(test)]
 mod scalar;
+mod source;
 mod verify;
+mod wgsl_source;
 
 use scene::real::Table;
 
 pub(crate) use allocate::{Allocation, Place, Registers, allocate};
-pub use c_source::CSource;
 pub use expr::{BoolExpr, Expr, U32Expr};
 pub(crate) use fold_step::{FoldStep, ListFunctionLayout};
 pub(crate) use linear::{Class, Linear, LinearTape, Step, Var};
 pub use recorder::{Recording, record};
+pub use source::Source;
 pub use verify::InvalidTape;
 
 /// A value of the tape.

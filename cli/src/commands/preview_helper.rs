@@ -47,6 +47,7 @@ fn set_limits(sketch: &HelperRequest) -> anyhow::Result<()> {
         HelperRequest::Preview { .. } | HelperRequest::Thumbnail { .. } => (DRAWING_NICENESS, Some(MAX_HELPER_BYTES)),
         HelperRequest::Draw { .. }
         | HelperRequest::Pick { .. }
+        | HelperRequest::Shader { .. }
         | HelperRequest::ReadLayers { .. }
         | HelperRequest::DrawLayer { .. }
         | HelperRequest::ReadPixel { .. } => (LIVE_NICENESS, Some(MAX_HELPER_BYTES)),

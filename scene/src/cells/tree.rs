@@ -207,7 +207,7 @@ impl CellTree {
                 tree.words.set_maker(Box::new(LazyBuilder { builder, division }));
             }
             Distances::OfScene(distances) => {
-                Builder::new(frame, pruner, root, distances).divide_all(&tree.words);
+                Builder::new(frame, pruner, root, distances).divide_until(&tree.words, &|| false);
             }
         }
         tree
@@ -367,16 +367,15 @@ impl MakeWords for LazyBuilder {
         self.builder.divide(words, missing)
     }
 
-    fn make_all(&self, words: &Words) {
-        self.builder.divide_all(words);
+    fn make_until(&self, words: &Words, is_enough: &dyn Fn() -> bool) {
+        self.builder.divide_until(words, is_enough);
     }
 
     fn outermost(&self, words: &Words) -> Vec<u32> {
         /// Words of a list that is not long.
         const SHORT: u32 = 1 << 14;
-        let mut outermost = undivided(words, &[self.builder.root]);
-        outermost.retain(|&missing| Undivided::at(words, index_of(missing)).length > SHORT);
-        outermost
+        let is_long = |missing: &u32| Undivided::at(words, index_of(*missing)).length > SHORT;
+        undivided(words, &[self.builder.root]).into_iter().filter(is_long).collect()
     }
 
     fn division(&self) -> &Division {
@@ -406,15 +405,15 @@ impl<'a, D: Deref<Target = dyn LeafDistances + 'a> + Sync> Builder<D> {
         Some(index)
     }
 
-    /// Divides all cells that are to be divided, level by level.
-    fn divide_all(&self, words: &Words) {
+    /// Divides the cells that are to be divided, level by level, until `is_enough` is true.
+    fn divide_until(&self, words: &Words, is_enough: &dyn Fn() -> bool) {
         let mut level = undivided(words, &[self.root]);
-        while !level.is_empty() && !words.is_full() {
-            for &missing in &level {
+        while !level.is_empty() && !words.is_full() && !is_enough() {
+            for &missing in level.iter().take_while(|_| !is_enough()) {
                 self.divide(words, missing);
             }
-            let places: Vec<u32> = level.iter().map(|word| Undivided::at(words, index_of(*word)).place).collect();
-            level = undivided(words, &places);
+            let places = level.iter().map(|word| Undivided::at(words, index_of(*word)).place);
+            level = undivided(words, &places.collect::<Vec<u32>>());
         }
     }
 

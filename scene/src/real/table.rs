@@ -15,6 +15,9 @@ pub const INDEX_BITS: u32 = 30;
 /// not the formula's value: the missing word is to be made, and the formula computed again.
 pub const STAND_IN: u32 = 1;
 
+/// Place of the index of a list among the words that a missing one refers to: the list of the cell that is to be divided.
+pub const LIST_PLACE: u32 = 5;
+
 /// Place of the length of a list among the words that a missing one refers to. A GPU divides lists of about one length
 /// together, and needs memory for the longest.
 pub const LENGTH_PLACE: u32 = 6;
@@ -25,8 +28,8 @@ pub trait MakeWords: Send + Sync {
     /// several threads.
     fn make(&self, words: &Words, missing: u32) -> u32;
 
-    /// Makes all words that formulas could ask for.
-    fn make_all(&self, words: &Words);
+    /// Makes words that formulas could ask for, the outermost first, until all exist or `is_enough` is true.
+    fn make_until(&self, words: &Words, is_enough: &dyn Fn() -> bool);
 
     /// Missing words whose contents take long to make: of the outermost cell, or once that exists, of those right inside
     /// it. Each can be passed to [`MakeWords::make`].
@@ -107,8 +110,13 @@ impl Words {
 
     /// Makes all words that formulas could ask for.
     pub fn make_all(&self) {
+        self.make_until(&|| false);
+    }
+
+    /// Makes words that formulas could ask for, the outermost first, until all exist or `is_enough` is true.
+    pub fn make_until(&self, is_enough: &dyn Fn() -> bool) {
         if let Some(maker) = self.maker.get() {
-            maker.make_all(self);
+            maker.make_until(self, is_enough);
         }
     }
 

@@ -15,6 +15,7 @@ use proto::farm::{FarmView, StartView};
 use proto::frame::{ForgottenPicture, FramePage};
 use proto::job::{DeleteDryRun, JobPatch};
 use proto::job::{DryRun, JobPage, JobView};
+use proto::preview_helper::ShaderView;
 use proto::link::{LinkRequest, LinkView};
 use proto::pool::{PoolSize, PoolView, WorkerList};
 use proto::preview_helper::{LayersView, PickView, PixelView};
@@ -83,6 +84,7 @@ fn answers() -> Map<String, Value> {
     generator.subschema_for::<JobView>();
     generator.subschema_for::<JobPage>();
     generator.subschema_for::<DryRun>();
+    generator.subschema_for::<ShaderView>();
     generator.subschema_for::<DeleteDryRun>();
     generator.subschema_for::<FarmView>();
     generator.subschema_for::<StartView>();

@@ -55,6 +55,7 @@ const ROWS: &[(&str, Row)] = &[
     ("GET /v1/jobs", ReadOrSubmit),
     ("POST /v1/jobs", Submit),
     ("POST /v1/price", Submit),
+    ("POST /v1/shader", Submit),
     ("GET /v1/jobs/{id}", ReadOrOwn),
     ("PATCH /v1/jobs/{id}", Own),
     ("DELETE /v1/jobs/{id}", Own),

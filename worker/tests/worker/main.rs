@@ -20,3 +20,4 @@ mod shipped;
 mod silhouettes;
 #[path = "../../../tests/skip.rs"]
 mod skip;
+mod wgsl;

@@ -3,7 +3,7 @@
 use scene::real::list::{NO_LEAF, OPERATION_WORDS, ROW_BITS, ROW_MASK};
 
 use super::Printer;
-use crate::tape::Fold;
+use crate::tape::{Fold, ValueType};
 
 impl Printer<'_> {
     pub(super) fn fold(&mut self, depth: usize, fold: &Fold) {
@@ -15,18 +15,22 @@ impl Printer<'_> {
         // The first of them waits last.
         let waiting: Vec<Vec<String>> = (0..fold.depth).map(|index| all(&format!("waiting{index}_"))).collect();
         for name in below.iter().chain(&value).chain(waiting.iter().flatten()) {
-            self.line(depth, &format!("float {name} = 0.0f;"));
+            self.line(depth, &self.language.variable(ValueType::F32, name, "0.0f"));
         }
         for (&id, name) in fold.returned.iter().zip(&below) {
             self.names.insert(id, name.clone());
         }
         let (list, last) = (self.operand(fold.list), self.operand(fold.last));
         let arguments: Vec<String> = fold.arguments.iter().map(|&id| self.operand(id)).collect();
-        self.line(depth, &format!("LISTS_LOOP for (unsigned at = {list};; at += {OPERATION_WORDS}u) {{"));
+        self.line(depth, &self.language.list_loop(&list, OPERATION_WORDS));
         let inner = depth + 1;
-        self.line(inner, &format!("const unsigned leaf = word_at(at, {last}), join = word_at(at + 1u, {last});"));
-        for (name, word) in [("leaf_function", "leaf"), ("join_function", "join")] {
-            self.line(inner, &format!("const unsigned {name} = ({word} >> {ROW_BITS}) & {NO_LEAF}u;"));
+        for (name, word) in [
+            ("leaf", format!("word_at(at, {last})")),
+            ("join", format!("word_at(at + 1u, {last})")),
+            ("leaf_function", format!("(leaf >> {ROW_BITS}u) & {NO_LEAF}u")),
+            ("join_function", format!("(join >> {ROW_BITS}u) & {NO_LEAF}u")),
+        ] {
+            self.line(inner, &self.language.constant(ValueType::U32, name, &word));
         }
         self.line(inner, &format!("if (leaf_function != {NO_LEAF}u) {{"));
         self.line(inner + 1, "if (join_function == 0u) {");
@@ -38,7 +42,7 @@ impl Printer<'_> {
         self.cases(inner + 1, "leaf_function", "leaf", &fold.leaves, 0, &arguments, &value);
         self.line(inner, "} else {");
         self.copy(inner + 1, &value, &below);
-        self.line(inner + 1, "if (!(join >> 31)) {");
+        self.line(inner + 1, "if ((join >> 31u) == 0u) {");
         for (index, from) in waiting.iter().enumerate() {
             let to = if index == 0 { &below } else { &waiting[index - 1] };
             self.copy(inner + 2, to, from);
@@ -51,7 +55,7 @@ impl Printer<'_> {
         let arguments: Vec<String> = below.iter().chain(&value).cloned().collect();
         self.cases(inner + 1, "join_function", "join", &fold.joins, 1, &arguments, &below);
         self.line(inner, "}");
-        self.line(inner, &format!("if ((leaf >> 31) || at >= {last}) break;"));
+        self.line(inner, &self.language.break_if(&format!("(leaf >> 31u) != 0u || at >= {last}")));
         self.line(depth, "}");
     }
 
@@ -82,7 +86,8 @@ impl Printer<'_> {
             } else {
                 self.line(depth, "{");
             }
-            self.line(depth + 1, &format!("const {name}_result r = step_{name}({word} & {ROW_MASK}u, {arguments});"));
+            let call = format!("step_{name}({word} & {ROW_MASK}u, {arguments})");
+            self.line(depth + 1, &self.language.result(name, "r", &call));
             for (place, result) in results.iter().enumerate() {
                 self.line(depth + 1, &format!("{result} = r.f{place};"));
             }

@@ -1,0 +1,277 @@
+// Approximate pictures by WebGPU: runs the program of `POST /v1/shader` and shows its picture in a canvas.
+// It knows no scene: docs/page.md, "Approximate pictures", describes how the program is bound.
+
+/** Edge of a workgroup, in pixels. */
+const GROUP = 8;
+/** A band of a picture should take this long, in milliseconds. */
+const BAND_MS = 40;
+/** Pixels of the first band, before the time of one is known. */
+const FIRST_BAND_PIXELS = 2048;
+/** Bytes of the block that says what a dispatch renders. */
+const DISPATCH_BYTES = 32;
+
+/** Copies the picture to the canvas: nearest pixels, premultiplied. */
+const SHOW = `
+@group(0) @binding(0) var<storage, read> picture: array<u32>;
+@group(0) @binding(1) var<uniform> size: vec4<u32>;
+@vertex fn corner(@builtin(vertex_index) index: u32) -> @builtin(position) vec4<f32> {
+    return vec4<f32>(f32(index & 1u) * 4.0 - 1.0, f32(index >> 1u) * 4.0 - 1.0, 0.0, 1.0);
+}
+@fragment fn color(@builtin(position) place: vec4<f32>) -> @location(0) vec4<f32> {
+    let at = min(vec2<u32>(place.xy * vec2<f32>(size.xy) / vec2<f32>(size.zw)), size.xy - 1u);
+    let pixel = unpack4x8unorm(picture[at.y * size.x + at.x]);
+    return vec4<f32>(pixel.rgb * pixel.a, pixel.a);
+}`;
+
+/**
+ * @typedef {object} RendererOptions
+ * @property {HTMLCanvasElement | OffscreenCanvas | null} [canvas] Shows each band when it is rendered; null: pixels are only read.
+ * @property {(reason: string) => void} [onLost] Called once if the GPU is lost: make a new renderer, or show previews.
+ */
+
+/**
+ * @typedef {object} DrawOptions
+ * @property {number} [samples] Number of samples a pixel; 1 by default.
+ * @property {(share: number) => void} [onProgress] Called after each band with the share that is rendered, 0 to 1.
+ */
+
+/**
+ * Makes a renderer; null where there is no WebGPU (no secure context, an old browser, no adapter).
+ * @param {RendererOptions} [options]
+ * @returns {Promise<Renderer | null>}
+ */
+export async function createRenderer({ canvas = null, onLost = () => {} } = {}) {
+    const gpu = globalThis.navigator?.gpu;
+    if (!gpu) return null;
+    let device;
+    try {
+        const adapter = await gpu.requestAdapter({ powerPreference: 'high-performance' });
+        if (!adapter) return null;
+        const { maxStorageBufferBindingSize, maxBufferSize } = adapter.limits;
+        device = await adapter.requestDevice({ requiredLimits: { maxStorageBufferBindingSize, maxBufferSize } });
+    } catch {
+        return null;
+    }
+    const context = canvas ? canvas.getContext('webgpu') : null;
+    if (canvas && !context) {
+        device.destroy();
+        return null;
+    }
+    return new Renderer(device, canvas, context, gpu.getPreferredCanvasFormat(), onLost);
+}
+
+/** Renders the pictures of one program at a time. */
+export class Renderer {
+    #device; #canvas; #context; #layout; #pipeline = null; #show = null; #format;
+    #dispatch; #size; #numbers = null; #words = null; #sums = null; #picture = null;
+    #bindings = null; #showBindings = null;
+    #width = 0; #height = 0;
+    /** Raised by each draw and change: what began under a lower one stops. */
+    #turn = 0;
+    #programTurn = 0;
+    #isLost = false;
+    #pixelsPerMs = 0;
+
+    /**
+     * @param {any} device
+     * @param {HTMLCanvasElement | OffscreenCanvas | null} canvas
+     * @param {any} context
+     * @param {string} format
+     * @param {(reason: string) => void} onLost
+     */
+    constructor(device, canvas, context, format, onLost) {
+        this.#device = device;
+        this.#canvas = canvas;
+        this.#context = context;
+        this.#format = format;
+        const buffer = (binding, type) => ({ binding, visibility: GPUShaderStage.COMPUTE, buffer: { type } });
+        this.#layout = device.createBindGroupLayout({ entries: [
+            buffer(0, 'uniform'), buffer(1, 'read-only-storage'), buffer(2, 'read-only-storage'),
+            buffer(3, 'storage'), buffer(4, 'storage'),
+        ] });
+        const uniform = (size) => device.createBuffer({ size, usage: GPUBufferUsage.UNIFORM | GPUBufferUsage.COPY_DST });
+        this.#dispatch = uniform(DISPATCH_BYTES);
+        this.#size = uniform(16);
+        this.#numbers = this.#storage(4);
+        this.#words = this.#storage(4);
+        device.lost.then(({ reason, message }) => {
+            this.#isLost = true;
+            this.#turn += 1;
+            if (reason !== 'destroyed') onLost(message || 'the GPU was lost');
+        });
+    }
+
+    /** Whether the GPU was lost, or the renderer destroyed. */
+    get isLost() { return this.#isLost; }
+
+    /**
+     * Compiles a program. Rejects with the compiler's messages if it is invalid; resolves to false if a later program
+     * replaced it in the meantime.
+     * @param {string} wgsl
+     * @returns {Promise<boolean>}
+     */
+    async setProgram(wgsl) {
+        this.#turn += 1;
+        const turn = ++this.#programTurn;
+        const module = this.#device.createShaderModule({ code: wgsl });
+        const layout = this.#device.createPipelineLayout({ bindGroupLayouts: [this.#layout] });
+        let pipeline;
+        try {
+            pipeline = await this.#device.createComputePipelineAsync({ layout, compute: { module, entryPoint: 'render' } });
+        } catch (error) {
+            const { messages } = await module.getCompilationInfo();
+            const errors = messages.filter(({ type }) => type === 'error');
+            const texts = errors.map(({ lineNum, message }) => `line ${lineNum}: ${message}`);
+            throw new Error(`the program does not compile: ${texts.join('; ') || error.message}`);
+        }
+        if (turn !== this.#programTurn) return false;
+        this.#pipeline = pipeline;
+        this.#pixelsPerMs = 0;
+        return true;
+    }
+
+    /**
+     * Sets the size of the picture in pixels.
+     * @param {number} width
+     * @param {number} height
+     */
+    setSize(width, height) {
+        if (width === this.#width && height === this.#height) return;
+        this.#turn += 1;
+        this.#sums?.destroy();
+        this.#picture?.destroy();
+        this.#width = width;
+        this.#height = height;
+        this.#sums = this.#storage(16 * width * height);
+        this.#picture = this.#storage(4 * width * height);
+        this.#bindings = this.#showBindings = null;
+    }
+
+    /**
+     * Sets the inputs of the program: `uniforms` and `table` of `POST /v1/shader`.
+     * @param {ArrayLike<number>} uniforms
+     * @param {ArrayLike<number>} table
+     */
+    setNumbers(uniforms, table) {
+        this.#turn += 1;
+        this.#numbers = this.#filled(this.#numbers, uniforms);
+        this.#words = this.#filled(this.#words, table);
+    }
+
+    /**
+     * Renders the picture in bands. Resolves to false if a later draw or change replaced it, or the GPU was lost.
+     * @param {DrawOptions} [options]
+     * @returns {Promise<boolean>}
+     */
+    async draw({ samples = 1, onProgress = () => {} } = {}) {
+        if (!this.#pipeline || !this.#picture) throw new Error('set a program, its numbers and a size before drawing');
+        const turn = ++this.#turn;
+        const [width, height] = [this.#width, this.#height];
+        for (let sample = 0; sample < samples; sample += 1) {
+            for (let y = 0; y < height;) {
+                if (this.#isLost || turn !== this.#turn) return false;
+                const pixels = this.#pixelsPerMs > 0 ? this.#pixelsPerMs * BAND_MS : FIRST_BAND_PIXELS;
+                const rows = Math.min(height - y, Math.max(GROUP, Math.floor(pixels / width / GROUP) * GROUP));
+                const start = performance.now();
+                this.#render(y, rows, sample);
+                this.#present();
+                await this.#device.queue.onSubmittedWorkDone();
+                this.#pixelsPerMs = (rows * width) / Math.max(0.5, performance.now() - start);
+                y += rows;
+                onProgress((sample + y / height) / samples);
+            }
+        }
+        return !this.#isLost && turn === this.#turn;
+    }
+
+    /**
+     * Reads the picture: RGBA of 8 bits, row by row, with straight alpha.
+     * @returns {Promise<{width: number, height: number, data: Uint8ClampedArray}>}
+     */
+    async readPixels() {
+        const [width, height] = [this.#width, this.#height];
+        const size = 4 * width * height;
+        const copy = this.#device.createBuffer({ size, usage: GPUBufferUsage.COPY_DST | GPUBufferUsage.MAP_READ });
+        const encoder = this.#device.createCommandEncoder();
+        encoder.copyBufferToBuffer(this.#picture, 0, copy, 0, size);
+        this.#device.queue.submit([encoder.finish()]);
+        await copy.mapAsync(GPUMapMode.READ);
+        const data = new Uint8ClampedArray(copy.getMappedRange().slice(0));
+        copy.destroy();
+        return { width, height, data };
+    }
+
+    /** Frees the GPU's memory. */
+    destroy() {
+        this.#turn += 1;
+        this.#isLost = true;
+        this.#device.destroy();
+    }
+
+    #storage(size) {
+        const usage = GPUBufferUsage.STORAGE | GPUBufferUsage.COPY_DST | GPUBufferUsage.COPY_SRC;
+        return this.#device.createBuffer({ size, usage });
+    }
+
+    /** The buffer with these words; a new one if their number has changed. */
+    #filled(buffer, values) {
+        const words = values.length > 0 ? Uint32Array.from(values) : new Uint32Array(1);
+        if (buffer.size !== words.byteLength) {
+            buffer.destroy();
+            buffer = this.#storage(words.byteLength);
+            this.#bindings = null;
+        }
+        this.#device.queue.writeBuffer(buffer, 0, words);
+        return buffer;
+    }
+
+    #render(y, rows, sample) {
+        const buffers = [this.#dispatch, this.#numbers, this.#words, this.#sums, this.#picture];
+        this.#bindings ??= this.#device.createBindGroup({
+            layout: this.#layout,
+            entries: buffers.map((buffer, binding) => ({ binding, resource: { buffer } })),
+        });
+        const block = new Uint32Array([0, y, this.#width, rows, this.#width, sample, sample + 1, 0]);
+        this.#device.queue.writeBuffer(this.#dispatch, 0, block);
+        const encoder = this.#device.createCommandEncoder();
+        const pass = encoder.beginComputePass();
+        pass.setPipeline(this.#pipeline);
+        pass.setBindGroup(0, this.#bindings);
+        pass.dispatchWorkgroups(Math.ceil(this.#width / GROUP), Math.ceil(rows / GROUP));
+        pass.end();
+        this.#device.queue.submit([encoder.finish()]);
+    }
+
+    /** Copies the picture so far to the canvas. */
+    #present() {
+        if (!this.#context) return;
+        if (!this.#show) {
+            this.#context.configure({ device: this.#device, format: this.#format, alphaMode: 'premultiplied' });
+            const module = this.#device.createShaderModule({ code: SHOW });
+            this.#show = this.#device.createRenderPipeline({
+                layout: 'auto',
+                vertex: { module, entryPoint: 'corner' },
+                fragment: { module, entryPoint: 'color', targets: [{ format: this.#format }] },
+            });
+        }
+        this.#showBindings ??= this.#device.createBindGroup({
+            layout: this.#show.getBindGroupLayout(0),
+            entries: [
+                { binding: 0, resource: { buffer: this.#picture } },
+                { binding: 1, resource: { buffer: this.#size } },
+            ],
+        });
+        const { width, height } = this.#canvas;
+        this.#device.queue.writeBuffer(this.#size, 0, new Uint32Array([this.#width, this.#height, width, height]));
+        const encoder = this.#device.createCommandEncoder();
+        const view = this.#context.getCurrentTexture().createView();
+        const pass = encoder.beginRenderPass({
+            colorAttachments: [{ view, loadOp: 'clear', storeOp: 'store', clearValue: [0, 0, 0, 0] }],
+        });
+        pass.setPipeline(this.#show);
+        pass.setBindGroup(0, this.#showBindings);
+        pass.draw(3);
+        pass.end();
+        this.#device.queue.submit([encoder.finish()]);
+    }
+}

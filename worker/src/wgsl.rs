@@ -1,0 +1,68 @@
+//! The program of an approximate picture, for a browser's GPU: a frame's recorded formulas in WGSL, and their inputs.
+//!
+//! Its pictures differ from the reference by rounding, so they are shown and never stored.
+
+use std::time::{Duration, Instant};
+
+use scene::JobAtFrame;
+
+use crate::cells::FastBuilder;
+use crate::picture_tape::record_shown_picture;
+use crate::tape::InvalidTape;
+
+const TEMPLATE: &str = include_str!("wgsl/picture.wgsl");
+const INSERTION_POINT: &str = "// ---- the picture ----\n";
+
+/// Maximum number of words of a table: what a browser is sent for each change of a number.
+const MAX_WORDS: usize = 1 << 22;
+/// Number of words that cells may take, beyond those of the whole scene. A cell that is not divided has the list of the cell
+/// around it.
+const WORDS_OF_CELLS: usize = 1 << 19;
+/// Maximum time for dividing cells.
+const DIVISION_TIME: Duration = Duration::from_secs(1);
+
+/// Program of an approximate picture, and its inputs.
+#[derive(Clone, Debug)]
+pub struct Shader {
+    /// Text of the program: the same for all frames, sizes, and values of a scene's numbers.
+    pub text: String,
+    /// Values of the scene's numbers at the frame, by their bits.
+    pub numbers: Vec<u32>,
+    /// Words that the program reads by computed indices; none if it reads none.
+    pub words: Vec<u32>,
+}
+
+/// Error returned when a frame has no program.
+#[derive(Debug, thiserror::Error)]
+pub enum ShaderError {
+    /// Its recorded formulas are invalid.
+    #[error(transparent)]
+    Invalid(#[from] InvalidTape),
+    /// Its table is too large.
+    #[error("the shapes of the scene take {} MiB, and a browser is sent at most {} MiB", .0 >> 18, MAX_WORDS >> 18)]
+    ManyShapes(usize),
+}
+
+impl Shader {
+    /// Program of a job's frame.
+    pub fn new(still: &JobAtFrame<'_>) -> Result<Self, ShaderError> {
+        let tape = record_shown_picture(still, FastBuilder::UNLIMITED);
+        let words = match tape.table() {
+            None => Vec::new(),
+            Some(table) if table.used() > MAX_WORDS => return Err(ShaderError::ManyShapes(table.used())),
+            Some(table) => {
+                let (start, most) = (Instant::now(), table.used() + WORDS_OF_CELLS);
+                table.make_until(&|| table.used() > most || start.elapsed() > DIVISION_TIME);
+                table.after(0)
+            }
+        };
+        let (code, numbers) = (tape.to_wgsl()?.code, tape.finite_uniforms());
+        let (before, after) = TEMPLATE.split_once(INSERTION_POINT).expect("picture.wgsl has a place for the picture");
+        let text = format!(
+            "const NUMBER_COUNT = {}u;\nconst IS_TRANSPARENT = {};\n{before}{code}{after}",
+            numbers.len().max(1),
+            still.scene().is_transparent()
+        );
+        Ok(Self { text, numbers, words })
+    }
+}
