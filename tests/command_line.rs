@@ -248,6 +248,30 @@ fn variables_set_flags_and_flags_take_precedence() {
 }
 
 #[test]
+fn open_starts_the_browser_or_prints_the_address() {
+    let farm = Farm::start(&["--workers", "0"]);
+    let folder = tempfile::tempdir().expect("a folder");
+    let page = format!("{}/\n", farm.address);
+    let open = |browser: &str| {
+        let mut command = sdfarm(&["open", "--server", &farm.address]);
+        command.env("BROWSER", browser).env("PATH", folder.path());
+        finish(command, b"")
+    };
+    let browser = folder.path().join("browser");
+    fs::write(&browser, "#!/bin/sh\necho \"$1\" >\"$0.saw\"\n").expect("written");
+    fs::set_permissions(&browser, std::os::unix::fs::PermissionsExt::from_mode(0o755)).expect("set");
+    let output = open(&browser.display().to_string());
+    assert_eq!((output.status.code(), text(&output.stdout)), (Some(0), page.clone()));
+    assert!(output.stderr.is_empty(), "{}", text(&output.stderr));
+    assert_eq!(fs::read_to_string(folder.path().join("browser.saw")).expect("the browser was started"), page);
+    let output = open("no-such-browser");
+    assert_eq!((output.status.code(), text(&output.stdout)), (Some(0), page));
+    assert!(text(&output.stderr).contains("open this address"), "{}", text(&output.stderr));
+    let absent = run(&["open", "--server", "http://127.0.0.1:1"]);
+    assert_eq!(absent.status.code(), Some(1), "{}", text(&absent.stderr));
+}
+
+#[test]
 fn usage_errors_exit_with_2_and_help_with_0() {
     for arguments in [&["rendr"][..], &[], &["render"], &["pool", "x"], &["fetch", "x"], &["serve", "--simd", "mmx"]] {
         let output = run(arguments);

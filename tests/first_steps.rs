@@ -46,6 +46,7 @@ fn demo_prints_the_path_the_time_and_the_next_steps() {
     let path = fs::canonicalize(folder.path()).expect("there").join("fjord.png");
     assert!(said.starts_with(&format!("saved {} after ", path.display())) && said.ends_with(" s\n"), "{said}");
     assert!(remarks.contains("fjord: 32×16") && remarks.contains("next: ") && remarks.contains(" serve`"), "{remarks}");
+    assert!(remarks.contains("http://127.0.0.1:8080") && remarks.contains(" open`"), "where to look: {remarks}");
     assert_eq!(names_in(folder.path()), ["fjord.png"]);
     let readme = fs::read_to_string(root().join("README.md")).expect("there");
     assert!(

@@ -6,7 +6,25 @@ use std::{fs, io};
 use crate::support::root;
 
 const MAX_LINES: usize = 500;
-const CODE: [&str; 7] = ["scene", "proto", "server", "worker", "cli", "tests", "docs"];
+const CODE: [&str; 8] = ["scene", "proto", "server", "worker", "cli", "web", "tests", "docs"];
+/// Folder of files that others wrote, which are kept as they are.
+const VENDORED: &str = "web/vendor";
+/// Properties and functions that read text as markup or as a program. The page has none: names of jobs are text.
+const MARKUP_SINKS: [&str; 13] = [
+    "innerHTML",
+    "outerHTML",
+    "insertAdjacentHTML",
+    "document.write",
+    "setHTMLUnsafe",
+    "parseHTMLUnsafe",
+    "DOMParser",
+    "createContextualFragment",
+    "srcdoc",
+    "eval(",
+    "new Function",
+    "javascript:",
+    "style=",
+];
 
 /// Text in which a word is forbidden.
 #[derive(Clone, Copy, Debug)]
@@ -60,6 +78,9 @@ fn files(folders: &[&str], extensions: &[&str]) -> Vec<(PathBuf, String)> {
 fn walk(folder: &Path, extensions: &[&str], found: &mut Vec<(PathBuf, String)>) -> io::Result<()> {
     for entry in fs::read_dir(folder)? {
         let path = entry?.path();
+        if path.ends_with(VENDORED) {
+            continue;
+        }
         if path.is_dir() {
             walk(&path, extensions, found)?;
         } else if path.extension().is_some_and(|extension| extensions.iter().any(|known| extension == *known)) {
@@ -86,12 +107,29 @@ fn no_source_file_is_longer_than_five_hundred_lines() {
 
 #[test]
 fn every_source_file_opens_with_its_purpose() {
-    let silent = files(&CODE, &["rs"])
-        .into_iter()
-        .filter(|(_, text)| !text.starts_with("//! ") || text.lines().next().is_some_and(|line| line.len() < 20))
-        .map(|(path, _)| path.display().to_string())
-        .collect::<Vec<_>>();
+    let opens = |path: &Path, text: &str| {
+        let marker = if path.extension().is_some_and(|extension| extension == "js") { "// " } else { "//! " };
+        text.starts_with(marker) && text.lines().next().is_some_and(|line| line.len() >= 20)
+    };
+    let code = files(&CODE, &["rs"]).into_iter().chain(files(&["web"], &["js"]));
+    let silent =
+        code.filter(|(path, text)| !opens(path, text)).map(|(path, _)| path.display().to_string()).collect::<Vec<_>>();
     assert_none("no opening words", &silent);
+}
+
+#[test]
+fn the_page_reads_no_text_as_markup() {
+    let page = files(&["web"], &["js", "html", "svg"]);
+    assert!(page.len() > 20, "the files of the page are missing");
+    let mut found = Vec::new();
+    for (path, text) in page {
+        for (number, line) in text.lines().enumerate() {
+            for sink in MARKUP_SINKS.iter().filter(|sink| line.contains(**sink)) {
+                found.push(format!("{}:{}: {sink}", path.display(), number + 1));
+            }
+        }
+    }
+    assert_none("text would be read as markup or as a program", &found);
 }
 
 #[test]
@@ -100,7 +138,7 @@ fn no_unfinished_code_is_left() {
     let marks = [concat!("TO", "DO"), concat!("FIX", "ME"), concat!("XX", "X")].map(str::to_owned);
     let macros = ["todo", "unimplemented", "dbg"].map(|name| format!("{name}!("));
     let mut left = Vec::new();
-    for (path, text) in files(&CODE, &["rs", "cu", "sql", "toml", "md"]) {
+    for (path, text) in files(&CODE, &["rs", "cu", "sql", "toml", "md", "js", "css", "html"]) {
         for (number, line) in text.lines().enumerate() {
             if marks.iter().chain(&macros).any(|mark| line.contains(mark.as_str())) {
                 left.push(format!("{}:{}: {line}", path.display(), number + 1));
@@ -156,7 +194,7 @@ fn changelog_has_an_unreleased_section() {
 /// Text of a comment line, without its marker.
 fn comment<'a>(path: &Path, line: &'a str) -> Option<&'a str> {
     let marker = match path.extension()?.to_str()? {
-        "rs" => "//",
+        "rs" | "js" => "//",
         "sql" => "--",
         "yml" => "#",
         _ => return None,
@@ -202,6 +240,7 @@ fn forbidden(path: &Path, line: &str) -> Vec<String> {
 fn no_forbidden_words_are_used() {
     let folders = [CODE.as_slice(), &["scenes", "docker", ".ci"]].concat();
     let mut texts = files(&folders, &["rs", "md", "sql", "yml"]);
+    texts.extend(files(&["web"], &["js", "css", "html"]));
     for name in ["README.md", "ARCHITECTURE.md", "CHANGELOG.md"] {
         texts.push((name.into(), fs::read_to_string(root().join(name)).expect("the page exists")));
     }

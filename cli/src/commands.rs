@@ -21,6 +21,7 @@ mod key;
 mod link;
 mod migrate;
 mod new;
+mod open;
 mod pause;
 mod pool;
 mod preview;
@@ -137,6 +138,8 @@ pub(crate) enum Command {
     Selftest(selftest::Arguments),
     /// Stress-test a temporary farm: kill its processes repeatedly and check that nothing is lost or changed.
     Soak(soak::Arguments),
+    /// Open a farm's page in the browser, or print its address.
+    Open(open::Arguments),
     /// Show a farm on one screen: queue, workers, disk, and warnings.
     Status(status::Arguments),
     /// Show a farm live in the terminal; q quits.
@@ -202,6 +205,7 @@ impl Command {
             Self::Bench(arguments) => bench::run(&arguments),
             Self::Selftest(arguments) => selftest::run(&arguments),
             Self::Soak(arguments) => run_async(soak::run(arguments)),
+            Self::Open(arguments) => run_async(interruptible(open::run(arguments))),
             Self::Status(arguments) => run_async(interruptible(status::run(arguments))),
             Self::Top(arguments) => run_async(interruptible(top::run(arguments))),
             Self::Backup(arguments) => run_async(interruptible(backup::run(arguments))),

@@ -23,6 +23,7 @@ mod layers;
 mod links;
 mod merge_patch;
 mod openapi;
+mod page;
 mod pause;
 mod pick;
 mod pool;
@@ -117,6 +118,7 @@ routes::table! {
         PUT    "/v1/worker/blobs/{hash}"                    WORKER     NONE   Nothing worker_protocol::put_blob;
         GET    "/v1/worker/blobs/{hash}"                    WORKER     NONE   Nothing worker_protocol::get_blob;
         PUT    "/v1/worker/pictures/{hash}"                 WORKER     NONE   Nothing worker_protocol::put_picture;
+        GET    "/ui/{*path}"                                PUBLIC     MINUTE Nothing page::file;
         GET    "/openapi.json"                              PUBLIC     MINUTE Nothing openapi::openapi;
         GET    "/docs"                                      PUBLIC     MINUTE Nothing docs::redirect;
         GET    "/docs/"                                     PUBLIC     MINUTE Nothing docs::page;

@@ -109,7 +109,7 @@ fn sized(text: Vec<u8>, width: Option<u32>) -> anyhow::Result<Vec<u8>> {
 fn next_step() -> String {
     let program = std::env::args().next().unwrap_or_else(|| "sdfarm".to_owned());
     format!(
-        "next: `{program} serve` runs a permanent farm, with its start page at http://127.0.0.1:8080;\n\
+        "next: `{program} serve` runs a permanent farm; its page is http://127.0.0.1:8080, and `{program} open` shows it;\n\
          `{program} demo --list` lists the other scenes, `{program} demo --scene octopus` renders one"
     )
 }

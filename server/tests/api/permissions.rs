@@ -40,6 +40,7 @@ const ROWS: &[(&str, Row)] = &[
     ("GET /", Open),
     ("GET /livez", Open),
     ("GET /readyz", Open),
+    ("GET /ui/{*path}", Open),
     ("GET /docs", Open),
     ("GET /docs/", Open),
     ("GET /docs/{*rest}", Open),
@@ -110,7 +111,7 @@ const TABLE: &str = include_str!("../../src/http.rs");
 
 /// Whether a route is not in the document.
 fn is_undocumented(route: &str) -> bool {
-    route.contains("/v1/worker/") || route.contains("/docs") || route == "GET /openapi.json"
+    route.contains("/v1/worker/") || route.contains("/docs") || route.contains("/ui/") || route == "GET /openapi.json"
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -154,7 +155,8 @@ async fn walk(farm: &Farm, bearer: Bearer, key: Option<&str>, job: &str) -> Vec<
             .replace("{layer}", "color")
             .replace("{name}", "csg")
             .replace("{hash}", &"0".repeat(64))
-            .replace("{*rest}", "index.css");
+            .replace("{*rest}", "index.css")
+            .replace("{*path}", "style.css");
         let method: Method = method.parse().expect("a method");
         // Rejections are limited per second; above the limit the response is 429, and the request is repeated.
         let answer = loop {
