@@ -1,12 +1,12 @@
 // Changes of a text that set values at paths: the least text is replaced, so that comments, spaces and undo steps stay good.
 
-import { child, numbersOf } from './json.js';
+import { child, find, numbersOf } from './json.js';
 
 /** @typedef {import('./json.js').JsonNode} JsonNode */
 /** @typedef {{from: number, to: number, insert: string}} Change */
 
 /**
- * A number as a person writes it: at most so many digits after the point, and none that say nothing.
+ * A number as a person writes it: at most a number of digits after the point, and none that say nothing.
  * @param {number} value
  * @param {number} [digits]
  */
@@ -96,6 +96,47 @@ export function insertEntry(text, container, entry) {
   const comma = /^\s*,/.exec(text.slice(last.to, close));
   if (comma !== null) return [{ from: last.to, to: last.to + comma[0].length, insert: `${glue}${entry}` }];
   return [{ from: last.to, to: last.to, insert: `${glue}${entry}` }];
+}
+
+/**
+ * Changes that set the value at a path; objects that are missing on the way are added.
+ * @param {string} text
+ * @param {JsonNode} root
+ * @param {readonly (string | number)[]} path
+ * @param {string} value as JSON
+ * @returns {Change[]}
+ */
+export function setPath(text, root, path, value) {
+  let node = root;
+  for (const [depth, step] of path.entries()) {
+    const next = child(node, step);
+    if (next !== undefined && next.kind !== 'missing') {
+      node = next;
+    } else if (node.kind === 'object') {
+      const rest = path.slice(depth + 1).reduceRight((/** @type {string} */ inner, key) => `{ ${JSON.stringify(String(key))}: ${inner} }`, value);
+      return setMember(text, node, String(step), rest);
+    } else {
+      return [];
+    }
+  }
+  return text.slice(node.from, node.to) === value ? [] : [{ from: node.from, to: node.to, insert: value }];
+}
+
+/**
+ * Changes that remove the member or the item at a path, with its comma.
+ * @param {JsonNode} root
+ * @param {readonly (string | number)[]} path
+ * @returns {Change[]}
+ */
+export function removeAt(root, path) {
+  const node = find(root, path);
+  const siblings = node?.parent?.children ?? [];
+  const at = node === undefined ? -1 : siblings.indexOf(node);
+  if (node === undefined || at < 0) return [];
+  const [before, after] = [siblings[at - 1], siblings[at + 1]];
+  const startOf = (/** @type {JsonNode} */ each) => (each.keyFrom < 0 ? each.from : each.keyFrom);
+  if (after !== undefined) return [{ from: startOf(node), to: startOf(after), insert: '' }];
+  return [{ from: before?.to ?? startOf(node), to: node.to, insert: '' }];
 }
 
 /**

@@ -185,7 +185,11 @@ class Parser {
         this.at += 1;
         continue;
       }
-      node.children.push(this.value(node, node.children.length, depth));
+      const from = this.at;
+      const item = this.value(node, node.children.length, depth);
+      // What begins no value is passed.
+      if (this.at === from) this.at += 1;
+      else node.children.push(item);
     }
   }
 }

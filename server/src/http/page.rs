@@ -50,6 +50,7 @@ const KINDS: [(&str, &str, bool); 7] = [
 #[derive(RustEmbed)]
 #[folder = "../web"]
 #[exclude = "tsconfig.json"]
+#[exclude = "vendor/build/*"]
 struct WebFiles;
 
 /// Compressed files by the hash of the original.

@@ -4,6 +4,7 @@ import { mkdirSync, readFileSync, statSync } from 'node:fs';
 import assert from 'node:assert/strict';
 import { DESKTOP, PHONE, inRoom, open } from '../browser.js';
 import { Farm, until } from '../farm.js';
+import { cursorAfter, settled, stopFarm, studio } from '../studio.js';
 
 const FOLDER = process.env.SDFARM_PAGE_PICTURES ?? 'target/page';
 const LARGEST = 200 * 1024;
@@ -79,5 +80,28 @@ export async function the_rooms() {
     await picture(help, 'help');
   } finally {
     farm.stop();
+  }
+}
+
+export async function the_studio() {
+  const text = readFileSync('scenes/turntable.json', 'utf8');
+  try {
+    for (const [name, theme, size] of [['light', 'light', WIDE], ['dark', 'dark', WIDE], ['phone', 'dark', PHONE]]) {
+      const page = await studio({ text, theme, size });
+      await cursorAfter(page, '"roughness": 0.3');
+      if (name === 'dark') {
+        await page.getByRole('button', { name: 'Examples' }).first().click();
+        await page.locator('.scene-item').first().waitFor();
+        await page.getByRole('searchbox').fill('a');
+        await page.getByRole('searchbox').fill('');
+        await page.getByRole('button', { name: 'Price', exact: true }).first().click();
+        await page.waitForSelector('.price-panel .facts');
+      }
+      await settled(page);
+      await picture(page, `studio-${name}`);
+      await page.context().close();
+    }
+  } finally {
+    stopFarm();
   }
 }

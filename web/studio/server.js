@@ -1,0 +1,141 @@
+// Requests of the studio: checks, pictures, places, prices and jobs. Texts above a size are sent compressed.
+
+import { getJson, request, send } from '/ui/api.js';
+
+/** @typedef {import('/ui/api.js').Options} Options */
+/** @typedef {{pointer: string, message: string, line: number, column: number}} Fault */
+/** @typedef {{seconds: number | null, core_seconds: number, rays: number, memory_bytes: number}} Estimate */
+/** @typedef {{valid: true, tiles: number, frames: number, rays: number, estimate: Estimate | null, warnings: string[]}} DryRun */
+/**
+ * @typedef {object} Picked
+ * @property {number | null} object
+ * @property {string | null} name
+ * @property {string | null} pointer
+ * @property {string | null} material
+ * @property {string | null} material_pointer
+ * @property {[number, number, number] | null} position
+ * @property {[number, number, number] | null} normal
+ * @property {number | null} distance
+ */
+/** @typedef {{pointer: string, from: number | null, to: number | null, saves_seconds: number, saves_share: number, message: string}} Saving */
+/** @typedef {{columns: number, rows: number, seconds: number[], steps: number[]}} PriceMap */
+/**
+ * @typedef {object} Price
+ * @property {number | null} seconds
+ * @property {number | null} seconds_low
+ * @property {number | null} seconds_high
+ * @property {number} core_seconds
+ * @property {{amount: number, currency: string} | null} cost
+ * @property {PriceMap | null} map
+ * @property {Saving[]} savings
+ */
+/** @typedef {{program: string, wgsl: string | null, uniforms: number[], table: number[], samples: number, width: number, height: number, reason: string | null}} Shader */
+/** @typedef {{name: string, title: string, bytes: number}} SceneInfo */
+
+/** Texts above this are compressed. */
+const COMPRESS_CHARS = 64 << 10;
+
+/**
+ * A text as a body, with the headers that it needs.
+ * @param {string} text
+ * @returns {Promise<{body: BodyInit, headers: Record<string, string>}>}
+ */
+async function bodyOf(text) {
+  if (text.length < COMPRESS_CHARS || typeof CompressionStream === 'undefined') return { body: text, headers: {} };
+  const stream = new Blob([text]).stream().pipeThrough(new CompressionStream('gzip'));
+  return { body: await new Response(stream).blob(), headers: { 'content-encoding': 'gzip' } };
+}
+
+/**
+ * @param {string} text
+ * @param {NonNullable<Options['query']>} query
+ * @param {AbortSignal} signal
+ * @returns {Promise<Options>}
+ */
+const posted = async (text, query, signal) => ({ method: 'POST', query, signal, ...(await bodyOf(text)) });
+
+/**
+ * Checks a job; an invalid one is a `Problem` with its errors.
+ * @param {string} text
+ * @param {AbortSignal} signal
+ * @returns {Promise<DryRun>}
+ */
+export const check = async (text, signal) => getJson('/v1/jobs', await posted(text, { dry_run: true }, signal));
+
+/**
+ * The exact picture of a frame. One that takes longer than the limit is that of a smaller job, scaled up: `width` is its
+ * width, and `samples` its samples.
+ * @param {string} text
+ * @param {{width: number, frame: number, samples: number, layer: string, limit_ms: number}} query
+ * @param {AbortSignal} signal
+ * @returns {Promise<{blob: Blob, width: number, samples: number}>}
+ */
+export async function preview(text, query, signal) {
+  const options = await posted(text, query, signal);
+  const response = await request('/v1/preview', { ...options, headers: { ...options.headers, accept: 'image/png' } });
+  const { headers } = response;
+  return { blob: await response.blob(), width: Number(headers.get('preview-width')) || query.width, samples: Number(headers.get('preview-samples')) || query.samples };
+}
+
+/**
+ * The surface at a place of the picture, 0 to 1 from the top left.
+ * @param {string} text
+ * @param {{x: number, y: number, frame: number}} query
+ * @param {AbortSignal} signal
+ * @returns {Promise<Picked>}
+ */
+export const pick = async (text, query, signal) => getJson('/v1/pick', await posted(text, query, signal));
+
+/**
+ * The program and the numbers of an approximate picture.
+ * @param {string} text
+ * @param {{frame: number, width: number, samples: number, program: string | null}} query
+ * @param {AbortSignal} signal
+ * @returns {Promise<Shader>}
+ */
+export const shader = async (text, query, signal) => getJson('/v1/shader', await posted(text, query, signal));
+
+/**
+ * The price of a job.
+ * @param {string} text
+ * @param {boolean} map
+ * @param {AbortSignal} signal
+ * @returns {Promise<Price>}
+ */
+export const price = async (text, map, signal) => getJson('/v1/price', await posted(text, { map }, signal));
+
+/**
+ * Submits a job once, whatever happens to the answer.
+ * @param {string} text
+ * @param {string} key
+ * @returns {Promise<{id: string}>}
+ */
+export async function submit(text, key) {
+  const { body, headers } = await bodyOf(text);
+  return send('POST', '/v1/jobs', { body, headers: { ...headers, 'idempotency-key': key } });
+}
+
+/**
+ * The file of a job, as it was submitted.
+ * @param {string} id
+ * @param {AbortSignal} signal
+ */
+export const jobFile = async (id, signal) => (await request(`/v1/jobs/${encodeURIComponent(id)}/file`, { signal })).text();
+
+/**
+ * @param {AbortSignal} signal
+ * @returns {Promise<{kinds: import('./nodes.js').Kind[]}>}
+ */
+export const nodeTable = (signal) => getJson('/v1/schema/nodes', { signal });
+
+/**
+ * @param {AbortSignal} signal
+ * @returns {Promise<{scenes: SceneInfo[]}>}
+ */
+export const scenes = (signal) => getJson('/v1/scenes', { signal });
+
+/**
+ * @param {string} name
+ * @param {AbortSignal} signal
+ */
+export const sceneFile = async (name, signal) => (await request(`/v1/scenes/${encodeURIComponent(name)}`, { signal })).text();
