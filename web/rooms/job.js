@@ -146,6 +146,7 @@ class JobRoom extends Room {
   }
 
   #gone() {
+    if (this.signal.aborted) return;
     toast(`${this.job?.name ?? 'The job'} has been deleted`);
     location.hash = '#/jobs';
   }
@@ -370,7 +371,10 @@ class JobRoom extends Room {
   #follow() {
     if (this.#isFollowing || this.job === null) return;
     this.#isFollowing = true;
-    void follow(`/v1/jobs/${this.job.id}/events`, { signal: this.signal, onMessage: (message) => this.#heard(message) }).finally(() => (this.#isFollowing = false));
+    void follow(`/v1/jobs/${this.job.id}/events`, { signal: this.signal, onMessage: (message) => this.#heard(message) }).finally(() => {
+      this.#isFollowing = false;
+      if (!this.signal.aborted) void this.#readJob();
+    });
   }
 
   /** @param {import('/ui/events.js').Message} message */
@@ -395,8 +399,8 @@ class JobRoom extends Room {
   async #readJob() {
     try {
       this.#take(await getJson(`/v1/jobs/${this.#id}`, { signal: this.signal }));
-    } catch {
-      // The farm's events say whether it is gone.
+    } catch (error) {
+      if (error instanceof Problem && error.status === 404) this.#gone();
     }
   }
 
