@@ -5,7 +5,7 @@ import { mkdtempSync, readFileSync, rmSync, writeFileSync } from 'node:fs';
 import { tmpdir } from 'node:os';
 import { join } from 'node:path';
 import { checkAccessibility } from '../browser.js';
-import { csg, cursorAfter, ownBrowser, ready, setText, settled, startFarm, studio, textOf, turntable, versionOf, stopFarm } from '../studio.js';
+import { csg, cursorAfter, ownBrowser, ready, setText, settled, startFarm, studio, textOf, versionOf, stopFarm } from '../studio.js';
 
 /** Folder of files to open. */
 let files;
@@ -147,23 +147,22 @@ export async function edits_go_on_while_the_farm_does_not_answer_and_the_picture
 }
 
 async function accessible(theme) {
-  const page = await studio({ text: turntable, theme });
+  const page = await studio({ text: csg.replace('"name"', '"frames": { "count": 8 }, "name"'), theme });
   await settled(page);
-  await checkAccessibility(page, `the studio, ${theme}`);
   await page.getByRole('button', { name: 'Examples' }).first().click();
   await page.waitForSelector('.kind-item');
   await page.getByRole('button', { name: 'Price', exact: true }).first().click();
   await page.waitForSelector('.price-panel .facts');
-  await checkAccessibility(page, `the studio, ${theme}`);
+  await checkAccessibility(page, `the studio with all of its panels, ${theme}`);
+  await page.getByRole('button', { name: 'Close the price' }).click();
   await page.evaluate(() => {
     const { editor } = document.querySelector('room-studio').studio;
     editor.show(editor.text.indexOf('"camera": {') + 11, { focus: true });
   });
   await page.keyboard.type(' "x');
   await page.waitForSelector('.fault-count.has-errors');
-  await checkAccessibility(page, `the studio, ${theme}`);
   await page.setViewportSize({ width: 390, height: 844 });
-  await checkAccessibility(page, `the studio, ${theme}`);
+  await checkAccessibility(page, `the studio with an error on a phone, ${theme}`);
 }
 
 export const nothing_serious_is_found_by_axe_in_the_light = () => accessible('light');
