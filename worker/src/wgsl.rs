@@ -13,8 +13,8 @@ use crate::tape::InvalidTape;
 const TEMPLATE: &str = include_str!("wgsl/picture.wgsl");
 const INSERTION_POINT: &str = "// ---- the picture ----\n";
 
-/// Maximum number of words of a table: what a browser is sent for each change of a number.
-const MAX_WORDS: usize = 1 << 22;
+/// Maximum number of words of a whole scene: what a browser is sent for each change of a number, as digits.
+const MAX_WORDS: usize = 1 << 21;
 /// Number of words that cells may take, beyond those of the whole scene. A cell that is not divided has the list of the cell
 /// around it.
 const WORDS_OF_CELLS: usize = 1 << 19;
@@ -39,7 +39,7 @@ pub enum ShaderError {
     #[error(transparent)]
     Invalid(#[from] InvalidTape),
     /// Its table is too large.
-    #[error("the shapes of the scene take {} MiB, and a browser is sent at most {} MiB", .0 >> 18, MAX_WORDS >> 18)]
+    #[error("the shapes of the scene take {} MiB, and a browser is sent at most {} MiB: scatter fewer", .0.div_ceil(1 << 18), MAX_WORDS >> 18)]
     ManyShapes(usize),
 }
 

@@ -23,6 +23,8 @@ const LIVE_NICENESS: i32 = 5;
 /// A drawing yields to everything, also to the pool's workers: at the lowest priority, it takes a few percent of a
 /// busy machine.
 const DRAWING_NICENESS: i32 = 19;
+/// A program is made in milliseconds, while a scene is dragged.
+const PROGRAM_NICENESS: i32 = 0;
 
 /// Handles the request.
 pub(crate) fn run() -> anyhow::Result<()> {
@@ -47,10 +49,10 @@ fn set_limits(sketch: &HelperRequest) -> anyhow::Result<()> {
         HelperRequest::Preview { .. } | HelperRequest::Thumbnail { .. } => (DRAWING_NICENESS, Some(MAX_HELPER_BYTES)),
         HelperRequest::Draw { .. }
         | HelperRequest::Pick { .. }
-        | HelperRequest::Shader { .. }
         | HelperRequest::ReadLayers { .. }
         | HelperRequest::DrawLayer { .. }
         | HelperRequest::ReadPixel { .. } => (LIVE_NICENESS, Some(MAX_HELPER_BYTES)),
+        HelperRequest::Shader { .. } => (PROGRAM_NICENESS, Some(MAX_HELPER_BYTES)),
         HelperRequest::MeasureCost { .. } | HelperRequest::Price { .. } | HelperRequest::Verify { .. } => {
             (SAMPLE_NICENESS, None)
         }

@@ -62,11 +62,28 @@ impl Language for Conditions {
         format!("if ({condition}) break;")
     }
 
+    fn groups_calls(&self) -> bool {
+        false
+    }
+
+    fn list(&self, kind: &str, name: &str, values: &[String]) -> String {
+        format!("const {kind} {name}[] = {{ {} }};", values.join(", "))
+    }
+
+    fn empty_list(&self, kind: &str, name: &str, length: usize) -> String {
+        format!("{kind} {name}[{length}];")
+    }
+
+    fn loop_over(&self, length: usize) -> String {
+        format!("for (unsigned k = 0; k < {length}u; ++k) {{")
+    }
+
     fn function(&self, function: &FunctionParts<'_>) -> String {
         let FunctionParts { name, is_called, arguments, body, results } = function;
         let arguments: Vec<String> =
             arguments.iter().map(|(kind, name)| format!("{} {name}", self.type_name(*kind))).collect();
-        let fields: Vec<String> = (0..).zip(results).map(|(place, (kind, _))| format!("{} f{place};", self.type_name(*kind))).collect();
+        let fields: Vec<String> =
+            (0..).zip(results).map(|(place, (kind, _))| format!("{} f{place};", self.type_name(*kind))).collect();
         let values: Vec<&str> = results.iter().map(|(_, value)| value.as_str()).collect();
         let linkage = if *is_called { "NOINLINE_FN" } else { "INLINE_FN" };
         format!(

@@ -1,12 +1,15 @@
 //! Generates source text from a tape: what all languages share, the order of functions and statements, names, and what is
 //! left out because no result depends on it. A [`Language`] writes the operators and the syntax around them.
 
+mod call_groups;
 mod fold;
 
 use std::collections::HashMap;
 use std::fmt::Write;
 
 use scene::nodes::snake_case;
+
+use call_groups::Step;
 
 use super::liveness::Liveness;
 use super::verify::InvalidTape;
@@ -46,6 +49,18 @@ pub(super) trait Language {
 
     /// Statement that ends a loop.
     fn break_if(&self, condition: &str) -> String;
+
+    /// Whether independent calls of one function become a loop.
+    fn groups_calls(&self) -> bool;
+
+    /// Statement that defines a list of values, which is only read.
+    fn list(&self, kind: &str, name: &str, values: &[String]) -> String;
+
+    /// Statement that defines a list of results of calls.
+    fn empty_list(&self, kind: &str, name: &str, length: usize) -> String;
+
+    /// Beginning of a loop over lists of this length, with the index `k`.
+    fn loop_over(&self, length: usize) -> String;
 
     /// A function.
     fn function(&self, function: &FunctionParts<'_>) -> String;
@@ -182,45 +197,58 @@ impl Printer<'_> {
     }
 
     fn block(&mut self, block: &[Statement], depth: usize) {
-        for statement in block {
-            match statement {
-                Statement::Comment(name) => self.note = Some(name),
-                Statement::Emit(id) if self.live.is_live(*id) => {
-                    let value = self.operation(self.tape.definition(*id));
-                    let name = self.new_name(*id);
-                    self.line(depth, &self.language.constant(self.kind(*id), &name, &value));
+        if !self.language.groups_calls() {
+            for statement in block {
+                self.statement(statement, depth);
+            }
+            return;
+        }
+        for step in call_groups::group_calls(self, block) {
+            match step {
+                Step::One(statement) => self.statement(statement, depth),
+                Step::Calls { function, calls } => self.calls(depth, function, &calls),
+            }
+        }
+    }
+
+    fn statement(&mut self, statement: &Statement, depth: usize) {
+        match statement {
+            Statement::Comment(name) => self.note = Some(name),
+            Statement::Emit(id) if self.live.is_live(*id) => {
+                let value = self.operation(self.tape.definition(*id));
+                let name = self.new_name(*id);
+                self.line(depth, &self.language.constant(self.kind(*id), &name, &value));
+            }
+            Statement::Call { function, arguments, returned } => self.call(depth, *function, arguments, returned),
+            Statement::Fold(fold) if fold.returned.iter().any(|&id| self.live.is_live(id)) => {
+                self.fold(depth, fold);
+            }
+            Statement::Emit(_) | Statement::Fold(_) => {}
+            Statement::When { condition, variables, otherwise, body, value: then } => {
+                let live = self.live.assignments(variables, otherwise, then);
+                if live.is_empty() {
+                    return;
                 }
-                Statement::Call { function, arguments, returned } => self.call(depth, *function, arguments, returned),
-                Statement::Fold(fold) if fold.returned.iter().any(|&id| self.live.is_live(id)) => {
-                    self.fold(depth, fold);
+                self.declare(depth, &live);
+                let condition = self.operand(*condition);
+                self.line(depth, &format!("if ({condition}) {{"));
+                self.block(body, depth + 1);
+                self.assign(depth + 1, &live, Vec::new());
+                self.line(depth, "}");
+            }
+            Statement::Repeat { limit, variables, start, body, next, again } => {
+                let live = self.live.assignments(variables, start, next);
+                if live.is_empty() {
+                    return;
                 }
-                Statement::Emit(_) | Statement::Fold(_) => {}
-                Statement::When { condition, variables, otherwise, body, value: then } => {
-                    let live = self.live.assignments(variables, otherwise, then);
-                    if live.is_empty() {
-                        continue;
-                    }
-                    self.declare(depth, &live);
-                    let condition = self.operand(*condition);
-                    self.line(depth, &format!("if ({condition}) {{"));
-                    self.block(body, depth + 1);
-                    self.assign(depth + 1, &live, Vec::new());
-                    self.line(depth, "}");
-                }
-                Statement::Repeat { limit, variables, start, body, next, again } => {
-                    let live = self.live.assignments(variables, start, next);
-                    if live.is_empty() {
-                        continue;
-                    }
-                    self.declare(depth, &live);
-                    self.line(depth, &self.language.counted_loop(*limit));
-                    self.block(body, depth + 1);
-                    let mut copied = Vec::new();
-                    let again = self.copied_operand(depth + 1, *again, variables, &mut copied);
-                    self.assign(depth + 1, &live, copied);
-                    self.line(depth + 1, &self.language.break_if(&format!("!{again}")));
-                    self.line(depth, "}");
-                }
+                self.declare(depth, &live);
+                self.line(depth, &self.language.counted_loop(*limit));
+                self.block(body, depth + 1);
+                let mut copied = Vec::new();
+                let again = self.copied_operand(depth + 1, *again, variables, &mut copied);
+                self.assign(depth + 1, &live, copied);
+                self.line(depth + 1, &self.language.break_if(&format!("!{again}")));
+                self.line(depth, "}");
             }
         }
     }
@@ -240,6 +268,34 @@ impl Printer<'_> {
         self.inlined_statements += self.inline_costs[function];
         let call = format!("step_{}({})", callee.name, actual.join(", "));
         self.line(depth, &self.language.result(callee.name, &result, &call));
+    }
+
+    /// Calls a function for each of these arguments, in a loop.
+    fn calls(&mut self, depth: usize, function: usize, calls: &[(&[ValueId], &[ValueId])]) {
+        let callee = &self.tape.functions[function];
+        let group = self.names.len();
+        let result = format!("r{group}");
+        let used: Vec<usize> =
+            (0..callee.arguments.len()).filter(|&place| self.live.is_live(callee.arguments[place])).collect();
+        let mut actual = Vec::new();
+        for place in used {
+            let name = format!("g{group}_{place}");
+            let values: Vec<String> = calls.iter().map(|(arguments, _)| self.operand(arguments[place])).collect();
+            let kind = self.kind(callee.arguments[place]);
+            self.line(depth, &self.language.list(self.language.type_name(kind), &name, &values));
+            actual.push(format!("{name}[k]"));
+        }
+        self.line(depth, &self.language.empty_list(&format!("{}_result", callee.name), &result, calls.len()));
+        self.line(depth, &self.language.loop_over(calls.len()));
+        self.inlined_statements += self.inline_costs[function];
+        self.line(depth + 1, &format!("{result}[k] = step_{}({});", callee.name, actual.join(", ")));
+        self.line(depth, "}");
+        for (index, (_, returned)) in calls.iter().enumerate() {
+            let fields = callee.results.iter().zip(*returned).filter(|(result, _)| self.live.is_live(**result));
+            for (place, (_, &id)) in fields.enumerate() {
+                self.names.insert(id, format!("{result}[{index}].f{place}"));
+            }
+        }
     }
 
     fn declare(&mut self, depth: usize, variables: &[(ValueId, ValueId, ValueId)]) {

@@ -62,6 +62,24 @@ impl Language for Wgsl {
         format!("if ({condition}) {{ break; }}")
     }
 
+    /// Browsers' compilers copy functions to their calls, so that the four points of a normal would be four
+    /// copies of the scene.
+    fn groups_calls(&self) -> bool {
+        true
+    }
+
+    fn list(&self, kind: &str, name: &str, values: &[String]) -> String {
+        format!("var {name} = array<{kind}, {}>({});", values.len(), values.join(", "))
+    }
+
+    fn empty_list(&self, kind: &str, name: &str, length: usize) -> String {
+        format!("var {name}: array<{kind}, {length}>;")
+    }
+
+    fn loop_over(&self, length: usize) -> String {
+        format!("for (var k = 0u; k < {length}u; k++) {{")
+    }
+
     fn function(&self, function: &FunctionParts<'_>) -> String {
         let FunctionParts { name, is_called: _, arguments, body, results } = function;
         let arguments: Vec<String> =
@@ -145,6 +163,13 @@ fn finite(value: f32) -> f32 {
 /// WGSL literal of a number.
 fn number(value: f32) -> String {
     let value = finite(value);
+    // The shortest digits of the greatest number are above it, which a browser rejects.
+    if value == f32::MAX {
+        return "0x1.fffffep+127f".to_owned();
+    }
+    if value == f32::MIN {
+        return "(-0x1.fffffep+127f)".to_owned();
+    }
     // The shortest digits that parse to this number.
     if value.is_sign_negative() { format!("({value:?}f)") } else { format!("{value:?}f") }
 }

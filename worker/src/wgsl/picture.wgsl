@@ -56,5 +56,6 @@ fn render(@builtin(global_invocation_id) place: vec3<u32>) {
         light = select(vec3<f32>(), mean.xyz / max(mean.w, 1e-30f), mean.w > 0.0f);
     }
     let level = step_levels(light.x, light.y, light.z, x, y);
-    picture[index] = byte_of(level.f0) | byte_of(level.f1) << 8u | byte_of(level.f2) << 16u | byte_of(alpha * 255.0f + 0.5f) << 24u;
+    let color = byte_of(level.f0) | (byte_of(level.f1) << 8u) | (byte_of(level.f2) << 16u);
+    picture[index] = color | (byte_of(alpha * 255.0f + 0.5f) << 24u);
 }
