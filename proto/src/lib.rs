@@ -6,6 +6,7 @@
 pub mod api_key;
 pub mod audit;
 pub mod bounded;
+pub mod caller;
 pub mod client;
 pub mod client_auth;
 pub mod event;

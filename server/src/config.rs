@@ -82,6 +82,8 @@ pub struct Config {
     pub max_tile_seconds: u32,
     /// Whether to listen beyond loopback although there are no keys.
     pub insecure: bool,
+    /// Whether changes that browsers ask for are refused.
+    pub read_only_page: bool,
     /// TLS certificate; without one the server speaks plain HTTP.
     pub tls: Option<TlsFiles>,
     /// Maximum number of open connections; the system's limit of open files may lower it.
@@ -155,6 +157,7 @@ impl Default for Config {
             lease: Duration::from_secs(30),
             max_tile_seconds: MAX_TILE_SECONDS,
             insecure: false,
+            read_only_page: false,
             tls: None,
             max_connections: MAX_CONNECTIONS,
             max_connections_per_address: None,

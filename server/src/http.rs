@@ -4,6 +4,7 @@
 mod audit;
 mod auth;
 mod body;
+mod caller;
 mod content_encoding;
 mod docs;
 mod drawings;
@@ -32,6 +33,7 @@ mod previews;
 mod price;
 mod quota;
 mod range;
+mod read_only;
 mod request_id;
 mod retention;
 mod routes;
@@ -102,6 +104,7 @@ routes::table! {
         GET    "/v1/keys"                                   ADMIN      MINUTE Nothing keys::list;
         POST   "/v1/keys"                                   ADMIN      MINUTE NewKey  keys::make;
         DELETE "/v1/keys/{id}"                              ADMIN      MINUTE Admin   keys::revoke;
+        GET    "/v1/caller"                                 ANY_OR_NONE MINUTE Nothing caller::get;
         GET    "/v1/audit"                                  ADMIN      MINUTE Nothing audit::list;
         GET    "/v1/schema/job"                             PUBLIC     MINUTE Nothing openapi::job_schema;
         GET    "/v1/schema/nodes"                           PUBLIC     MINUTE Nothing editing::node_table;

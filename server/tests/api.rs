@@ -8,6 +8,7 @@ mod skip;
 mod api {
     mod bad_input;
     mod bodies;
+    mod caller;
     mod clocks;
     mod connections;
     mod deliveries;

@@ -119,6 +119,9 @@ pub(crate) struct Arguments {
     /// Listen beyond loopback without keys: every client that reaches the port may use the farm.
     #[arg(long, env = "SDFARM_INSECURE", value_parser = clap::builder::FalseyValueParser::new(), action = clap::ArgAction::SetTrue)]
     insecure: bool,
+    /// Refuse changes that browsers ask for, so that the page only shows; commands and programs change the farm as before.
+    #[arg(long, env = "SDFARM_READ_ONLY_PAGE", value_parser = clap::builder::FalseyValueParser::new(), action = clap::ArgAction::SetTrue)]
+    read_only_page: bool,
     /// Host names of this server, in addition to loopback names and IP addresses.
     #[arg(long, value_name = "NAME", env = "SDFARM_HOST", value_delimiter = ',')]
     host: Vec<String>,
@@ -153,6 +156,7 @@ impl Arguments {
             lease: Duration::from_secs(self.lease_seconds),
             max_tile_seconds: self.max_tile_seconds,
             insecure: self.insecure,
+            read_only_page: self.read_only_page,
             tls: self.tls_cert.zip(self.tls_key).map(|(certificate, key)| TlsFiles { certificate, key }),
             max_connections: self.max_connections,
             max_connections_per_address: self.max_connections_per_address,

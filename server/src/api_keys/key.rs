@@ -45,11 +45,12 @@ impl Scopes {
     }
 
     /// Whether the set has exactly this scope.
-    pub(super) fn has(self, scope: Scope) -> bool {
+    pub(crate) fn has(self, scope: Scope) -> bool {
         self.names().contains(&scope)
     }
 
-    fn names(self) -> Vec<Scope> {
+    /// The scopes of the set.
+    pub(crate) fn names(self) -> Vec<Scope> {
         Scope::ALL.into_iter().zip(self.0).filter_map(|(scope, has)| has.then_some(scope)).collect()
     }
 }

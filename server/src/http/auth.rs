@@ -55,6 +55,14 @@ impl Caller {
         }
     }
 
+    /// The same name, if the caller is known.
+    pub(super) fn identity(&self) -> Option<&str> {
+        match self {
+            Self::Anonymous => None,
+            Self::Keyless | Self::Pool | Self::Key(_) => Some(self.name()),
+        }
+    }
+
     /// Name whose jobs are the only ones the caller may see; `None` if it may see every job.
     pub(crate) fn visible_submitter(&self) -> Option<&str> {
         self.key().filter(|key| !key.scopes().is_allowed(Scope::Read)).map(|key| key.name())
@@ -174,6 +182,7 @@ impl Gate {
             return Ok(Caller::Anonymous);
         }
         match bearer {
+            None if need == Permission::AnyOrNone => Ok(Caller::Anonymous),
             None => Err(ApiError::MissingKey),
             Some(secret) => match keys.find_or_reread(secret).await? {
                 KeyLookup::Live(key) => Ok(Caller::Key(key)),
@@ -191,7 +200,7 @@ impl Gate {
     async fn authorize(&self, need: Permission, caller: &Caller, job: Option<JobId>) -> Result<(), ApiError> {
         let Caller::Key(key) = caller else { return Ok(()) };
         let scope = match need {
-            Permission::Public => return Ok(()),
+            Permission::Public | Permission::AnyOrNone => return Ok(()),
             Permission::Scope(scope) | Permission::OwnJob(scope) => scope,
         };
         if key.scopes().is_allowed(scope) {

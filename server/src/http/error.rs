@@ -84,6 +84,10 @@ pub(crate) enum ApiError {
     ForeignHost(String),
     #[error("cross-origin request from {0:?} rejected: send it from this server's own pages or from a program")]
     ForeignOrigin(String),
+    #[error(
+        "the page of this server is read-only: use a command or a program, or start the server without --read-only-page"
+    )]
+    ReadOnlyPage,
     #[error("this route is for pool workers, which send the pool's token")]
     WrongToken,
     #[error(
@@ -245,6 +249,7 @@ impl ApiError {
             }
             Self::ForeignHost(_) => (StatusCode::FORBIDDEN, "foreign_host", "The host is not this server"),
             Self::ForeignOrigin(_) => (StatusCode::FORBIDDEN, "foreign_origin", "The origin is not this server"),
+            Self::ReadOnlyPage => (StatusCode::FORBIDDEN, "read_only_page", "The page is read-only"),
             Self::WrongToken => (StatusCode::UNAUTHORIZED, "wrong_token", "The token is invalid"),
             Self::MissingKey => (StatusCode::UNAUTHORIZED, "missing_key", "A key is required"),
             Self::UnknownKey => (StatusCode::UNAUTHORIZED, "unknown_key", "The key is unknown"),

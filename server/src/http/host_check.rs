@@ -1,4 +1,5 @@
-//! Host and origin check: accepts requests that name this server and do not come from another site's page.
+//! Host and origin check: accepts requests that name this server and do not come from another site's page, nor
+//! from a page that may only show.
 //!
 //! Authentication is in `auth`.
 
@@ -12,12 +13,14 @@ use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 
 use super::error::ApiError;
+use super::read_only;
 use crate::config::Config;
 
 /// Rejects requests whose `Host` is not this server (DNS rebinding), and changes requested by pages of other
 /// sites.
 pub(super) async fn host_and_origin(State(config): State<Arc<Config>>, request: Request, next: Next) -> Response {
-    match check_host_and_origin(&config.allowed_hosts, &request) {
+    let checked = check_host_and_origin(&config.allowed_hosts, &request);
+    match checked.and_then(|()| read_only::check(&config, &request)) {
         Ok(()) => next.run(request).await,
         Err(error) => error.into_response(),
     }

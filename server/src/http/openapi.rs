@@ -11,6 +11,7 @@ use axum::response::{IntoResponse, Response};
 use proto::Problem;
 use proto::api_key::{ApiKeyList, IssuedApiKey, NewApiKey};
 use proto::audit::AuditPage;
+use proto::caller::CallerView;
 use proto::farm::{FarmView, StartView};
 use proto::frame::{ForgottenPicture, FramePage};
 use proto::job::{DeleteDryRun, JobPatch};
@@ -104,6 +105,7 @@ fn answers() -> Map<String, Value> {
     generator.subschema_for::<ScalingView>();
     generator.subschema_for::<IssuedApiKey>();
     generator.subschema_for::<ApiKeyList>();
+    generator.subschema_for::<CallerView>();
     generator.subschema_for::<AuditPage>();
     generator.subschema_for::<Problem>();
     generator.take_definitions(true)

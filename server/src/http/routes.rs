@@ -25,6 +25,8 @@ const LINK_SUFFIX: &str = "/link";
 pub(super) enum Permission {
     /// None: the route is public.
     Public,
+    /// None, but a key that is sent must be valid.
+    AnyOrNone,
     /// A key of this scope.
     Scope(Scope),
     /// A key of this scope, or one of scope `submit` whose name submitted the job.
@@ -37,6 +39,8 @@ pub(super) mod permission {
 
     /// No key is needed.
     pub(in crate::http) const PUBLIC: Permission = Permission::Public;
+    /// No key is needed, and any valid one is accepted.
+    pub(in crate::http) const ANY_OR_NONE: Permission = Permission::AnyOrNone;
     /// Reads the farm.
     pub(in crate::http) const READ: Permission = Permission::Scope(Scope::Read);
     /// Submits jobs.

@@ -18,6 +18,8 @@ use super::keys::{locked_farm, make, new_key, send};
 enum Row {
     /// Every caller.
     Open,
+    /// Every caller without a key, and every valid key.
+    AnyOrNone,
     /// Keys with scope read.
     Read,
     /// Keys with scope submit.
@@ -34,7 +36,7 @@ enum Row {
     Admin,
 }
 
-use Row::{Admin, Open, Own, Read, ReadOrOwn, ReadOrSubmit, Submit, Worker};
+use Row::{Admin, AnyOrNone, Open, Own, Read, ReadOrOwn, ReadOrSubmit, Submit, Worker};
 
 const ROWS: &[(&str, Row)] = &[
     ("GET /", Open),
@@ -92,6 +94,7 @@ const ROWS: &[(&str, Row)] = &[
     ("POST /v1/keys", Admin),
     ("DELETE /v1/keys/{id}", Admin),
     ("GET /v1/audit", Admin),
+    ("GET /v1/caller", AnyOrNone),
     ("POST /v1/worker/register", Worker),
     ("POST /v1/worker/sync", Worker),
     ("GET /v1/worker/jobs/{id}", Worker),
@@ -134,7 +137,9 @@ fn expected(row: Row, bearer: Bearer) -> Option<StatusCode> {
     let in_if = |lets_in: bool| if lets_in { None } else { Some(StatusCode::FORBIDDEN) };
     match bearer {
         _ if row == Open => None,
-        Bearer::Anonymous | Bearer::Unknown | Bearer::Expired | Bearer::Revoked => Some(StatusCode::UNAUTHORIZED),
+        Bearer::Unknown | Bearer::Expired | Bearer::Revoked => Some(StatusCode::UNAUTHORIZED),
+        _ if row == AnyOrNone => None,
+        Bearer::Anonymous => Some(StatusCode::UNAUTHORIZED),
         Bearer::Reader => in_if([Read, ReadOrOwn, ReadOrSubmit].contains(&row)),
         Bearer::Worker => in_if(row == Worker),
         Bearer::Stranger => in_if([Submit, ReadOrSubmit].contains(&row)),

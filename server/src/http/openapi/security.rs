@@ -23,14 +23,19 @@ pub(super) fn describe(document: &mut Value) {
         let Some(operations) = operations.as_object_mut() else { continue };
         for (method, operation) in operations {
             let (Ok(method), true) = (method.to_uppercase().parse::<Method>(), operation.is_object()) else { continue };
-            let what = match routes::policy(&method, path).permission {
-                Permission::Public => {
+            let permission = routes::policy(&method, path).permission;
+            let what = match permission {
+                Permission::Public | Permission::AnyOrNone => {
                     add(operation, "429", "Too many requests, or too many in progress: see Retry-After");
                     add(
                         operation,
                         "503",
                         "The response timed out, or the server is busy or shutting down; see Retry-After",
                     );
+                    if permission == Permission::AnyOrNone {
+                        operation["security"] = json!([{}, { SCHEME: [] }]);
+                        add(operation, "401", "The key is unknown, expired or revoked");
+                    }
                     continue;
                 }
                 Permission::Scope(scope) => format!("The key lacks scope {}", scope.name()),
