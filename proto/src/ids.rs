@@ -22,6 +22,12 @@ macro_rules! ids {
                 Self(Uuid::now_v7())
             }
 
+            /// Time at which it was made, in milliseconds since 1970; 0 for an id of another kind.
+            pub fn made_at_ms(self) -> i64 {
+                let (seconds, nanoseconds) = self.0.get_timestamp().map_or((0, 0), |time| time.to_unix());
+                i64::try_from(seconds).map_or(0, |seconds| seconds * 1000 + i64::from(nanoseconds) / 1_000_000)
+            }
+
             /// The last eight characters, which are random: enough for people to tell ids apart.
             pub fn short(self) -> String {
                 self.to_string().split_off(28)

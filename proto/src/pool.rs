@@ -6,12 +6,12 @@ use schemars::JsonSchema;
 use serde::de::{Error, Unexpected, Visitor};
 use serde::{Deserialize, Deserializer, Serialize};
 
-use crate::WorkerId;
+use crate::{JobId, WorkerId};
 
 /// Maximum number of workers in the local pool.
 pub const MAX_POOL_WORKERS: u32 = 256;
 
-/// Lifecycle of a worker. `quarantined` workers get no work until they are restarted.
+/// Lifecycle of a worker. `quarantined` workers get no work until they are released or restarted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum WorkerState {
@@ -23,7 +23,7 @@ pub enum WorkerState {
     Draining,
     /// Exited or lost.
     Gone,
-    /// Failed its self-test, or failed too often.
+    /// Failed its self-test, failed too often, or was put aside by an administrator.
     Quarantined,
 }
 
@@ -42,6 +42,35 @@ pub struct WorkerView {
     pub rays_per_second: Option<f64>,
     /// Number of its leases.
     pub leases: u64,
+    /// Whether the server runs it itself, on its own machine.
+    pub pool: bool,
+    /// Time of its start, RFC 3339 in UTC.
+    pub registered_at: String,
+    /// Time of its last request, RFC 3339 in UTC; a worker that waits for work is silent for up to 30 s.
+    pub last_seen_at: String,
+    /// Whether it gets no work until it is released.
+    pub quarantined: bool,
+    /// Whether it gets no more work, and exits when it has finished what it holds.
+    pub draining: bool,
+    /// Number of tiles that failed on it since its start.
+    pub errors: u64,
+    /// Message of its last error.
+    pub last_error: Option<String>,
+    /// Tiles that it holds, by job and frame.
+    pub holds: Vec<WorkerHold>,
+}
+
+/// Tiles of a frame that a worker holds.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct WorkerHold {
+    /// The job.
+    pub job: JobId,
+    /// The job's name.
+    pub name: String,
+    /// The frame.
+    pub frame: u32,
+    /// Number of tiles; the joining of a frame's tiles to a picture counts as one.
+    pub tiles: u64,
 }
 
 /// Response of `GET /v1/workers`.

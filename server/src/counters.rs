@@ -19,6 +19,12 @@ pub(crate) struct ServerCounters {
     pub(crate) refuted: AtomicU64,
     /// Results that should have been verified, but could not be.
     pub(crate) unverified: AtomicU64,
+    /// Camera rays that workers of this server have rendered.
+    pub(crate) rendered_rays: AtomicU64,
+    /// Tiles that they have rendered.
+    pub(crate) rendered_tiles: AtomicU64,
+    /// Pictures that they have made.
+    pub(crate) rendered_frames: AtomicU64,
     /// Failed attempts to deliver a webhook.
     pub(crate) webhook_failures: AtomicU64,
     /// Messages to the other servers of the database.

@@ -2,6 +2,7 @@
 //!
 //! It changes no state itself; it calls the queue and the store.
 
+mod history;
 mod orphan_sweep;
 
 use std::sync::Arc;
@@ -19,6 +20,7 @@ use crate::preview_helper::PreviewHelper;
 use crate::queue::Queue;
 use crate::retention::Retention;
 use crate::space_reserve::SpaceReserve;
+pub(crate) use history::HistoryRecorder;
 pub(crate) use orphan_sweep::OrphanSweep;
 
 /// Interval at which leases are checked.
@@ -35,6 +37,8 @@ pub(crate) struct Maintenance {
     pub(crate) changes: ChangeFinisher,
     /// Expiry of leases.
     pub(crate) leases: LeaseExpiry,
+    /// Recording of the throughput.
+    pub(crate) history: HistoryRecorder,
     /// Deletion of orphans.
     pub(crate) sweep: OrphanSweep,
     /// Pruning of old rows and files.
@@ -80,6 +84,7 @@ impl Maintenance {
         tokio::join!(
             self.run_periodically(candidates, &end),
             self.changes.run(&end),
+            self.history.run(&end),
             // Apart, because leases must expire in time while the store is slow.
             self.sweep.delete_marked_periodically(&end)
         );

@@ -26,6 +26,7 @@ mod job_transitions;
 mod lease;
 mod lease_ends;
 mod makers;
+mod minutes;
 mod open_frame;
 mod pause;
 mod picture;
@@ -45,13 +46,16 @@ mod submit;
 mod sync;
 #[cfg(test)]
 mod tests;
+mod tile_history;
 mod tile_results;
 mod trace_context;
 mod undo;
 mod verification;
 mod wake;
 mod webhooks;
+mod worker_changes;
 mod worker_state;
+mod worker_views;
 mod workers;
 
 use std::sync::Arc;
@@ -74,6 +78,7 @@ pub(crate) use idempotency::{IdempotencyKey, NewWebhook, SubmitOptions, SubmitOu
 pub(crate) use job_changes::{ChangeOutcome, RetryOutcome};
 pub(crate) use lease::{LeaseEnd, jitter};
 pub(crate) use makers::PictureMark;
+pub(crate) use minutes::Rendered;
 pub(crate) use open_frame::{FrameOpening, OpenOutcome};
 pub(crate) use pause::PauseOutcome;
 pub(crate) use previews::{FrameContents, ReadyWorker};
@@ -85,10 +90,12 @@ pub(crate) use retention::FinishedJob;
 pub(crate) use stats::QueueStats;
 pub(crate) use submit::NewJob;
 pub(crate) use sync::{NextWork, SyncInput, SyncOutcome};
+pub(crate) use tile_history::TileCursor;
 pub(crate) use verification::VerificationPolicy;
 pub(crate) use wake::Hints;
 use wake::{Wake, WakeSignals};
 pub(crate) use webhooks::{Attempt, BusyReceivers, Delivery};
+pub(crate) use worker_changes::{WorkerChange, WorkerChangeOutcome};
 pub(crate) use workers::{LeaseNeed, NewWorker, Registration};
 
 /// Result of a transition.

@@ -101,6 +101,9 @@ impl WorkerSync {
         self.counters.fenced.fetch_add(turned.fenced, Ordering::Relaxed);
         self.counters.nondeterministic.fetch_add(turned.nondeterministic, Ordering::Relaxed);
         self.counters.rejected.fetch_add(turned.rejected, Ordering::Relaxed);
+        self.counters.rendered_rays.fetch_add(turned.rendered.rays, Ordering::Relaxed);
+        self.counters.rendered_tiles.fetch_add(turned.rendered.tiles, Ordering::Relaxed);
+        self.counters.rendered_frames.fetch_add(turned.rendered.frames, Ordering::Relaxed);
         self.counters.verified.fetch_add(turned.verification.agreed, Ordering::Relaxed);
         self.counters.refuted.fetch_add(turned.verification.differed, Ordering::Relaxed);
         self.counters.unverified.fetch_add(turned.verification.skipped, Ordering::Relaxed);

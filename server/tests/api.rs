@@ -18,6 +18,7 @@ mod api {
     mod files;
     mod frames;
     pub(crate) mod harness;
+    mod history;
     mod idempotency;
     mod images;
     mod job_changes;
@@ -40,7 +41,9 @@ mod api {
     mod start_page;
     mod startup;
     mod store;
+    mod tiles;
     mod verification;
     mod webhooks;
+    mod worker_changes;
     mod worker_keys;
 }

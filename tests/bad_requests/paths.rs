@@ -98,7 +98,7 @@ pub(super) fn requests() -> Vec<Request> {
         "/V1/JOBS",
         "/v1/jobs/{job}/",
         "/favicon.ico",
-        "/v1/jobs/{job}/tiles",
+        "/v1/jobs/{job}/stitches",
         "/v1/jobs/{job}/frames/0",
         "/v1/jobs/{job}/frames//image",
         "/../../etc/passwd",

@@ -130,6 +130,10 @@ pub(crate) enum ApiError {
     KeyNotFound(ApiKeyError),
     #[error("unknown worker {0}: it did not sync for too long; register again")]
     UnknownWorker(String),
+    #[error("there is no worker {0}, or it has exited: GET /v1/workers (`sdfarm status`) lists those that run")]
+    NoWorker(String),
+    #[error("worker {0} drains: it gets no more work, and exits when it has finished what it holds")]
+    WorkerDraining(String),
     #[error("worker {0} was registered with another key: use that key, or register again with this one")]
     ForeignWorker(String),
     #[error("no worker of this key has a lease that needs this: register a worker with this key, and claim work first")]
@@ -269,7 +273,10 @@ impl ApiError {
             Self::InvalidNewKey(_) => (StatusCode::UNPROCESSABLE_ENTITY, "wrong_key", "The new key is invalid"),
             Self::TooManyKeys(_) => (StatusCode::CONFLICT, "too_many_keys", "There are too many keys"),
             Self::KeyNotFound(_) => (StatusCode::NOT_FOUND, "no_such_key", "There is no such key"),
-            Self::UnknownWorker(_) => (StatusCode::NOT_FOUND, "unknown_worker", "There is no such worker"),
+            Self::UnknownWorker(_) | Self::NoWorker(_) => {
+                (StatusCode::NOT_FOUND, "unknown_worker", "There is no such worker")
+            }
+            Self::WorkerDraining(_) => (StatusCode::CONFLICT, "worker_draining", "The worker drains"),
             Self::ForeignWorker(_) => (StatusCode::FORBIDDEN, "foreign_worker", "The worker belongs to another key"),
             Self::NoLease => (StatusCode::FORBIDDEN, "no_lease", "The key has no lease that needs this"),
             Self::WrongPictureVersion { .. } => {

@@ -3,14 +3,15 @@
 use std::sync::Arc;
 
 use axum::Json;
-use axum::extract::State;
+use axum::extract::{Path, State};
 use axum::http::HeaderMap;
-use proto::pool::{PoolSize, PoolView, WorkerList};
+use proto::WorkerId;
+use proto::pool::{PoolSize, PoolView, WorkerList, WorkerView};
 
 use super::body::{self, RequestBody};
 use super::error::ApiError;
 use crate::pool::Pool;
-use crate::queue::Queue;
+use crate::queue::{Queue, WorkerChange, WorkerChangeOutcome};
 
 /// Maximum size of a request body; valid ones are smaller.
 const MAX_BYTES: usize = 4096;
@@ -22,6 +23,58 @@ const MAX_BYTES: usize = 4096;
 )]
 pub(super) async fn workers(State(queue): State<Queue>) -> Result<Json<WorkerList>, ApiError> {
     Ok(Json(queue.workers().await?))
+}
+
+/// Drain a worker: it gets no more work, and exits when it has finished what it holds.
+///
+/// The server starts another one in the place of a pool worker.
+#[utoipa::path(
+    post, path = "/v1/workers/{id}/drain", tag = "workers", operation_id = "drain_worker",
+    params(("id" = String, Path, description = "The worker")),
+    responses(
+        (status = 200, description = "The worker drains", body = ref("#/components/schemas/WorkerView")),
+        (status = 404, description = "No such worker", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+    )
+)]
+pub(super) async fn drain_worker(queue: State<Queue>, id: Path<String>) -> Result<Json<WorkerView>, ApiError> {
+    change_worker(&queue, id.0, WorkerChange::Drain).await
+}
+
+/// Quarantine a worker: it finishes what it holds, and gets no more work until it is released.
+#[utoipa::path(
+    post, path = "/v1/workers/{id}/quarantine", tag = "workers", operation_id = "quarantine_worker",
+    params(("id" = String, Path, description = "The worker")),
+    responses(
+        (status = 200, description = "The worker is in quarantine", body = ref("#/components/schemas/WorkerView")),
+        (status = 404, description = "No such worker", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+        (status = 409, description = "The worker drains", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+    )
+)]
+pub(super) async fn quarantine_worker(queue: State<Queue>, id: Path<String>) -> Result<Json<WorkerView>, ApiError> {
+    change_worker(&queue, id.0, WorkerChange::Quarantine).await
+}
+
+/// Release a worker from quarantine: it gets work again, also of jobs from which its errors excluded it.
+#[utoipa::path(
+    post, path = "/v1/workers/{id}/release", tag = "workers", operation_id = "release_worker",
+    params(("id" = String, Path, description = "The worker")),
+    responses(
+        (status = 200, description = "The worker is not in quarantine", body = ref("#/components/schemas/WorkerView")),
+        (status = 404, description = "No such worker", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+        (status = 409, description = "The worker drains", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+    )
+)]
+pub(super) async fn release_worker(queue: State<Queue>, id: Path<String>) -> Result<Json<WorkerView>, ApiError> {
+    change_worker(&queue, id.0, WorkerChange::Release).await
+}
+
+async fn change_worker(queue: &Queue, id: String, change: WorkerChange) -> Result<Json<WorkerView>, ApiError> {
+    let Ok(worker) = id.parse::<WorkerId>() else { return Err(ApiError::NoWorker(id)) };
+    match queue.change_worker(worker, change).await? {
+        WorkerChangeOutcome::Done => queue.worker(worker).await?.map(Json).ok_or(ApiError::NoWorker(id)),
+        WorkerChangeOutcome::Draining => Err(ApiError::WorkerDraining(id)),
+        WorkerChangeOutcome::Unknown => Err(ApiError::NoWorker(id)),
+    }
 }
 
 /// Get the local pool.

@@ -166,7 +166,7 @@ async fn void_tiles(
     if !leases.is_empty() {
         let leases = json_list(leases);
         fair_share::store_used_time_of(connection, &leases, moment).await?;
-        lease_ends::void(connection, &leases).await?;
+        lease_ends::void(connection, &leases, moment).await?;
     }
     let voided = db::query("UPDATE tile SET state = 'void' WHERE id IN (SELECT value FROM @numbers(?))")
         .bind(&tiles)

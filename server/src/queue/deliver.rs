@@ -11,6 +11,7 @@ use proto::LeaseId;
 use proto::worker_protocol::{LeaseOutcome, LeaseReport};
 
 use super::lease::{self, LeaseEnd, LiveLease};
+use super::minutes::Rendered;
 use super::picture::{self, StoredPicture};
 use super::verification::{self, Candidate};
 use super::worker_state::{UsedLease, WorkerState};
@@ -38,6 +39,8 @@ pub(super) struct DeliverResult {
     pub(super) leftovers: Vec<String>,
     /// Number of results that should be verified, but cannot be.
     pub(super) unverified: u64,
+    /// Results that counted.
+    pub(super) rendered: Rendered,
 }
 
 /// A finished tile.
@@ -74,6 +77,7 @@ pub(super) async fn deliver(
     let results = sort(connection, worker, reports, moment, &mut delivered).await?;
     for (picture, leases) in &results.pictures {
         picture::store(connection, picture, leases, moment, &mut delivered).await?;
+        delivered.rendered.add(Rendered { frames: 1, ..rendered_by(leases.iter()) });
         let candidate: Vec<Candidate> = Candidate::picture(leases, picture.hash).into_iter().collect();
         choose(connection, worker, &candidate, moment, &mut delivered).await?;
     }
@@ -82,6 +86,7 @@ pub(super) async fn deliver(
         choose(connection, worker, &candidates, moment, &mut delivered).await?;
         let ring = finish_tiles(connection, *job, *frame, tiles, moment).await?;
         delivered.ring.add(ring);
+        delivered.rendered.add(rendered_by(tiles.iter().map(|tile| &tile.used)));
     }
     let misfits = results.misfits.iter().map(|(used, _, _)| used);
     let unfinished: Vec<(&str, i64)> =
@@ -98,6 +103,15 @@ pub(super) async fn deliver(
         accept_failure(connection, worker, report, moment, &mut delivered).await?;
     }
     Ok(delivered)
+}
+
+/// Tiles of leases that ended with a result; a stitch is none.
+fn rendered_by<'a>(leases: impl Iterator<Item = &'a UsedLease<'a>>) -> Rendered {
+    let mut rendered = Rendered::default();
+    for used in leases.filter(|used| !used.held.live.stitch) {
+        rendered.add(Rendered { rays: used.held.rays.unsigned_abs(), tiles: 1, frames: 0 });
+    }
+    rendered
 }
 
 fn is_result(report: &LeaseReport) -> bool {
@@ -256,7 +270,7 @@ async fn finish_tiles(
     moment: TransitionContext,
 ) -> Result<Wake> {
     let leases: Vec<_> = tiles.iter().map(|tile| tile.used).collect();
-    let mut ring = lease_ends::finish(connection, &leases).await?;
+    let mut ring = lease_ends::finish(connection, &leases, moment).await?;
     let results: Vec<_> = tiles.iter().map(|tile| (tile.used.held.live.tile, tile.hash, tile.size_bytes)).collect();
     let progress = tile_results::store_blobs(connection, &results).await?;
     let number = job_transitions::progress(connection, job, progress).await?.tiles_done;

@@ -20,6 +20,20 @@ const EXCLUSIONS_BEFORE_QUARANTINE: i64 = 3;
 /// Number of a worker's results with wrong bytes that quarantines it. A correct worker has none.
 const WRONG_RESULTS_BEFORE_QUARANTINE: i64 = 3;
 
+/// Maximum length of the message that is kept of a worker's last error.
+const MAX_MESSAGE_CHARACTERS: usize = 300;
+
+/// Counts a tile that failed on a worker, for those who look after the worker.
+pub(super) async fn count_error(connection: &mut Connection, worker: &str, message: &str) -> Result<()> {
+    let message: String = message.chars().take(MAX_MESSAGE_CHARACTERS).collect();
+    let counted = db::query("UPDATE worker SET errors = errors + 1, last_error = ? WHERE id = ?")
+        .bind(message)
+        .bind(worker)
+        .execute(connection)
+        .await?;
+    super::expect_rows("worker: error counted", 1, counted)
+}
+
 /// Records a worker's error in a job.
 pub(super) async fn record_error(
     connection: &mut Connection,
@@ -90,11 +104,13 @@ pub(super) async fn record_wrong_results(connection: &mut Connection, worker: Wo
 
 /// Quarantines a worker, whatever other workers there are.
 pub(super) async fn quarantine_at_once(connection: &mut Connection, worker: &str, reason: &str) -> Result<()> {
-    let quarantined =
-        db::query("UPDATE worker SET state = 'quarantined' WHERE id = ? AND state NOT IN ('gone', 'quarantined')")
-            .bind(worker)
-            .execute(connection)
-            .await?;
+    let quarantined = db::query(
+        "UPDATE worker SET state = 'quarantined', last_error = ? WHERE id = ? AND state NOT IN ('gone', 'quarantined')",
+    )
+    .bind(reason)
+    .bind(worker)
+    .execute(connection)
+    .await?;
     log_quarantine(quarantined, worker, reason);
     Ok(())
 }
@@ -105,7 +121,7 @@ fn log_quarantine(quarantined: db::Changed, worker: &str, reason: &str) {
             code = "worker_quarantined",
             worker,
             reason,
-            "a worker gets no more work: check its device and restart it, or revoke its key"
+            "a worker gets no more work: check its device and release or restart it, or revoke its key"
         );
     }
 }

@@ -205,7 +205,10 @@ pub(super) async fn end_without_result(
     moment: TransitionContext,
 ) -> Result<Wake> {
     let used_us = (moment.now_ms - held.granted_ms).max(0).saturating_mul(1000);
-    lease_ends::give_up(connection, &held.lease, cause.name(), used_us).await?;
+    lease_ends::give_up(connection, &held.lease, cause.name(), used_us, moment).await?;
+    if matches!(cause, LeaseEnd::Failed | LeaseEnd::Rejected) {
+        exclusion::count_error(connection, &held.worker, message).await?;
+    }
     if cause == LeaseEnd::Failed {
         exclusion::record_error(connection, &held.worker, held.job, moment).await?;
     }

@@ -32,7 +32,7 @@ pub(super) async fn store(
     delivered: &mut DeliverResult,
 ) -> Result<()> {
     let ids: Vec<i64> = leases.iter().map(|used| used.held.live.tile).collect();
-    delivered.ring.add(lease_ends::finish(connection, leases).await?);
+    delivered.ring.add(lease_ends::finish(connection, leases, moment).await?);
     let progress = tile_results::finish(connection, &ids).await?;
     let stored = db::query(
         "UPDATE frame SET state = 'stored', picture = ?1, size_bytes = ?2, tiles_done = tiles_total

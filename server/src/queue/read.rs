@@ -4,7 +4,6 @@ use crate::db;
 use crate::db::{Readers, Row};
 use proto::JobId;
 use proto::job::{DoneOfTotal, JobPage, JobState, JobView};
-use proto::pool::{WorkerList, WorkerState, WorkerView};
 use proto::rounding;
 
 use super::{Queue, Result, finish, parse_column};
@@ -225,20 +224,6 @@ impl Queue {
         })
     }
 
-    /// Every worker that is not gone.
-    pub(crate) async fn workers(&self) -> Result<WorkerList> {
-        let rows = db::query(
-            "SELECT id, name, device, state, rays_per_second,
-                    (SELECT count(*) FROM lease @index(lease_live_by_worker)
-                     WHERE lease.worker = worker.id AND lease.ended IS NULL) AS leases
-             FROM worker WHERE state <> 'gone' ORDER BY id",
-        )
-        .fetch_all(self.readers())
-        .await?;
-        let workers = rows.iter().map(read_worker).collect::<Result<Vec<_>>>()?;
-        Ok(WorkerList { workers })
-    }
-
     /// Number of ready pool workers.
     pub(crate) async fn pool_ready(&self) -> Result<u32> {
         db::query_scalar("SELECT count(*) FROM worker WHERE state <> 'gone' AND state = 'ready' AND pool = 1")
@@ -251,28 +236,4 @@ impl Queue {
         db::query("SELECT value FROM meta").fetch_one(self.readers()).await?;
         Ok(())
     }
-}
-
-fn read_worker(row: &Row) -> Result<WorkerView> {
-    let id: String = row.get("id")?;
-    let state: String = row.get("state")?;
-    Ok(WorkerView {
-        id: parse_column("worker.id", &id, |id| id.parse().ok())?,
-        name: row.get("name")?,
-        device: row.get("device")?,
-        state: parse_column("worker.state", &state, worker_state)?,
-        rays_per_second: row.get::<Option<f64>>("rays_per_second")?.map(rounding::rate),
-        leases: row.get("leases")?,
-    })
-}
-
-fn worker_state(name: &str) -> Option<WorkerState> {
-    Some(match name {
-        "starting" => WorkerState::Starting,
-        "ready" => WorkerState::Ready,
-        "draining" => WorkerState::Draining,
-        "gone" => WorkerState::Gone,
-        "quarantined" => WorkerState::Quarantined,
-        _ => return None,
-    })
 }

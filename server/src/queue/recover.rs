@@ -44,7 +44,7 @@ pub(super) async fn recover(connection: &mut Connection, start: &StartingServer)
     event_gaps::check_restored(connection).await?;
     event_gaps::check_identity(connection).await?;
     let others = servers::begin(connection, start, generation).await?;
-    let leases = servers::hand_back(connection).await?;
+    let leases = servers::hand_back(connection, start.wall_ms).await?;
     if others == 0 {
         db::query("UPDATE lease SET granted_ms = ?, expires_ms = ? WHERE ended IS NULL")
             .bind(now_ms)

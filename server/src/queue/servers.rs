@@ -127,7 +127,7 @@ async fn renew(
         tracing::warn!(name, "another server has ended: the leases of its pool are handed back");
     }
     if !ended.is_empty() {
-        hand_back(connection).await?;
+        hand_back(connection, moment.wall_ms).await?;
         wake = Wake { work: true, news: true };
     }
     let running = db::query_scalar("SELECT count(*) FROM server WHERE generation <> ?")
@@ -159,8 +159,8 @@ async fn agree_on_secret(connection: &mut Connection, fingerprint: i64, generati
 }
 
 /// Ends the leases of pools whose server has no row, and marks their workers as gone; returns the number of leases.
-pub(super) async fn hand_back(connection: &mut Connection) -> Result<i64> {
-    let tiles = lease_ends::interrupt_pool(connection).await?;
+pub(super) async fn hand_back(connection: &mut Connection, wall_ms: i64) -> Result<i64> {
+    let tiles = lease_ends::interrupt_pool(connection, wall_ms).await?;
     db::query(
         "UPDATE tile SET state = 'ready', interrupts = interrupts + 1
          WHERE state = 'leased' AND id IN (SELECT value FROM @numbers(?))

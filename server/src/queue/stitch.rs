@@ -37,7 +37,7 @@ pub(super) async fn redo_tiles(
         return Ok(ring);
     }
     ring.add(Wake::WORK);
-    ring.add(lease_ends::revoke(connection, std::iter::once(held.tile)).await?);
+    ring.add(lease_ends::revoke(connection, std::iter::once(held.tile), moment).await?);
     let job = super::job_id(connection, held.job).await?;
     tracing::warn!(%job, frame = held.frame, tiles = -progress.tiles, "blobs damaged; rendering their tiles again");
     let void = db::query("UPDATE tile SET state = 'void' WHERE id = ? AND state IN ('ready', 'leased')")

@@ -10,6 +10,7 @@ use proto::{LeaseId, WorkerId};
 use super::claim::{self, ClaimOutcome, ClaimRequest};
 use super::doomed::CheckedNames;
 use super::lease::{self, LeaseEnd, LeaseGrant};
+use super::minutes::Rendered;
 use super::reported::{self, RejectedResult};
 use super::verification::{self, VerificationOutcome, VerifierLease};
 use super::worker_state::{self, WorkerState, WorkerStatus};
@@ -90,6 +91,8 @@ pub(crate) struct SyncOutcome {
     pub(crate) nondeterministic: u64,
     /// Number of results that are not what was asked for.
     pub(crate) rejected: u64,
+    /// Results that counted.
+    pub(crate) rendered: Rendered,
     /// Changes of verifications.
     pub(crate) verification: VerificationOutcome,
     pub(super) ring: Wake,
@@ -212,6 +215,7 @@ pub(super) async fn sync(
         fenced,
         nondeterministic,
         rejected: turn.rejected.len() as u64,
+        rendered: delivered.rendered,
         verification,
         ring,
     }))

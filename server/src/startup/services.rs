@@ -21,7 +21,7 @@ use crate::http::{ApiState, Handles};
 use crate::job_cache::JobCache;
 use crate::listen::Listeners;
 use crate::lock::FolderLock;
-use crate::maintenance::{ChangeFinisher, Cleanup, LeaseExpiry, Maintenance, OrphanSweep};
+use crate::maintenance::{ChangeFinisher, Cleanup, HistoryRecorder, LeaseExpiry, Maintenance, OrphanSweep};
 use crate::orphans::{OrphanCandidates, Orphans};
 use crate::pictures::Pictures;
 use crate::pool::Pool;
@@ -177,6 +177,7 @@ impl Foundation {
                 reserve: Arc::clone(&self.reserve),
                 counters: Arc::clone(&self.counters),
             },
+            history: HistoryRecorder { queue: queue.clone(), counters: Arc::clone(&self.counters) },
             sweep: OrphanSweep { queue: queue.clone(), content: Arc::clone(&self.content), orphans: orphans.clone() },
             cleanup: Cleanup {
                 queue: queue.clone(),
