@@ -29,6 +29,11 @@ impl JobAtFrame<'_> {
         &self.scene
     }
 
+    /// The same frame with another scene.
+    pub(crate) fn with_scene(&self, scene: Scene) -> Self {
+        Self { scene: Cow::Owned(scene), ..self.clone() }
+    }
+
     /// The picture's size and file format, with every number evaluated at this frame.
     pub fn image(&self) -> &Image {
         &self.image

@@ -63,6 +63,11 @@ impl JobAtFrame<'_> {
         hash(self.scene())
     }
 
+    /// Hash of everything that decides the frame's pixels, but for surfaces and the materials of surfaces.
+    pub(crate) fn key_without_surfaces(&self) -> blake3::Hash {
+        self.with_scene(self.scene().without_surfaces()).pixels_cache_key()
+    }
+
     /// Hash of everything that decides the frame's pixels.
     pub fn pixels_cache_key(&self) -> blake3::Hash {
         self.pixels_key_of_version(PICTURE_VERSION)

@@ -23,6 +23,7 @@ use crate::real::{MaskValue, Real, Vec3, bundle, vec3};
 use crate::sampling::{PixelJitter, Sampler, frame_key};
 use crate::scene::Scene;
 use crate::visible::RayKind;
+use crate::visits::Visits;
 use media::Media;
 use ray_kinds::CallNames;
 use scene_distance::AlongRay;
@@ -67,6 +68,8 @@ pub struct Integrator<'a> {
     fine: Vec<usize>,
     /// The surfaces' cells, in a picture of many shapes.
     cells: Option<Cells<'a>>,
+    /// Record of what rays ask for, if that is wanted.
+    visits: Option<Visits>,
     /// Names of the functions that depend on the objects that are seen.
     names: &'static CallNames,
     /// The scene as shadow rays see it, if they see other objects.
@@ -167,6 +170,7 @@ impl<'a> Integrator<'a> {
         Self {
             scene,
             cells: None,
+            visits: None,
             names: CallNames::of(rays),
             of_shadows: None,
             of_reflections: None,

@@ -98,6 +98,21 @@ impl Scene {
         &self.materials[self.objects[object].material.slot() as usize]
     }
 
+    /// The scene without its surfaces and their materials: with its clouds and volumes only.
+    pub(crate) fn without_surfaces(&self) -> Self {
+        let mut media = self.clone();
+        (media.objects, media.materials) = (Vec::new(), Vec::new());
+        for (index, object) in self.objects.iter().enumerate() {
+            let material = self.material_of(index);
+            if material.is_medium() {
+                let material_ref = MaterialRef::Slot(media.materials.len() as u32);
+                media.objects.push(Object { material: material_ref, ..object.clone() });
+                media.materials.push(material.clone());
+            }
+        }
+        media
+    }
+
     /// Nodes of all objects.
     pub fn nodes(&self) -> u32 {
         self.objects.iter().map(|object| object.shape.node_count()).sum()

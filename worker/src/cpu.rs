@@ -8,6 +8,7 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 use rayon::{ThreadPool, ThreadPoolBuilder};
+use scene::visits::Visited;
 use scene::{Integrator, Job, JobAtFrame};
 
 use crate::cells::FastBuilder;
@@ -129,6 +130,50 @@ impl CpuRenderer {
         }
     }
 
+    /// Renders a tile, and records what its rays ask for; without a record if that is not known.
+    pub fn render_recorded(
+        &self,
+        run: &TileRequest<'_>,
+        cancel: &CancelFlag,
+        progress: &(dyn Fn(u64) + Sync),
+    ) -> Result<(TilePixels, Option<Visited>), RenderError> {
+        let still = run.job.at(run.frame)?;
+        let Some(program) = Integrator::recording(&still) else {
+            return Ok((self.render(run, cancel, progress)?, None));
+        };
+        let visits = program.visits().expect("it records").clone();
+        let (kernel, visits) = match self.simd {
+            Simd::Scalar => (Kernel::Reference(Box::new(program), still.image()), visits),
+            simd => {
+                let (prepared, visits) = self.kernels.recordable(&still, &program, &visits, simd)?.kernel();
+                (Kernel::Prepared(prepared), visits)
+            }
+        };
+        let pixels = self.render_by(&still, run, kernel, cancel, progress)?;
+        Ok((pixels, Some(visits.read())))
+    }
+
+    /// Renders a tile by a kernel.
+    fn render_by<'a>(
+        &self,
+        still: &'a JobAtFrame<'_>,
+        run: &TileRequest<'_>,
+        kernel: Kernel<'a>,
+        cancel: &CancelFlag,
+        progress: &(dyn Fn(u64) + Sync),
+    ) -> Result<TilePixels, RenderError> {
+        let (image, left, width) = (&run.job.image, run.rect.x, run.rect.width as usize);
+        let mut pixels = TilePixels::zeroed(run.rect, image.channels().len());
+        let height = block(kernel.lanes()).1;
+        let band = |(index, planes)| {
+            let top = run.rect.y + (index * height) as u32;
+            Band { image, left, top, width, planes, progress: Progress::new(progress), cancel: cancel.flag() }
+        };
+        let bands = bands(&mut pixels.planes, width * height).into_iter().enumerate().map(band).collect();
+        self.render_bands(still, kernel, bands, cancel)?;
+        Ok(pixels)
+    }
+
     fn kernel<'a>(&self, still: &'a JobAtFrame<'_>) -> Result<Kernel<'a>, RenderError> {
         Ok(match self.simd {
             Simd::Scalar => Kernel::Reference(Box::new(Integrator::of_picture(still, &self.cells)), still.image()),
@@ -154,16 +199,7 @@ impl Renderer for CpuRenderer {
     ) -> Result<TilePixels, RenderError> {
         let still = run.job.at(run.frame)?;
         let kernel = self.kernel(&still)?;
-        let (image, left, width) = (&run.job.image, run.rect.x, run.rect.width as usize);
-        let mut pixels = TilePixels::zeroed(run.rect, image.channels().len());
-        let height = block(kernel.lanes()).1;
-        let band = |(index, planes)| {
-            let top = run.rect.y + (index * height) as u32;
-            Band { image, left, top, width, planes, progress: Progress::new(progress), cancel: cancel.flag() }
-        };
-        let bands = bands(&mut pixels.planes, width * height).into_iter().enumerate().map(band).collect();
-        self.render_bands(&still, kernel, bands, cancel)?;
-        Ok(pixels)
+        self.render_by(&still, run, kernel, cancel, progress)
     }
 }
 

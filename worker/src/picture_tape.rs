@@ -27,9 +27,14 @@ pub(crate) const DISTANCE: &str = "distance_at_point";
 
 /// Records the entries [`ACCUMULATE`], [`MEAN`] and, if the job requests layers, [`LAYERS`].
 pub(crate) fn record_picture(still: &JobAtFrame<'_>, cells: FastBuilder) -> Tape {
-    let (program, image) = (Integrator::of_picture(still, &cells), still.image());
+    record_entries(&Integrator::of_picture(still, &cells), still)
+}
+
+/// Records the entries of [`record_picture`] of an integrator.
+pub(crate) fn record_entries(program: &Integrator<'_>, still: &JobAtFrame<'_>) -> Tape {
+    let image = still.image();
     record(|recording| {
-        accumulate(recording, &program);
+        accumulate(recording, program);
         recording.entry(MEAN, |all| channels(program.mean(sum(all))).to_vec());
         if !image.layers.is_empty() {
             recording.entry(LAYERS, |[x, y]| layer_channels(&program.aovs(x, y), &image.layers));

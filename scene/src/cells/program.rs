@@ -23,9 +23,13 @@ pub struct Program<'a> {
     leaves: Vec<Leaf<'a>>,
     /// A leaf of each family.
     families: Vec<usize>,
+    /// The formula of each family.
+    texts: Vec<Vec<u32>>,
     joins: Vec<Join>,
     /// A join of each kind that occurs.
     join_families: Vec<usize>,
+    /// The formula of each kind of join.
+    join_texts: Vec<Vec<u32>>,
     depth: usize,
     /// First word of each leaf's row.
     leaf_rows: Vec<u32>,
@@ -192,8 +196,10 @@ impl<'a> Program<'a> {
             rows,
             list,
             leaves: cutter.leaves,
+            texts: by_index(cutter.texts),
             families: cutter.family_leaves,
             joins: cutter.joins,
+            join_texts: by_index(cutter.join_texts),
             join_families: cutter.family_joins,
             depth,
         })
@@ -263,6 +269,24 @@ impl<'a> Program<'a> {
         self.joins.iter().map(|join| &join.kind)
     }
 
+    /// Everything that decides the values and materials of a leaf, given the slot of its object's own material.
+    pub(super) fn leaf_content(&self, leaf: usize, own: u32) -> (&[u32], &[u32], Option<u32>) {
+        let Leaf { family, numbers, material, above: _, shape: _, bounds: _, lipschitz: _, object: _ } =
+            &self.leaves[leaf];
+        let own = match material {
+            LeafMaterial::OfObject => Some(own),
+            // They are among the numbers.
+            LeafMaterial::Single(_) | LeafMaterial::Mixed(_) => None,
+        };
+        (&self.texts[*family], numbers, own)
+    }
+
+    /// Everything that decides the values of a join.
+    pub(super) fn join_content(&self, join: usize) -> (&[u32], &[u32]) {
+        let Join { family, numbers, kind: _ } = &self.joins[join];
+        (&self.join_texts[*family], numbers)
+    }
+
     /// Maximum number of values that wait for a join.
     pub(super) fn depth(&self) -> usize {
         self.depth
@@ -321,6 +345,15 @@ impl JoinKind {
     pub(super) fn is_unary(&self) -> bool {
         matches!(self, Self::Scale(_))
     }
+}
+
+/// The keys of a map to indices, by their index.
+fn by_index(indices: HashMap<Vec<u32>, usize>) -> Vec<Vec<u32>> {
+    let mut all = vec![Vec::new(); indices.len()];
+    for (text, index) in indices {
+        all[index] = text;
+    }
+    all
 }
 
 /// Number of values that wait for a join, at most.

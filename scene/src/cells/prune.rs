@@ -167,6 +167,12 @@ impl Pruned {
         Interval::new(self.value.low[cell], self.value.high[cell])
     }
 
+    /// Words of the leaves and joins that can matter in a cell, whether it may have a surface or not.
+    pub(super) fn words(&self, cell: usize) -> impl Iterator<Item = (bool, u32)> + '_ {
+        let of_cell = self.entries.iter().filter(move |entry| entry.cells & (1 << cell) != 0);
+        of_cell.map(|entry| (matches!(entry.of, EntryKind::Leaf), entry.word))
+    }
+
     /// Lists of the cells that may have a surface; of the others, nothing.
     pub(super) fn lists(&self) -> [Vec<u32>; SLAB_CELLS] {
         let near = !cells_where(|cell| self.value.low[cell] > EMPTY_ABOVE);

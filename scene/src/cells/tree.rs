@@ -378,8 +378,8 @@ impl MakeWords for LazyBuilder {
         undivided(words, &[self.builder.root]).into_iter().filter(is_long).collect()
     }
 
-    fn division(&self) -> &Division {
-        &self.division
+    fn division(&self) -> Option<&Division> {
+        Some(&self.division)
     }
 }
 

@@ -2,8 +2,11 @@
 
 use super::{Integrator, shrink, surfaces_of};
 use crate::animation::JobAtFrame;
-use crate::cells::{CellBuilder, Cells, Program};
+use crate::bounds::Bounds;
+use crate::cells::{CellBuilder, Cells, ContentIds, Contents, Program};
+use crate::materials::Shade;
 use crate::real::Table;
+use crate::visits::{VisitGrid, Visits};
 
 /// Minimum number of leaves: below, straight code costs less than finding the cell of each point (measured on CPUs with
 /// the shipped scenes, the largest of which has 88).
@@ -34,6 +37,79 @@ impl<'a> Integrator<'a> {
     /// The table of the scene's cells, if it has any.
     pub fn table(&self) -> Option<&Table> {
         self.cells.as_ref().map(|cells| cells.tree().words())
+    }
+}
+
+impl<'a> Integrator<'a> {
+    /// Prepares the integrator of a picture of one frame that records what its rays ask for; `None` if that is not known:
+    /// of a scene of cells, or one whose surfaces can't be cut into leaves.
+    pub fn recording(still: &'a JobAtFrame<'_>) -> Option<Self> {
+        let own = Self::new(still);
+        let program = own.recordable(still)?;
+        let bounds = Contents::new(&program, own.scene, &mut ContentIds::default()).bounds();
+        let grid = VisitGrid::around(bounds.unwrap_or(Bounds::symmetric(1.0, 1.0, 1.0)));
+        let visits = Visits::new(grid, own.scene.used_materials().len());
+        Some(Self { visits: Some(visits), ..own })
+    }
+
+    /// The record that its formulas write.
+    pub fn visits(&self) -> Option<&Visits> {
+        self.visits.as_ref()
+    }
+
+    /// The program of a scene whose rays can be recorded.
+    pub(crate) fn recordable(&self, still: &'a JobAtFrame<'_>) -> Option<Program<'a>> {
+        let scene = still.scene();
+        if program(still).is_some() || scene.objects.iter().any(|object| !object.visible.is_full()) {
+            return None;
+        }
+        let objects: Vec<_> = surfaces_of(scene).map(|index| (index, self.step_scales[index])).collect();
+        Program::new(scene, &objects)
+    }
+
+    /// Whether two frames that differ only in surfaces and materials agree in everything that their pixels have in common.
+    pub(crate) fn has_same_frame(&self, other: &Self) -> bool {
+        let Self {
+            // Compared by the frames' keys, or follow from what is compared.
+            scene: _,
+            view: _,
+            origin: _,
+            samples: _,
+            frame_key: _,
+            tolerance: _,
+            resolution: _,
+            normal_epsilon: _,
+            seen: _,
+            media: _,
+            names: _,
+            // Compared with the surfaces' lists.
+            step_scales: _,
+            // They change how values are found, and not the values.
+            cull_bounds: _,
+            shares_nearest: _,
+            // Neither frame has any.
+            cells: _,
+            visits: _,
+            of_shadows: _,
+            of_reflections: _,
+            surfaces,
+            materials,
+            sends_on,
+            lets_through,
+            bounds,
+            fine,
+        } = self;
+        let is_lit = |one: &Self| one.materials.slots().any(|slot| one.scene.used_materials()[slot].is_lit());
+        let are_bounds_equal = bounds.min == other.bounds.min && bounds.max == other.bounds.max;
+        // Where only some surfaces are fine, their objects are found by index.
+        let are_fine_equal =
+            (fine.is_empty() && other.fine.is_empty()) || (*fine == other.fine && *surfaces == other.surfaces);
+        are_bounds_equal
+            && are_fine_equal
+            && *sends_on == other.sends_on
+            && *lets_through == other.lets_through
+            && materials.is_alike(&other.materials)
+            && is_lit(self) == is_lit(other)
     }
 }
 

@@ -11,10 +11,15 @@ const MISS_DISTANCE: f32 = 1e9;
 impl Integrator<'_> {
     /// Distance of the whole scene at `p`: at most the distance to the nearest surface.
     pub fn distance<R: Real>(&self, p: Vec3<R>) -> R {
+        let distance = self.unrecorded_distance(p);
+        self.visits.as_ref().map_or(distance, |visits| distance.max(visits.at(p)))
+    }
+
+    fn unrecorded_distance<R: Real>(&self, p: Vec3<R>) -> R {
         if let Some(cells) = &self.cells {
             p.x.call(self.names.distance, p, |p| cells.distance(p))
         } else if self.shares_nearest {
-            self.nearest_object(p).0
+            self.unrecorded_nearest_object(p).0
         } else if self.cull_bounds.is_empty() {
             self.distance_unculled(p)
         } else {
@@ -48,6 +53,17 @@ impl Integrator<'_> {
     /// Distance of the whole scene at `p`, and the index of the nearest object; if several are equally near, of the
     /// first.
     pub(super) fn nearest_object<R: Real>(&self, p: Vec3<R>) -> (R, R) {
+        let (distance, object) = self.unrecorded_nearest_object(p);
+        match &self.visits {
+            None => (distance, object),
+            Some(visits) => {
+                let visited = visits.at(p);
+                (distance.max(visited), object.max(visited))
+            }
+        }
+    }
+
+    fn unrecorded_nearest_object<R: Real>(&self, p: Vec3<R>) -> (R, R) {
         p.x.call(self.names.nearest, p, |p| {
             if let Some(cells) = &self.cells {
                 return cells.nearest(p);

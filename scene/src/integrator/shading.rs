@@ -57,6 +57,24 @@ impl MaterialTable {
         }
     }
 
+    /// Whether the materials of two scenes are of the same kinds.
+    pub(super) fn is_alike(&self, other: &Self) -> bool {
+        let Self {
+            // How weights are found follows from the surfaces, and the weights are the same.
+            has_own_materials: _,
+            surface_slots,
+            single_slot,
+            needs_own_normal,
+            needs_footprint,
+            catches_shadows,
+        } = self;
+        *surface_slots == other.surface_slots
+            && *single_slot == other.single_slot
+            && *needs_own_normal == other.needs_own_normal
+            && *needs_footprint == other.needs_footprint
+            && *catches_shadows == other.catches_shadows
+    }
+
     /// Index of a slot among those of surfaces.
     fn place_of(&self, slot: u32) -> Option<usize> {
         self.surface_slots.iter().position(|&worn| worn == slot as usize)
@@ -101,7 +119,7 @@ impl Integrator<'_> {
             return None;
         }
         if let Some(only) = self.materials.single_slot {
-            return of_slot(only);
+            return of_slot(only).map(|clear| self.asked_for(only, clear));
         }
         let object = self.nearest_object(hit.position).1;
         let add = |sum: R, clear: R, share: R| clear.mul_add(share, sum);
@@ -111,8 +129,8 @@ impl Integrator<'_> {
     /// Shaded color at a hit.
     pub(super) fn shade<R: Real>(&self, hit: &Hit<R>, ray: &Ray<R>, light: &IncidentLight<R>) -> Vec3<R> {
         if let Some(only) = self.materials.single_slot {
-            return self.scene.used_materials()[only]
-                .shade(&ShadingPoint::new(hit, ray, self.footprint(hit, ray)), light);
+            let place = ShadingPoint::new(hit, ray, self.footprint(hit, ray));
+            return self.scene.used_materials()[only].shade(&place, light).map(|c| self.asked_for(only, c));
         }
         let object = self.nearest_object(hit.position).1;
         let black = vec3(object.constant(0.0), object.constant(0.0), object.constant(0.0));
@@ -138,7 +156,9 @@ impl Integrator<'_> {
         let black = vec3(zero, zero, zero);
         let matte = SpecularBsdf { f0: black, roughness: one, transmission: black, ior: one };
         if let Some(only) = self.materials.single_slot {
-            return self.shade_slot(only, &ShadingPoint::new(hit, ray, self.footprint(hit, ray)), light, matte);
+            let place = ShadingPoint::new(hit, ray, self.footprint(hit, ray));
+            let (color, finish) = self.shade_slot(only, &place, light, matte);
+            return (color.map(|c| self.asked_for(only, c)), finish);
         }
         let object = self.nearest_object(hit.position).1;
         let none = SpecularBsdf { roughness: zero, ior: zero, ..matte };
@@ -159,6 +179,11 @@ impl Integrator<'_> {
                 (color.mul_add(share, sum), finish)
             },
         )
+    }
+
+    /// A number of a material, which is recorded as asked for.
+    fn asked_for<R: Real>(&self, slot: usize, number: R) -> R {
+        self.visits.as_ref().map_or(number, |visits| number.max(visits.of_material(number, slot)))
     }
 
     fn shade_slot<R: Real>(
@@ -191,8 +216,13 @@ impl Integrator<'_> {
                 local_normal: worn.own_normal,
                 ..ShadingPoint::new(hit, ray, worn.footprint)
             };
-            let part = R::when(worn.weight.above(0.0), nothing, || of_slot(worn.slot, &place));
-            sum = add(sum, part, worn.weight);
+            let is_seen = worn.weight.above(0.0);
+            let part = R::when(is_seen, nothing, || of_slot(worn.slot, &place));
+            let weight = match self.visits {
+                None => worn.weight,
+                Some(_) => R::when(is_seen, worn.weight, || self.asked_for(worn.slot, worn.weight)),
+            };
+            sum = add(sum, part, weight);
         }
         sum
     }
@@ -276,7 +306,15 @@ impl Integrator<'_> {
     fn material_weights<R: Real>(&self, index: usize, p: Vec3<R>) -> Vec<MaterialWeight<R>> {
         let tree = &self.scene.objects[index];
         let sample: DistanceWithMaterials<R> = tree.shape.sample(p);
-        sample.paint(tree.material.slot(), p).weights().to_vec()
+        let mut weights = sample.paint(tree.material.slot(), p).weights().to_vec();
+        if let Some(visits) = &self.visits {
+            let visited = visits.at(p);
+            for weight in &mut weights {
+                weight.weight = weight.weight.max(visited);
+                weight.point = weight.point.map(|c| c.max(visited));
+            }
+        }
+        weights
     }
 }
 

@@ -35,8 +35,8 @@ pub trait MakeWords: Send + Sync {
     /// it. Each can be passed to [`MakeWords::make`].
     fn outermost(&self, words: &Words) -> Vec<u32>;
 
-    /// How a GPU makes missing words.
-    fn division(&self) -> &Division;
+    /// How a GPU makes missing words, if it can.
+    fn division(&self) -> Option<&Division>;
 }
 
 /// Words of a scene: at least one. They are appended, and never move. Memory that no word was appended to is not used.
@@ -147,7 +147,7 @@ impl Words {
 
     /// How a GPU makes missing words, if they can be made.
     pub fn division(&self) -> Option<&Division> {
-        self.maker.get().map(|maker| maker.division())
+        self.maker.get().and_then(|maker| maker.division())
     }
 }
 

@@ -6,11 +6,12 @@ use std::sync::atomic::AtomicBool;
 
 use scene::integrator::Radiance;
 use scene::real::{Real, Table, vec3};
+use scene::visits::Visits;
 use scene::{Image, Integrator, JobAtFrame};
 
 use super::evaluator::{Evaluator, Frame, Inputs};
 use crate::cells::{FastBuilder, KnownCells};
-use crate::picture_tape::{ACCUMULATE, LAYERS, MEAN, channels, layer_channels, record_picture};
+use crate::picture_tape::{ACCUMULATE, LAYERS, MEAN, channels, layer_channels, record_entries, record_picture};
 use crate::recent::{self, Recent};
 use crate::tape::Tape;
 use crate::{RenderError, Simd};
@@ -27,10 +28,28 @@ pub(super) struct Prepared {
     pub(super) inputs: Inputs,
 }
 
+/// A frame whose rays are recorded: its tape, with an empty record.
+#[derive(Debug)]
+pub(super) struct Recordable {
+    evaluator: Arc<Evaluator>,
+    tape: Tape,
+    visits: Visits,
+}
+
+impl Recordable {
+    /// A kernel that writes a new record, and that.
+    pub(super) fn kernel(&self) -> (Arc<Prepared>, Visits) {
+        let visits = self.visits.another();
+        let inputs = self.evaluator.inputs(&self.tape.clone().with_table(visits.table().clone()));
+        (Arc::new(Prepared { evaluator: self.evaluator.clone(), inputs }), visits)
+    }
+}
+
 /// Evaluators in use, those used last first.
 #[derive(Debug, Default)]
 pub(super) struct KernelCache {
     by_tape: Recent<Tape, Evaluator>,
+    recordable: Recent<blake3::Hash, Recordable>,
     by_pixels: Recent<blake3::Hash, Prepared>,
     cells: KnownCells,
 }
@@ -53,18 +72,40 @@ impl KernelCache {
             Some(table) => tape.with_table(table),
             None => tape,
         };
-        let known = recent::find(&self.by_tape, |other| other.has_same_code(&tape));
-        let evaluator = match known {
+        let evaluator = self.evaluator(&tape, simd)?;
+        let inputs = evaluator.inputs(&tape);
+        Ok(recent::insert(&self.by_pixels, key, Arc::new(Prepared { evaluator, inputs }), MAX_FRAMES))
+    }
+
+    /// A frame whose rays are recorded by this integrator.
+    pub(super) fn recordable(
+        &self,
+        still: &JobAtFrame<'_>,
+        program: &Integrator<'_>,
+        visits: &Visits,
+        simd: Simd,
+    ) -> Result<Arc<Recordable>, RenderError> {
+        let key = still.pixels_cache_key();
+        if let Some(known) = recent::find(&self.recordable, |other| *other == key) {
+            return Ok(known);
+        }
+        let tape = record_entries(program, still);
+        let evaluator = self.evaluator(&tape, simd)?;
+        let recordable = Recordable { evaluator, tape: tape.without_table(), visits: visits.another() };
+        Ok(recent::insert(&self.recordable, key, Arc::new(recordable), MAX_FRAMES))
+    }
+
+    fn evaluator(&self, tape: &Tape, simd: Simd) -> Result<Arc<Evaluator>, RenderError> {
+        let known = recent::find(&self.by_tape, |other| other.has_same_code(tape));
+        Ok(match known {
             Some(known) => known,
             None => recent::insert(
                 &self.by_tape,
                 tape.without_table(),
-                Arc::new(Evaluator::new(&tape, simd)?),
+                Arc::new(Evaluator::new(tape, simd)?),
                 MAX_EVALUATORS,
             ),
-        };
-        let inputs = evaluator.inputs(&tape);
-        Ok(recent::insert(&self.by_pixels, key, Arc::new(Prepared { evaluator, inputs }), MAX_FRAMES))
+        })
     }
 
     /// Forgets a table of cells: the next [`KernelCache::prepare`] of its frames begins with none.

@@ -6,6 +6,7 @@ mod bench;
 mod bit_identical;
 mod blobs;
 mod cancel;
+mod changes;
 mod cuda;
 mod divided_cells;
 mod docs;

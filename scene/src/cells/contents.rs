@@ -1,0 +1,88 @@
+//! What decides the scene's values in a box: the operations that can matter there, with their numbers.
+
+use std::collections::HashMap;
+
+use super::Program;
+use super::program::Leaf;
+use super::prune::{Pruner, Regions, SLAB_CELLS, Unpruned};
+use crate::bounds::Bounds;
+use crate::real::list::{NO_LEAF, ROW_MASK, function_of};
+use crate::real::vec3;
+use crate::scene::Scene;
+
+/// Numbers of formulas with their numbers: equal ones have one, in all programs that share these.
+#[derive(Default)]
+pub(crate) struct ContentIds(HashMap<(Vec<u32>, Vec<u32>, Option<u32>), u32>);
+
+impl ContentIds {
+    fn of(&mut self, text: &[u32], numbers: &[u32], material: Option<u32>) -> u32 {
+        let next = self.0.len() as u32;
+        *self.0.entry((text.to_vec(), numbers.to_vec(), material)).or_insert(next)
+    }
+}
+
+/// Leaves and joins by their contents, in the order in which they are computed: whether it is a leaf, and its number.
+pub(crate) type List = Vec<(bool, u32)>;
+
+/// A program whose contents can be compared with those of another.
+pub(crate) struct Contents<'a, 'b> {
+    program: &'a Program<'b>,
+    pruner: Pruner,
+    /// Indices of all leaves.
+    leaves: Vec<u32>,
+    /// Numbers of the contents of the leaves and joins.
+    leaf_ids: Vec<u32>,
+    join_ids: Vec<u32>,
+}
+
+impl<'a, 'b> Contents<'a, 'b> {
+    /// Contents of a program of this scene.
+    pub(crate) fn new(program: &'a Program<'b>, scene: &Scene, ids: &mut ContentIds) -> Self {
+        let mut of_leaf = |leaf: usize| {
+            let own = scene.objects[program.leaves()[leaf].object].material.slot();
+            let (text, numbers, material) = program.leaf_content(leaf, own);
+            ids.of(text, numbers, material)
+        };
+        let leaf_ids = (0..program.leaf_count()).map(&mut of_leaf).collect();
+        let mut of_join = |join: usize| {
+            let (text, numbers) = program.join_content(join);
+            ids.of(text, numbers, None)
+        };
+        let join_ids = (0..program.joins().count()).map(&mut of_join).collect();
+        let leaves = (0..program.leaf_count() as u32).collect();
+        Self { program, pruner: Pruner::new(program), leaves, leaf_ids, join_ids }
+    }
+
+    /// Box of all leaves that are finite.
+    pub(crate) fn bounds(&self) -> Option<Bounds> {
+        let finite = self.program.leaves().iter().map(Leaf::bounds).filter(|bounds| bounds.is_finite());
+        finite.reduce(Bounds::union)
+    }
+
+    /// Everything.
+    pub(crate) fn all(&self) -> List {
+        let operations = self.program.list().chunks_exact(2);
+        let leaf = |word: u32| (function_of(word) != NO_LEAF).then_some((true, word));
+        let join = |word: u32| (word != 0).then_some((false, word));
+        let words = operations.flat_map(|operation| [leaf(operation[0]), join(operation[1])]);
+        words.flatten().map(|word| self.id(word)).collect()
+    }
+
+    /// What can matter in boxes: the scene's values and materials are the same, bit for bit, where it is equal.
+    pub(crate) fn in_boxes(&self, boxes: &[Bounds; SLAB_CELLS]) -> [List; SLAB_CELLS] {
+        let middle = |low: f32, high: f32| 0.5 * (low + high);
+        let centers =
+            boxes.map(|Bounds { min, max }| vec3(middle(min.x, max.x), middle(min.y, max.y), middle(min.z, max.z)));
+        let at_centers = |&leaf: &u32| centers.map(|p| self.program.leaves()[leaf as usize].distance(p));
+        let distances: Vec<f32> = self.leaves.iter().flat_map(at_centers).collect();
+        let regions = Regions::new(boxes);
+        let (list, pruner, leaves) = (self.program.list(), &self.pruner, &self.leaves[..]);
+        let pruned = Unpruned { pruner, list, leaves, regions: &regions, distances: &distances }.prune();
+        std::array::from_fn(|cell| pruned.words(cell).map(|word| self.id(word)).collect())
+    }
+
+    fn id(&self, (is_leaf, word): (bool, u32)) -> (bool, u32) {
+        let index = self.program.rows()[(word & ROW_MASK) as usize - 1] as usize;
+        (is_leaf, if is_leaf { self.leaf_ids[index] } else { self.join_ids[index] })
+    }
+}

@@ -1,0 +1,202 @@
+//! Edits of scenes: a tile whose record says that an edit can't change it has the same bytes after the edit.
+
+use scene::{Change, Job, change};
+use serde_json::{Value, json};
+use worker::{CancelFlag, CpuRenderer, Renderer, Simd, TilePixels, TileRequest};
+
+use crate::shipped::shipped;
+use proto::Rect;
+
+/// Edge of a tile.
+const TILE_PX: u32 = 32;
+const SIZE: [u32; 2] = [160, 96];
+
+/// Random numbers (xorshift64).
+struct Random(u64);
+
+impl Random {
+    fn next(&mut self) -> u64 {
+        self.0 ^= self.0 << 13;
+        self.0 ^= self.0 >> 7;
+        self.0 ^= self.0 << 17;
+        self.0
+    }
+
+    fn below(&mut self, end: usize) -> usize {
+        (self.next() % end as u64) as usize
+    }
+
+    /// From −1 to 1.
+    fn signed(&mut self) -> f64 {
+        (self.next() % 20_001) as f64 / 10_000.0 - 1.0
+    }
+}
+
+fn tiles() -> impl Iterator<Item = Rect> {
+    (0..SIZE[1]).step_by(TILE_PX as usize).flat_map(|y| {
+        (0..SIZE[0]).step_by(TILE_PX as usize).map(move |x| Rect { x, y, width: TILE_PX, height: TILE_PX })
+    })
+}
+
+fn small(mut document: Value) -> Value {
+    let image = document["image"].as_object_mut().expect("an image");
+    (image["width"], image["height"]) = (json!(SIZE[0]), json!(SIZE[1]));
+    image.insert("samples".into(), json!(2));
+    image.remove("region");
+    image.remove("scale");
+    document
+}
+
+fn job(document: &Value) -> Option<Job> {
+    scene::parse(document.to_string().as_bytes()).ok()
+}
+
+fn render(renderer: &CpuRenderer, job: &Job, rect: Rect) -> TilePixels {
+    renderer.render(&TileRequest { job, frame: 0, rect }, &CancelFlag::new(), &|_| ()).expect("pixels")
+}
+
+/// Bits of the pixels of a tile.
+fn bits(pixels: &TilePixels) -> Vec<u32> {
+    pixels.planes.iter().flatten().map(|value| value.to_bits()).collect()
+}
+
+/// Pointers to the numbers of the objects and materials.
+fn numbers(value: &Value, pointer: &str, found: &mut Vec<String>) {
+    match value {
+        Value::Number(_) => found.push(pointer.to_owned()),
+        Value::Array(all) => {
+            all.iter().enumerate().for_each(|(index, value)| numbers(value, &format!("{pointer}/{index}"), found));
+        }
+        Value::Object(all) => {
+            let escaped = |key: &str| key.replace('~', "~0").replace('/', "~1");
+            all.iter().for_each(|(key, value)| numbers(value, &format!("{pointer}/{}", escaped(key)), found));
+        }
+        Value::Null | Value::Bool(_) | Value::String(_) => {}
+    }
+}
+
+/// An edit: a number is changed, a shape is added or removed, an object gets another material.
+fn edit(document: &Value, random: &mut Random) -> Value {
+    let mut edited = document.clone();
+    let objects = document["scene"]["objects"].as_array().expect("objects").len();
+    match random.below(8) {
+        0 if objects > 1 => {
+            edited["scene"]["objects"].as_array_mut().expect("objects").remove(random.below(objects));
+        }
+        1 => {
+            let at = [random.signed(), random.signed(), random.signed()];
+            let ball = json!({ "shape": { "translate": { "by": at, "child": { "sphere": { "radius": 0.1 } } } } });
+            edited["scene"]["objects"].as_array_mut().expect("objects").push(ball);
+        }
+        2 => {
+            edited["scene"]["objects"][random.below(objects)]["material"] =
+                json!({ "diffuse": { "kd": [0.1, 0.7, 0.3] } })
+        }
+        _ => {
+            let mut found = Vec::new();
+            for part in ["objects", "materials", "shapes", "lights"] {
+                numbers(&document["scene"][part], &format!("/scene/{part}"), &mut found);
+            }
+            let pointer = &found[random.below(found.len())];
+            let number = edited.pointer_mut(pointer).expect("a number");
+            let value = number.as_f64().expect("a number");
+            let changed = value + random.signed() * (0.1 + 0.2 * value.abs());
+            *number = if number.is_f64() { json!(changed) } else { json!(changed.round()) };
+        }
+    }
+    edited
+}
+
+/// Counts of tiles.
+#[derive(Debug, Default)]
+struct Counts {
+    edits: usize,
+    tiles: usize,
+    kept: usize,
+    same: usize,
+}
+
+fn check(renderer: &CpuRenderer, name: &str, document: &Value, edits: usize, random: &mut Random) -> Counts {
+    let before = job(document).expect("a job");
+    let mut recorded = Vec::new();
+    for rect in tiles() {
+        let request = TileRequest { job: &before, frame: 0, rect };
+        let (pixels, visited) = renderer.render_recorded(&request, &CancelFlag::new(), &|_| ()).expect("pixels");
+        assert_eq!(bits(&pixels), bits(&render(renderer, &before, rect)), "recording changes pixels");
+        recorded.push((rect, pixels, visited));
+    }
+    let mut counts = Counts::default();
+    for _ in 0..edits {
+        let edited = edit(document, random);
+        let Some(after) = job(&edited) else { continue };
+        counts.edits += 1;
+        let Some(grid) = recorded.iter().find_map(|(_, _, visited)| Some(*visited.as_ref()?.grid())) else { continue };
+        let change = change(&before.at(0).expect("a frame"), &after.at(0).expect("a frame"), &grid);
+        for (rect, pixels, visited) in &recorded {
+            let is_same = bits(pixels) == bits(&render(renderer, &after, *rect));
+            let can_change = visited.as_ref().is_none_or(|visited| change.can_reach(visited));
+            counts.tiles += 1;
+            counts.kept += usize::from(!can_change);
+            counts.same += usize::from(is_same);
+            assert!(is_same || can_change, "{rect:?} of {} has changed: {edited}", name);
+        }
+        if let Change::Anywhere(reason) = change {
+            eprintln!("{}: {reason}", name);
+        }
+    }
+    counts
+}
+
+fn renderer() -> CpuRenderer {
+    CpuRenderer::new(None, Simd::Auto).expect("a renderer")
+}
+
+#[test]
+fn tiles_that_an_edit_cannot_change_have_the_same_bytes() {
+    let (renderer, mut random) = (renderer(), Random(7));
+    for shipped in shipped() {
+        let document = small(serde_json::from_slice(&shipped.text).expect("JSON"));
+        let counts = check(&renderer, &shipped.name, &document, 3, &mut random);
+        eprintln!("{}: {counts:?}", shipped.name);
+    }
+}
+
+/// Part of the tiles of `chess` that a piece's move by one square changes, and time and bytes of records.
+#[test]
+#[ignore = "long: renders 1920×1080 twice; 30 s"]
+fn moving_a_chess_piece_changes_few_tiles() {
+    let renderer = renderer();
+    let chess = shipped().into_iter().find(|shipped| shipped.name == "chess").expect("chess");
+    let mut document: Value = serde_json::from_slice(&chess.text).expect("JSON");
+    (document["image"]["width"], document["image"]["height"]) = (json!(1920), json!(1080));
+    document["image"]["samples"] = json!(1);
+    for piece in
+        ["/scene/objects/2/shape/union/of/0/translate/by/0", "/scene/objects/2/shape/union/of/2/translate/by/2"]
+    {
+        let mut edited = document.clone();
+        let place = edited.pointer_mut(piece).expect("a number");
+        *place = json!(place.as_f64().expect("a number") - 1.0);
+        let (before, after) = (job(&document).expect("a job"), job(&edited).expect("a job"));
+        let (mut reached, mut differ, mut all, mut difference) = (0, 0, 0, None);
+        for y in (0..1080).step_by(120) {
+            for x in (0..1920).step_by(120) {
+                let rect = Rect { x, y, width: 120, height: 120 };
+                let request = TileRequest { job: &before, frame: 0, rect };
+                let (pixels, visited) =
+                    renderer.render_recorded(&request, &CancelFlag::new(), &|_| ()).expect("pixels");
+                let visited = visited.expect("chess is recorded");
+                let difference = difference.get_or_insert_with(|| {
+                    change(&before.at(0).expect("a frame"), &after.at(0).expect("a frame"), visited.grid())
+                });
+                let is_reached = difference.can_reach(&visited);
+                let is_same = bits(&pixels) == bits(&render(&renderer, &after, rect));
+                assert!(is_same || is_reached, "{rect:?}");
+                all += 1;
+                reached += usize::from(is_reached);
+                differ += usize::from(!is_same);
+            }
+        }
+        eprintln!("{piece}: {reached} of {all} tiles are rendered again, {differ} differ");
+        assert!(reached * 10 <= all * 4, "{reached} of {all}");
+    }
+}
