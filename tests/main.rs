@@ -34,6 +34,7 @@ mod postgres;
 mod postgres_server;
 mod previews;
 mod price;
+mod recorded;
 mod repository;
 mod runaway;
 mod schema_readers;

@@ -222,6 +222,14 @@ impl Farm {
         Self { child, address, log, folder: None }
     }
 
+    /// Number of tile blobs in its data folder.
+    pub(crate) fn blobs(&self) -> usize {
+        let folder = self.folder.as_ref().expect("a farm in a folder of its own").path().join("data/tiles");
+        let names =
+            fs::read_dir(folder).expect("the folder of tiles").map(|entry| entry.expect("an entry").file_name());
+        names.filter(|name| !name.to_string_lossy().contains('#')).count()
+    }
+
     /// Process id of the server.
     pub(crate) fn process(&self) -> u32 {
         self.child.id()
@@ -437,7 +445,7 @@ fn try_send_by(
 /// Renders a frame's picture with `sdfarm render`.
 pub(crate) fn rendered_here(job: &Value, frame: u32) -> Vec<u8> {
     let folder = tempfile::tempdir().expect("a folder");
-    let path = folder.path().join("picture.png");
+    let path = folder.path().join("picture").with_extension(job["image"]["format"].as_str().unwrap_or("png"));
     let arguments = ["render", "-", "-o", path.to_str().expect("plain"), "--frame", &frame.to_string()];
     let output = finish(sdfarm(&arguments), job.to_string().as_bytes());
     assert!(output.status.success(), "{}", text(&output.stderr));

@@ -79,6 +79,15 @@ pub struct JobView {
     pub tiles: DoneOfTotal,
     /// Frames; one is done when its picture is stored.
     pub frames: DoneOfTotal,
+    /// Whether its tiles are kept with it, so that another job may be based on it.
+    #[serde(default)]
+    pub recorded: bool,
+    /// The job that it is based on.
+    #[serde(default)]
+    pub based_on: Option<JobId>,
+    /// Tiles that kept the pixels of the job that it is based on.
+    #[serde(default)]
+    pub tiles_kept: u64,
     /// Error messages.
     pub errors: Vec<String>,
     /// Warnings for the author; the job renders all the same.

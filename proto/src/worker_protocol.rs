@@ -107,6 +107,9 @@ pub struct SyncRequest {
     pub held_leases: Vec<LeaseId>,
     /// Results of leases that have finished.
     pub reports: Vec<LeaseReport>,
+    /// Records of the tiles among those results, if their job asks for them.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub records: Vec<TileRecord>,
     /// Whether the worker requests a batch.
     pub wants_work: bool,
     /// Maximum number of batches that it requests; more than [`RegisterResponse::max_batches`] are taken as that.
@@ -132,6 +135,8 @@ pub const MAX_TIMING_RAYS: u64 = 1 << 44;
 pub const MAX_MEMORY_BYTES: u64 = 1 << 50;
 /// Maximum size of a blob, in bytes; the pixels of a tile are at most half of it.
 pub const MAX_BLOB_BYTES: u64 = 128 << 20;
+/// Maximum size of a tile's record, in bytes.
+pub const MAX_RECORD_BYTES: u64 = 64 << 20;
 /// Maximum size of a picture, in bytes.
 pub const MAX_PICTURE_BYTES: u64 = 16 << 30;
 
@@ -192,6 +197,22 @@ pub struct LeaseReport {
     pub lease: LeaseId,
     /// Outcome.
     pub outcome: LeaseOutcome,
+}
+
+/// Record of what the rays of a finished tile asked for, by which a later job finds whether it has the same pixels.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TileRecord {
+    /// Lease of the tile.
+    pub lease: LeaseId,
+    /// BLAKE3 of the record, which is stored like a blob, in hex.
+    pub hash: String,
+    /// Its size.
+    #[serde(deserialize_with = "bounded::at_most::<MAX_RECORD_BYTES, _>")]
+    pub size_bytes: u64,
+    /// Whether the pixels are those of the earlier job, and nothing was rendered.
+    #[serde(default)]
+    pub kept: bool,
 }
 
 /// Outcome of one lease.
@@ -269,6 +290,9 @@ pub struct Batch {
     pub tile_seconds: Option<u32>,
     /// Work of the batch.
     pub work: BatchWork,
+    /// What to record of the tiles, if that is wanted.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub recording: Option<Recording>,
 }
 
 impl Batch {
@@ -300,6 +324,34 @@ pub enum BatchWork {
         /// The tiles.
         inputs: Vec<StitchInput>,
     },
+}
+
+/// How the tiles of a batch are recorded.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct Recording {
+    /// The same frame of an earlier job: tiles that the differences of the two jobs can't reach keep its pixels.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub earlier: Option<EarlierFrame>,
+}
+
+/// A recorded frame of an earlier job.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct EarlierFrame {
+    /// The job.
+    pub job: JobId,
+    /// Those of its tiles that are in the batch, too.
+    pub tiles: Vec<EarlierTile>,
+}
+
+/// A recorded tile of an earlier job.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct EarlierTile {
+    /// Its pixels.
+    pub pixels: StitchInput,
+    /// BLAKE3 of its record, in hex.
+    pub record: String,
+    /// The record's size.
+    pub record_bytes: u64,
 }
 
 /// A tile to render.

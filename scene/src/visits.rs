@@ -7,8 +7,7 @@
 
 use std::sync::{Arc, Mutex, PoisonError};
 
-use serde::{Deserialize, Serialize};
-
+use crate::PICTURE_VERSION;
 use crate::bounds::Bounds;
 use crate::cells::Division;
 use crate::real::list::is_set;
@@ -34,7 +33,7 @@ const SIGN: u32 = 31;
 const TO_INTEGER: f32 = 8_388_608.0;
 
 /// Where the cells are: nested cubes around a center.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct VisitGrid {
     /// Center of the cubes.
     center: [f32; 3],
@@ -183,7 +182,7 @@ impl MakeWords for Recorder {
 }
 
 /// The cells and materials that a tile's rays asked for.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Visited {
     /// Where the cells are.
     pub(crate) grid: VisitGrid,
@@ -202,5 +201,109 @@ impl Visited {
     /// Number of cells.
     pub fn cell_count(&self) -> usize {
         self.cells.len()
+    }
+
+    /// The record as bytes.
+    ///
+    /// ```text
+    /// "sdfv" · version · picture version                 u32, little-endian
+    /// center of the cells · a quarter of an edge          f32, little-endian
+    /// number of cells · of materials                      u32, little-endian
+    /// cells, then materials: each less the one before     LEB128
+    /// ```
+    pub fn to_bytes(&self) -> Vec<u8> {
+        let Self { grid: VisitGrid { center: [x, y, z], quarter }, cells, materials } = self;
+        let mut bytes = MAGIC.to_vec();
+        let counts = [cells.len() as u32, materials.len() as u32];
+        let numbers = [x, y, z, quarter].map(|number| number.to_bits());
+        let header = [VERSION, PICTURE_VERSION].into_iter().chain(numbers).chain(counts);
+        bytes.extend(header.flat_map(u32::to_le_bytes));
+        for indices in [cells, materials] {
+            let mut before = 0;
+            for &index in indices {
+                write_leb128(index - before, &mut bytes);
+                before = index;
+            }
+        }
+        bytes
+    }
+
+    /// Reads the bytes of [`Self::to_bytes`]; `None` if they are damaged, or of another version of pictures, whose pixels
+    /// may differ.
+    pub fn from_bytes(bytes: &[u8]) -> Option<Self> {
+        let (header, mut rest) = bytes.split_at_checked(HEADER_BYTES)?;
+        let field = |index: usize| u32::from_le_bytes(header.as_chunks::<4>().0[index]);
+        if header[..4] != MAGIC || (field(1), field(2)) != (VERSION, PICTURE_VERSION) {
+            return None;
+        }
+        let [x, y, z, quarter] = std::array::from_fn(|index| f32::from_bits(field(3 + index)));
+        let mut read = |count: u32, end: u32| {
+            let mut indices = Vec::new();
+            let mut index = 0_u32;
+            for _ in 0..count {
+                index = index.checked_add(read_leb128(&mut rest)?).filter(|index| *index < end)?;
+                indices.push(index);
+            }
+            Some(indices)
+        };
+        let cells = read(field(7), CELLS + 1)?;
+        let materials = read(field(8), u32::MAX)?;
+        rest.is_empty().then_some(Self { grid: VisitGrid { center: [x, y, z], quarter }, cells, materials })
+    }
+}
+
+const MAGIC: [u8; 4] = *b"sdfv";
+const VERSION: u32 = 1;
+const HEADER_BYTES: usize = 36;
+
+fn write_leb128(mut number: u32, bytes: &mut Vec<u8>) {
+    while number >= 0x80 {
+        bytes.push(number as u8 | 0x80);
+        number >>= 7;
+    }
+    bytes.push(number as u8);
+}
+
+fn read_leb128(bytes: &mut &[u8]) -> Option<u32> {
+    let mut number = 0_u32;
+    for place in (0..32).step_by(7) {
+        let (first, rest) = bytes.split_first()?;
+        *bytes = rest;
+        number |= u32::from(first & 0x7f).checked_shl(place)?;
+        if first & 0x80 == 0 {
+            return Some(number);
+        }
+    }
+    None
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn records_are_read_back() {
+        let grid = VisitGrid { center: [1.0, -2.5, 0.0], quarter: 0.75 };
+        for (cells, materials) in [
+            (vec![], vec![]),
+            (vec![0], vec![0]),
+            (vec![0, 1, 127, 128, 255, 16_384, CELLS - 1, OUTSIDE], vec![0, 3, 900]),
+        ] {
+            let record = Visited { grid, cells, materials };
+            let bytes = record.to_bytes();
+            assert_eq!(Visited::from_bytes(&bytes).as_ref(), Some(&record));
+            for length in 0..bytes.len() {
+                assert_eq!(Visited::from_bytes(&bytes[..length]), None, "{length} of {} bytes", bytes.len());
+            }
+            assert_eq!(Visited::from_bytes(&[&bytes[..], &[0]].concat()), None, "one byte more");
+            for (place, name) in [(0, "magic"), (4, "version"), (8, "picture version")] {
+                let mut other = bytes.clone();
+                other[place] ^= 1;
+                assert_eq!(Visited::from_bytes(&other), None, "another {name}");
+            }
+        }
+        let mut many = Visited { grid, cells: vec![], materials: vec![] }.to_bytes();
+        many[28..32].fill(0xff);
+        assert_eq!(Visited::from_bytes(&many), None, "more cells than bytes");
     }
 }

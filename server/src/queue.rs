@@ -32,6 +32,7 @@ mod pause;
 mod picture;
 mod previews;
 mod read;
+mod recorded;
 mod recover;
 mod repair;
 mod reported;

@@ -6,7 +6,7 @@ use std::time::Duration;
 use proto::bounded::RaysPerSecond;
 use proto::worker_protocol::{
     BatchWork, DeviceMemory, LeaseOutcome, LeaseReport, Phase, REGISTER_PATH, RegisterRequest, RegisterResponse,
-    SYNC_PATH, SyncRequest, SyncResponse, Timing, WorkerMetrics, blob_path, picture_path,
+    SYNC_PATH, SyncRequest, SyncResponse, TileRecord, Timing, WorkerMetrics, blob_path, picture_path,
 };
 use proto::{LeaseId, WorkerId};
 use serde_json::{Value, json};
@@ -87,6 +87,7 @@ fn full_sync(worker: WorkerId) -> SyncRequest {
             report(LeaseOutcome::Failed { message: "no".to_owned() }),
             report(LeaseOutcome::Released),
         ],
+        records: vec![TileRecord { lease: LeaseId::new(), hash: "0".repeat(64), size_bytes: 1, kept: true }],
         wants_work: true,
         max_batches: 1,
         wait_ms: 1,
@@ -160,7 +161,7 @@ fn sync(attacker: &Attacker<'_>, request: &SyncRequest) -> Option<SyncResponse> 
 }
 
 fn asking(worker: WorkerId, held_leases: Vec<LeaseId>, reports: Vec<LeaseReport>) -> SyncRequest {
-    SyncRequest { held_leases, reports, metrics: WorkerMetrics::default(), ..full_sync(worker) }
+    SyncRequest { held_leases, reports, records: Vec::new(), metrics: WorkerMetrics::default(), ..full_sync(worker) }
 }
 
 fn leases(response: &SyncResponse) -> Vec<LeaseId> {

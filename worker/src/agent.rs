@@ -4,6 +4,7 @@
 //! Stateless: if it is killed at any instant, its tiles are leased again.
 
 mod back_off;
+mod changes;
 mod device_use;
 mod executor;
 mod job_cache;

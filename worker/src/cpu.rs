@@ -130,29 +130,6 @@ impl CpuRenderer {
         }
     }
 
-    /// Renders a tile, and records what its rays ask for; without a record if that is not known.
-    pub fn render_recorded(
-        &self,
-        run: &TileRequest<'_>,
-        cancel: &CancelFlag,
-        progress: &(dyn Fn(u64) + Sync),
-    ) -> Result<(TilePixels, Option<Visited>), RenderError> {
-        let still = run.job.at(run.frame)?;
-        let Some(program) = Integrator::recording(&still) else {
-            return Ok((self.render(run, cancel, progress)?, None));
-        };
-        let visits = program.visits().expect("it records").clone();
-        let (kernel, visits) = match self.simd {
-            Simd::Scalar => (Kernel::Reference(Box::new(program), still.image()), visits),
-            simd => {
-                let (prepared, visits) = self.kernels.recordable(&still, &program, &visits, simd)?.kernel();
-                (Kernel::Prepared(prepared), visits)
-            }
-        };
-        let pixels = self.render_by(&still, run, kernel, cancel, progress)?;
-        Ok((pixels, Some(visits.read())))
-    }
-
     /// Renders a tile by a kernel.
     fn render_by<'a>(
         &self,
@@ -200,6 +177,32 @@ impl Renderer for CpuRenderer {
         let still = run.job.at(run.frame)?;
         let kernel = self.kernel(&still)?;
         self.render_by(&still, run, kernel, cancel, progress)
+    }
+
+    fn can_record(&self) -> bool {
+        true
+    }
+
+    fn render_recorded(
+        &self,
+        run: &TileRequest<'_>,
+        cancel: &CancelFlag,
+        progress: &(dyn Fn(u64) + Sync),
+    ) -> Result<(TilePixels, Option<Visited>), RenderError> {
+        let still = run.job.at(run.frame)?;
+        let Some(program) = Integrator::recording(&still) else {
+            return Ok((self.render(run, cancel, progress)?, None));
+        };
+        let visits = program.visits().expect("it records").clone();
+        let (kernel, visits) = match self.simd {
+            Simd::Scalar => (Kernel::Reference(Box::new(program), still.image()), visits),
+            simd => {
+                let (prepared, visits) = self.kernels.recordable(&still, &program, &visits, simd)?.kernel();
+                (Kernel::Prepared(prepared), visits)
+            }
+        };
+        let pixels = self.render_by(&still, run, kernel, cancel, progress)?;
+        Ok((pixels, Some(visits.read())))
     }
 }
 

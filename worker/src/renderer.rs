@@ -8,6 +8,7 @@ use std::time::Duration;
 
 use proto::Rect;
 use scene::real::Words;
+use scene::visits::Visited;
 
 use crate::tape::InvalidTape;
 
@@ -48,6 +49,21 @@ pub trait Renderer: Send + Sync {
     ) -> Result<Vec<TilePixels>, RenderError> {
         let _ = on_device_free;
         self.render_tiles(runs, cancel, progress)
+    }
+
+    /// Whether [`Self::render_recorded`] records anything.
+    fn can_record(&self) -> bool {
+        false
+    }
+
+    /// Renders one tile, and records what its rays ask for; without a record if that is not known.
+    fn render_recorded(
+        &self,
+        run: &TileRequest<'_>,
+        cancel: &CancelFlag,
+        progress: &(dyn Fn(u64) + Sync),
+    ) -> Result<(TilePixels, Option<Visited>), RenderError> {
+        Ok((self.render(run, cancel, progress)?, None))
     }
 
     /// Prepares the frame of a tile without the device, while that renders another frame.

@@ -12,6 +12,7 @@ use crate::arguments::ServerArguments;
 use crate::counted::counted;
 use crate::error::UsageError;
 use crate::job_file::JobFile;
+use crate::job_name::JobName;
 use crate::output_file::{check_writable, format_of, is_folder};
 use crate::overrides::OverrideArguments;
 use crate::terminal::{escape_line, print_line, print_note};
@@ -51,6 +52,12 @@ pub(crate) struct Arguments {
     /// Maximum seconds that rendering one tile may take: above it the tile has failed [default: the server's].
     #[arg(long, value_name = "SECONDS", env = "SDFARM_TILE_SECONDS", value_parser = clap::value_parser!(u32).range(1..))]
     tile_seconds: Option<u32>,
+    /// Keep the pixels of all tiles with the job, and what their rays asked for, so that another job can be based on it.
+    #[arg(long, env = "SDFARM_RECORD", value_parser = clap::builder::FalseyValueParser::new(), action = clap::ArgAction::SetTrue)]
+    record: bool,
+    /// Render only the tiles that can differ from those of this job, which must be recorded; this job is recorded, too.
+    #[arg(long, value_name = "JOB", env = "SDFARM_BASED_ON")]
+    based_on: Option<JobName>,
 }
 
 /// Submits the job.
@@ -61,12 +68,18 @@ pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
         check_writable(output)?;
     }
     let client = arguments.server.client()?;
+    let based_on = match &arguments.based_on {
+        Some(job) => Some(job.find(&client).await?),
+        None => None,
+    };
     let how = SubmitOptions {
         no_cache: arguments.no_cache,
         idempotency_key: Some(JobId::new().to_string()),
         webhooks: arguments.webhook.clone(),
         keep: arguments.keep,
         tile_seconds: arguments.tile_seconds,
+        record: arguments.record,
+        based_on,
     };
     let job = submit(&client, &file.text, &how).await.map_err(|error| file.invalid(error))?;
     for warning in &job.warnings {
@@ -79,7 +92,11 @@ pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
         print_line(&job.id.to_string())?;
     }
     if arguments.wait {
-        follow::wait_for_success(&client, job.id).await?;
+        let job = follow::wait_for_success(&client, job.id).await?;
+        if let Some(earlier) = job.based_on {
+            let (kept, total) = (job.tiles_kept, job.tiles.total);
+            print_note(&format!("{kept} of {total} tiles are those of {earlier}; the others were rendered"));
+        }
     }
     match &arguments.output {
         Some(output) => save(&client, &job, output).await,

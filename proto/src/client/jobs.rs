@@ -26,6 +26,10 @@ pub struct SubmitOptions {
     pub keep: Option<Retention>,
     /// Time limit for rendering a tile, in seconds; `None` means the server's maximum.
     pub tile_seconds: Option<u32>,
+    /// Keep its tiles, so that another job may be based on it.
+    pub record: bool,
+    /// A recorded job, whose pixels it keeps where they can't differ.
+    pub based_on: Option<JobId>,
 }
 
 /// Stream of a job's events.
@@ -77,6 +81,12 @@ impl Client {
         }
         if let Some(limit) = options.tile_seconds {
             request = request.query(&[("tile_seconds", limit)]);
+        }
+        if options.record {
+            request = request.query(&[("record", true)]);
+        }
+        if let Some(id) = options.based_on {
+            request = request.query(&[("based_on", id.to_string())]);
         }
         for webhook in &options.webhooks {
             request = request.query(&[("webhook", webhook)]);

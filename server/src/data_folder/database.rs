@@ -43,11 +43,12 @@ pub(super) async fn pictures(database: impl Into<Target<'_>>) -> Result<Vec<Pict
     rows.iter().map(|row| Ok(PictureRef { hash: row.get("hash")?, size_bytes: row.get("size_bytes")? })).collect()
 }
 
-/// Every blob of an unfinished frame.
+/// Every blob of an unfinished frame, or of a recorded job, and the records.
 pub(super) async fn blobs(database: impl Into<Target<'_>>) -> Result<Vec<String>, DatabaseError> {
     db::query_scalar(
         "SELECT DISTINCT tile.blob FROM tile JOIN frame ON frame.job = tile.job AND frame.number = tile.frame
-         WHERE tile.blob IS NOT NULL AND frame.state IN ('open', 'stitching')",
+         WHERE tile.blob IS NOT NULL AND (frame.state IN ('open', 'stitching') OR tile.record IS NOT NULL)
+         UNION SELECT record FROM tile WHERE record IS NOT NULL",
     )
     .fetch_all(database)
     .await

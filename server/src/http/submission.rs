@@ -69,6 +69,9 @@ struct SubmitQuery {
     dry_run: bool,
     keep: Option<String>,
     tile_seconds: Option<u32>,
+    #[serde(default)]
+    record: bool,
+    based_on: Option<String>,
 }
 
 /// Submission request, validated as far as possible before its body is read.
@@ -81,6 +84,8 @@ pub(super) struct Submission {
     keep: Option<Retention>,
     /// Time limit for rendering a tile.
     tile_seconds: u32,
+    /// The recorded job that it is based on.
+    based_on: Option<JobId>,
 }
 
 impl Submission {
@@ -116,7 +121,11 @@ impl Submission {
             Ok(keep) => keep,
             Err(error) => return Err(ApiError::WrongQuery(format!("keep: {error}"))),
         };
-        Ok(Self { caller, uri, headers, submitter: holder.name.clone(), query, keep, tile_seconds })
+        let based_on = match &query.based_on {
+            Some(id) => Some(recorded_job(&gate.queue, id).await?),
+            None => None,
+        };
+        Ok(Self { caller, uri, headers, submitter: holder.name.clone(), query, keep, tile_seconds, based_on })
     }
 
     /// Headers of the request.
@@ -126,7 +135,7 @@ impl Submission {
 
     /// Accepts or validates a job with this text; `room` is the text's, until the job is accepted.
     pub(super) async fn finish(self, intake: &Intake, text: bytes::Bytes, room: Room) -> Result<Response, ApiError> {
-        let Self { caller, uri, headers, submitter, query, keep, tile_seconds } = self;
+        let Self { caller, uri, headers, submitter, query, keep, tile_seconds, based_on } = self;
         let reader = Reader::Submitter(&submitter);
         let values = submit_options::values(&uri)?;
         let text = if values.is_empty() {
@@ -166,6 +175,8 @@ impl Submission {
             no_cache: submit_options::has_no_cache(&headers),
             retention: keep,
             tile_seconds,
+            recorded: query.record || based_on.is_some(),
+            based_on,
             file_text: into_utf8(text)?,
         };
         trace_context::store_trace(&intake.gate.queue, id, &headers).await?;
@@ -184,6 +195,19 @@ impl Submission {
             response.headers_mut().insert(header::LOCATION, location);
         }
         Ok(response)
+    }
+}
+
+/// A job that another may be based on.
+async fn recorded_job(queue: &Queue, id: &str) -> Result<JobId, ApiError> {
+    let id = super::jobs::job_id(id)?;
+    match queue.job(id).await? {
+        Some(job) if job.recorded => Ok(id),
+        Some(_) => Err(ApiError::WrongQuery(format!(
+            "based_on: the job {id} is not recorded, so that it isn't known which of its tiles can change: submit it again \
+             with record=true, or leave based_on out"
+        ))),
+        None => Err(ApiError::UnknownJob(id.to_string())),
     }
 }
 

@@ -14,7 +14,7 @@ const IDEMPOTENCY_KEY: &str = "idempotency-key";
 /// Maximum length of an idempotency key.
 const MAX_KEY_BYTES: usize = 255;
 /// Other query parameters of a submission.
-const OTHER_PARAMETERS: [&str; 4] = ["dry_run", "keep", "set", "tile_seconds"];
+const OTHER_PARAMETERS: [&str; 6] = ["based_on", "dry_run", "keep", "record", "set", "tile_seconds"];
 /// Maximum number of values that a query sets: the text of the job is scanned for each.
 const MAX_VALUES: usize = 32;
 /// Maximum number of webhooks of a job.

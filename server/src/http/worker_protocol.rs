@@ -130,6 +130,7 @@ pub(super) async fn sync(
         rays_per_second: request.rays_per_second,
         held_leases: request.held_leases,
         reports: request.reports,
+        records: request.records,
         rejected: Vec::new(),
         checked: None,
         wants_work: request.wants_work,

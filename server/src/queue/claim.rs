@@ -14,7 +14,7 @@ use super::batch_size::{self, BatchTime, FrameLoad, ReadyTile, WorkerShare};
 use super::lease::LOSSES_BEFORE_ISOLATION;
 use super::speeds::{self, JobSpeed, measured_sql};
 use super::straggler::{self, StragglerOutcome};
-use super::{Connection, Result, TransitionContext, expect_rows, fair_share, job_transitions, parse_column};
+use super::{Connection, Result, TransitionContext, expect_rows, fair_share, job_transitions, parse_column, recorded};
 use crate::tile_plan::TilePlan;
 
 /// Job with something to claim, by priority and age. A test checks that this query needs no full scan.
@@ -86,6 +86,10 @@ pub(super) struct ClaimableJob {
     nodes: i64,
     /// Time limit for rendering a tile.
     pub(super) tile_seconds: u32,
+    /// Whether its tiles are recorded.
+    pub(super) recorded: bool,
+    /// The job that it is based on.
+    pub(super) based_on: Option<String>,
     /// Whether none of its tiles has been leased before.
     queued: bool,
     share: fair_share::FairShare,
@@ -108,6 +112,8 @@ impl ClaimableJob {
             frames_opened: row.get("frames_opened")?,
             nodes: row.get("nodes")?,
             tile_seconds: row.get("tile_seconds")?,
+            recorded: row.get("recorded")?,
+            based_on: row.get("based_on")?,
             queued: row.get("queued")?,
             share: fair_share::FairShare { submitter: row.get("submitter")?, priority: row.get("priority")? },
         })
@@ -163,7 +169,8 @@ pub(super) async fn claim(
     if job.queued {
         job_transitions::start(connection, job.number, moment).await?;
     }
-    Ok(ClaimOutcome::Run(Batch { job: job.id, frame, tile_seconds: Some(job.tile_seconds), work }, time))
+    let recording = recorded::recording(connection, &job, frame, &work).await?;
+    Ok(ClaimOutcome::Run(Batch { job: job.id, frame, tile_seconds: Some(job.tile_seconds), work, recording }, time))
 }
 
 /// Whether there is work for a worker that can render any scene and need avoid none.
@@ -191,7 +198,7 @@ async fn claim_straggler(
 pub(super) async fn job(connection: &mut Connection, number: i64) -> Result<ClaimableJob> {
     let row = db::query(
         "SELECT number, id, width_px, height_px, samples, pixel_bytes, edge_px, frames_total, frames_opened, nodes,
-                tile_seconds, state = 'queued' AS queued, submitter, priority FROM job WHERE number = ?",
+                tile_seconds, recorded, based_on, state = 'queued' AS queued, submitter, priority FROM job WHERE number = ?",
     )
     .bind(number)
     .fetch_one(connection)
@@ -340,7 +347,7 @@ async fn claim_tiles(
     }
     grant(connection, &grants, &view.worker, moment).await?;
     fair_share::charge(connection, &job.share, charges_us.iter().sum()).await?;
-    let whole_frame = batch_size::is_whole_frame(length, whole);
+    let whole_frame = !job.recorded && batch_size::is_whole_frame(length, whole);
     let time = if whole_frame { batch_size::frame_time(&ready, whole, share) } else { None };
     Ok((BatchWork::Render { whole_frame, tiles }, time))
 }
@@ -399,7 +406,7 @@ pub(super) async fn stitch_work(
     Ok(BatchWork::Stitch { lease, inputs: parts })
 }
 
-fn read_part(row: &Row) -> Result<StitchInput> {
+pub(super) fn read_part(row: &Row) -> Result<StitchInput> {
     Ok(StitchInput {
         index: row.get("position")?,
         rect: Rect {

@@ -205,7 +205,7 @@ async fn requeue_piece(connection: &mut Connection, job: i64, moment: Transition
         let dead = row_count(tiles.iter().filter(|(_, is_dead)| *is_dead).count());
         db::query(
             "UPDATE tile SET state = 'ready', not_before_ms = 0, avoid = NULL, errors = 0, crashes = 0, lost = 0,
-                             interrupts = 0, blob = NULL, blob_bytes = NULL
+                             interrupts = 0, blob = NULL, blob_bytes = NULL, record = NULL, record_bytes = NULL, kept = 0
              WHERE id IN (SELECT value FROM @numbers(?))",
         )
         .bind(json_numbers(tiles.iter().map(|(tile, _)| *tile)))
@@ -223,13 +223,17 @@ async fn requeue_piece(connection: &mut Connection, job: i64, moment: Transition
 
 /// Deletes tiles, then frames, then events of a deleted job, and at last the job itself.
 async fn delete_piece(connection: &mut Connection, job: i64, moment: TransitionContext) -> Result<RemovedContent> {
-    let blobs: Vec<Option<String>> =
-        db::query_scalar("DELETE FROM tile WHERE id IN (SELECT id FROM tile WHERE job = ? LIMIT ?) RETURNING blob")
+    let tiles =
+        db::query("DELETE FROM tile WHERE id IN (SELECT id FROM tile WHERE job = ? LIMIT ?) RETURNING blob, record")
             .bind(job)
             .bind(moment.piece_rows)
             .fetch_all(&mut *connection)
             .await?;
-    let mut left = moment.piece_rows - row_count(blobs.len());
+    let mut blobs: Vec<Option<String>> = Vec::with_capacity(2 * tiles.len());
+    for tile in &tiles {
+        blobs.extend([tile.get("blob")?, tile.get("record")?]);
+    }
+    let mut left = moment.piece_rows - row_count(tiles.len());
     let mut removed = RemovedContent { pictures: Vec::new(), blobs: distinct(blobs) };
     if left <= 0 {
         return Ok(removed);

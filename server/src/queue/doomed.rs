@@ -86,8 +86,10 @@ async fn orphans_among(target: impl Into<Target<'_>>, kind: ContentKind, names: 
             "SELECT value FROM @texts(?) WHERE NOT EXISTS (
                  SELECT 1 FROM tile JOIN frame ON frame.job = tile.job AND frame.number = tile.frame
                  WHERE tile.blob = value AND (frame.state IN ('open', 'stitching')
+                     OR (SELECT recorded = 1 FROM job WHERE job.number = tile.job)
                      OR EXISTS (SELECT 1 FROM verification WHERE verification.job = frame.job
-                                AND verification.frame = frame.number AND verification.position = -1)))",
+                                AND verification.frame = frame.number AND verification.position = -1)))
+             AND NOT EXISTS (SELECT 1 FROM tile WHERE tile.record IS NOT NULL AND tile.record = value)",
         ),
         ContentKind::Picture => db::query_scalar(
             "SELECT value FROM @texts(?)

@@ -87,7 +87,7 @@ impl Queue {
 
 /// Bytes that only this job uses, and the number of its rows.
 const DRY_RUN_SQL: &str = "
-    WITH this AS (SELECT number, state FROM job WHERE id = ?),
+    WITH this AS (SELECT number, state, recorded FROM job WHERE id = ?),
     alone AS (
         SELECT DISTINCT frame.picture, frame.size_bytes FROM this @join frame ON frame.job = this.number
         WHERE frame.picture IS NOT NULL AND NOT EXISTS (
@@ -96,8 +96,12 @@ const DRY_RUN_SQL: &str = "
     unneeded AS (
         SELECT DISTINCT tile.blob, tile.blob_bytes FROM this @join tile ON tile.job = this.number
         @join frame ON frame.job = tile.job AND frame.number = tile.frame
-        WHERE tile.blob IS NOT NULL AND frame.state <> 'stored' AND NOT EXISTS (
-            SELECT 1 FROM tile AS other WHERE other.blob IS NOT NULL AND other.blob = tile.blob AND other.job <> this.number))
+        WHERE tile.blob IS NOT NULL AND (frame.state <> 'stored' OR this.recorded = 1) AND NOT EXISTS (
+            SELECT 1 FROM tile AS other WHERE other.blob IS NOT NULL AND other.blob = tile.blob AND other.job <> this.number)
+        UNION SELECT tile.record, tile.record_bytes FROM this @join tile ON tile.job = this.number
+        WHERE tile.record IS NOT NULL AND NOT EXISTS (
+            SELECT 1 FROM tile AS other
+            WHERE other.record IS NOT NULL AND other.record = tile.record AND other.job <> this.number))
     SELECT state,
            (SELECT count(*) FROM alone) AS pictures,
            (SELECT CAST(coalesce(sum(size_bytes), 0) AS BIGINT) FROM alone) AS picture_bytes,

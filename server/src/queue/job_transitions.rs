@@ -32,8 +32,8 @@ pub(super) async fn insert(connection: &mut Connection, job: &NewJob, moment: Tr
     let number: i64 = db::query_scalar(
         "INSERT INTO job (id, name, submitter, priority, state, fresh, width_px, height_px, samples, pixel_bytes,
                           edge_px, media_type, frames_total, tiles_total, rays_total, warnings, nodes,
-                          tile_seconds, created_at_ms)
-         VALUES (?, ?, ?, ?, 'queued', ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?) RETURNING number",
+                          tile_seconds, recorded, based_on, created_at_ms)
+         VALUES (?, ?, ?, ?, 'queued', ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?) RETURNING number",
     )
     .bind(job.id.to_string())
     .bind(&job.name)
@@ -52,6 +52,8 @@ pub(super) async fn insert(connection: &mut Connection, job: &NewJob, moment: Tr
     .bind(super::json_list(&job.warnings))
     .bind(job.nodes)
     .bind(job.tile_seconds)
+    .bind(job.recorded)
+    .bind(job.based_on.map(|id| id.to_string()))
     .bind(moment.wall_ms)
     .fetch_one(&mut *connection)
     .await?;

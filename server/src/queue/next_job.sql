@@ -1,5 +1,5 @@
 SELECT number, id, width_px, height_px, samples, pixel_bytes, edge_px, frames_total, frames_opened, nodes, tile_seconds,
-       state = 'queued' AS queued, job.submitter, job.priority
+       recorded, based_on,       state = 'queued' AS queued, job.submitter, job.priority
  FROM share @join job ON job.number = (
      SELECT number FROM job
      WHERE job.submitter = share.submitter AND job.priority = share.priority AND finished_at_ms IS NULL AND paused = 0

@@ -78,18 +78,18 @@ pub(super) async fn create_tiles(connection: &mut Connection, opening: &FrameOpe
     expect_rows("tile: made", opening.tiles.len() as u64, made)
 }
 
+/// Whether a job bypasses the cache: because it was asked to, or because its tiles are to be recorded, and there are no
+/// earlier ones.
+const JOB_SQL: &str = "SELECT fresh = 1 OR (recorded = 1 AND based_on IS NULL) AS fresh, rays_peak FROM job
+     WHERE number = ? AND frames_opened = ? AND finished_at_ms IS NULL";
+
 /// Stores a frame from a cached picture, unless the job bypasses the cache.
 pub(super) async fn open_from_cache(
     connection: &mut Connection,
     opening: &FrameOpening,
     moment: TransitionContext,
 ) -> Result<OpenOutcome> {
-    let job =
-        db::query("SELECT fresh, rays_peak FROM job WHERE number = ? AND frames_opened = ? AND finished_at_ms IS NULL")
-            .bind(opening.job)
-            .bind(opening.frame)
-            .fetch_optional(&mut *connection)
-            .await?;
+    let job = db::query(JOB_SQL).bind(opening.job).bind(opening.frame).fetch_optional(&mut *connection).await?;
     let Some(job) = job else { return Ok(OpenOutcome::Stale) };
     if job.get("fresh")? {
         return Ok(OpenOutcome::Open);

@@ -5,7 +5,7 @@
 use super::deliver::{DeliverResult, record_durations};
 use super::effects::FramePicture;
 use super::worker_state::UsedLease;
-use super::{Connection, Result, TransitionContext, job_transitions, lease_ends, tile_results};
+use super::{Connection, Result, TransitionContext, job_transitions, lease_ends, recorded, tile_results};
 use crate::db;
 use crate::db::DatabaseError;
 
@@ -57,7 +57,7 @@ pub(super) async fn store(
     if progressed.is_complete {
         job_transitions::succeed(connection, picture.job, moment).await?;
     }
-    if picture.stitched {
+    if picture.stitched && !recorded::is_recorded(connection, picture.job).await? {
         let blobs = db::query("SELECT DISTINCT blob FROM tile WHERE job = ? AND frame = ? AND blob IS NOT NULL")
             .bind(picture.job)
             .bind(picture.frame)

@@ -23,7 +23,9 @@ macro_rules! jobs_where {
     ($condition:literal) => {
         concat!(
             "SELECT number, id, name, submitter, priority, state, frames_total, frames_stored, tiles_total, tiles_done, rays_total, rays_peak,
-                    paused, warnings, error, created_at_ms, started_at_ms, finished_at_ms, nodes,
+                    paused, warnings, error, recorded, based_on,
+                    CASE WHEN based_on IS NULL THEN 0 ELSE (SELECT count(*) FROM tile WHERE tile.job = job.number AND kept = 1) END
+                    AS tiles_kept, created_at_ms, started_at_ms, finished_at_ms, nodes,
                     finished_at_ms IS NULL AND (frames_opened < frames_total OR EXISTS (
                         SELECT 1 FROM tile WHERE tile.job = job.number AND tile.state = 'ready' AND kind = 'render'))
                     AS waits,
@@ -73,6 +75,7 @@ fn read_job(row: &Row, wall_ms: i64) -> Result<JobView> {
     let rays_total: i64 = row.get("rays_total")?;
     let progress = row.get::<i64>("rays_peak")? as f64 / rays_total as f64;
     let error: Option<String> = row.get("error")?;
+    let based_on: Option<String> = row.get("based_on")?;
     let (paused, farm_paused): (bool, bool) = (row.get("paused")?, row.get("farm_paused")?);
     Ok(JobView {
         id: parse_column("job.id", &id, |id| id.parse().ok())?,
@@ -84,6 +87,9 @@ fn read_job(row: &Row, wall_ms: i64) -> Result<JobView> {
         progress: rounding::fraction(progress),
         tiles: DoneOfTotal { done: row.get("tiles_done")?, total: row.get("tiles_total")? },
         frames: DoneOfTotal { done: row.get("frames_stored")?, total: row.get("frames_total")? },
+        recorded: row.get("recorded")?,
+        based_on: based_on.map(|id| parse_column("job.based_on", &id, |id| id.parse().ok())).transpose()?,
+        tiles_kept: row.get("tiles_kept")?,
         errors: error.into_iter().collect(),
         warnings,
         created_at: rfc3339(row.get("created_at_ms")?),

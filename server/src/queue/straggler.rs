@@ -11,7 +11,7 @@ use proto::worker_protocol::{Batch, BatchWork};
 use super::batch_size::{self, WorkerShare};
 use super::claim::{self, ClaimFilter, ClaimRequest, NewLease};
 use super::speeds::{self, JobSpeed};
-use super::{Connection, Result, TransitionContext, durations, expect_rows, fair_share, row_count};
+use super::{Connection, Result, TransitionContext, durations, expect_rows, fair_share, recorded, row_count};
 
 /// A lease older than this many times the job's median tile duration, or its estimate, is a straggler's.
 const MAX_RATIO: i64 = 3;
@@ -143,7 +143,13 @@ async fn duplicate_leases(
         let lease = LeaseId::new();
         grant(connection, &[NewLease::free(tile, lease)], view, moment).await?;
         let work = claim::stitch_work(connection, job.number, old.frame, lease).await?;
-        return Ok(Batch { job: job.id, frame: old.frame, tile_seconds: Some(job.tile_seconds), work });
+        return Ok(Batch {
+            job: job.id,
+            frame: old.frame,
+            tile_seconds: Some(job.tile_seconds),
+            work,
+            recording: None,
+        });
     }
     let held = db::query(STRAGGLER_TILES_SQL)
         .bind(&old.worker)
@@ -153,7 +159,7 @@ async fn duplicate_leases(
         .fetch_all(&mut *connection)
         .await?;
     let whole = claim::frame_load(&job);
-    let length = if batch_size::is_whole_frame(held.len(), whole) {
+    let length = if !job.recorded && batch_size::is_whole_frame(held.len(), whole) {
         // The holder encodes a complete picture, so the second worker must do the same: otherwise neither could
         // finish before the other.
         held.len()
@@ -164,8 +170,10 @@ async fn duplicate_leases(
     };
     let (tiles, grants) = claim::new_leases(&held[..length])?;
     grant(connection, &grants, view, moment).await?;
-    let work = BatchWork::Render { whole_frame: batch_size::is_whole_frame(length, whole), tiles };
-    Ok(Batch { job: job.id, frame: old.frame, tile_seconds: Some(job.tile_seconds), work })
+    let whole_frame = !job.recorded && batch_size::is_whole_frame(length, whole);
+    let work = BatchWork::Render { whole_frame, tiles };
+    let recording = recorded::recording(connection, &job, old.frame, &work).await?;
+    Ok(Batch { job: job.id, frame: old.frame, tile_seconds: Some(job.tile_seconds), work, recording })
 }
 
 /// Leases tiles that are leased already, each with its next epoch.

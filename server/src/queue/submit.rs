@@ -31,6 +31,10 @@ pub(crate) struct NewJob {
     pub(crate) retention: Option<Retention>,
     /// Time limit for rendering a tile, in seconds.
     pub(crate) tile_seconds: u32,
+    /// Keep its tiles, with records of what their rays asked for.
+    pub(crate) recorded: bool,
+    /// A recorded job, whose pixels it keeps where they can't differ; it is recorded, too.
+    pub(crate) based_on: Option<JobId>,
     /// Submitted bytes.
     pub(crate) file_text: String,
 }
@@ -51,6 +55,8 @@ impl NewJob {
             no_cache: true,
             retention: None,
             tile_seconds: 600,
+            recorded: false,
+            based_on: None,
             file_text: "{}".to_owned(),
         }
     }

@@ -4,7 +4,7 @@ use std::collections::HashSet;
 use std::time::Duration;
 
 use proto::bounded::RaysPerSecond;
-use proto::worker_protocol::{Batch, LeaseReport};
+use proto::worker_protocol::{Batch, LeaseReport, TileRecord};
 use proto::{LeaseId, WorkerId};
 
 use super::claim::{self, ClaimOutcome, ClaimRequest};
@@ -14,7 +14,7 @@ use super::minutes::Rendered;
 use super::reported::{self, RejectedResult};
 use super::verification::{self, VerificationOutcome, VerifierLease};
 use super::worker_state::{self, WorkerState, WorkerStatus};
-use super::{Connection, FrameOpening, Result, TransitionContext, Wake, deliver, open_frame, workers};
+use super::{Connection, FrameOpening, Result, TransitionContext, Wake, deliver, open_frame, recorded, workers};
 use crate::tile_plan::TilePlan;
 
 /// A lease granted in a response that the worker never received is released after this time: the worker does
@@ -37,6 +37,8 @@ pub(crate) struct SyncInput {
     pub(crate) held_leases: Vec<LeaseId>,
     /// Results of leases that have finished.
     pub(crate) reports: Vec<LeaseReport>,
+    /// Records of the tiles among them.
+    pub(crate) records: Vec<TileRecord>,
     /// Results whose bytes are not what was asked for.
     pub(crate) rejected: Vec<RejectedResult>,
     /// Known states of the names of the results when their bytes were looked for, if other servers may delete them.
@@ -61,7 +63,7 @@ impl SyncInput {
 
     /// The same sync after its results have been recorded.
     pub(crate) fn without_reports(&self) -> Self {
-        Self { reports: Vec::new(), rejected: Vec::new(), checked: None, ..self.clone() }
+        Self { reports: Vec::new(), records: Vec::new(), rejected: Vec::new(), checked: None, ..self.clone() }
     }
 
     /// The same sync without its claim.
@@ -162,6 +164,7 @@ pub(super) async fn sync(
     let (verifications, reports): (Vec<_>, Vec<_>) =
         turn.reports.iter().cloned().partition(|report| is_verified(&report.lease));
     let delivered = deliver::deliver(connection, &worker, &reports, moment).await?;
+    recorded::store(connection, &turn.records, &delivered.ended).await?;
     if is_new {
         worker_state::touch(connection, &turn, delivered.has_results, moment).await?;
     }

@@ -161,6 +161,8 @@ fn new_job(frames: u32) -> NewJob {
         no_cache: true,
         retention: None,
         tile_seconds: 600,
+        recorded: false,
+        based_on: None,
         file_text: "{}".to_owned(),
     }
 }
@@ -182,6 +184,7 @@ fn turn(worker: WorkerId) -> SyncInput {
         rays_per_second: None,
         held_leases: Vec::new(),
         reports: Vec::new(),
+        records: Vec::new(),
         rejected: Vec::new(),
         checked: None,
         wants_work: false,

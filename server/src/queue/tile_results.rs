@@ -80,7 +80,7 @@ pub(super) async fn reopen_positions(
     positions: &[u32],
 ) -> Result<Progress> {
     let statement = db::query(concat!(
-        "UPDATE tile SET state = 'ready', blob = NULL, blob_bytes = NULL
+        "UPDATE tile SET state = 'ready', blob = NULL, blob_bytes = NULL, record = NULL, record_bytes = NULL, kept = 0
          WHERE job = ? AND frame = ? AND kind = 'render' AND state = 'done'
            AND position IN (SELECT value FROM @numbers(?))",
         changed_tile_columns!()
@@ -92,7 +92,7 @@ pub(super) async fn reopen_positions(
 /// Makes those of some tiles ready again that are done.
 pub(super) async fn reopen(connection: &mut Connection, tiles: &[i64]) -> Result<Progress> {
     let statement = db::query(concat!(
-        "UPDATE tile SET state = 'ready', blob = NULL, blob_bytes = NULL
+        "UPDATE tile SET state = 'ready', blob = NULL, blob_bytes = NULL, record = NULL, record_bytes = NULL, kept = 0
          WHERE state = 'done' AND id IN (SELECT value FROM @numbers(?))",
         changed_tile_columns!()
     ));

@@ -212,5 +212,6 @@ pub(super) async fn claim(
         }
     };
     let job = parse_column("job.id", &id, |id| id.parse().ok())?;
-    Ok(Some(Batch { job, frame, tile_seconds: Some(next.get("tile_seconds")?), work }))
+    // A verification renders what was kept.
+    Ok(Some(Batch { job, frame, tile_seconds: Some(next.get("tile_seconds")?), work, recording: None }))
 }

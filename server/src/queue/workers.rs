@@ -82,8 +82,13 @@ impl Queue {
              @join lease ON lease.worker = worker.id AND lease.ended IS NULL
              @join tile ON tile.id = lease.tile
              WHERE worker.owner = ?1 AND worker.state <> 'gone'
-               AND (?2 IS NULL OR tile.job = (SELECT number FROM job WHERE id = ?2))
-               AND (?3 IS NULL OR EXISTS (SELECT 1 FROM tile AS input WHERE input.blob = ?3 AND input.job = tile.job))
+               AND (?2 IS NULL OR tile.job = (SELECT number FROM job WHERE id = ?2)
+                    OR ((SELECT based_on FROM job WHERE number = tile.job) IS NOT NULL
+                        AND (SELECT recorded = 1 FROM job WHERE id = ?2)))
+               AND (?3 IS NULL OR EXISTS (SELECT 1 FROM tile AS input WHERE input.blob = ?3 AND input.job = tile.job)
+                    OR ((SELECT based_on FROM job WHERE number = tile.job) IS NOT NULL
+                        AND EXISTS (SELECT 1 FROM tile AS kept WHERE (kept.record IS NOT NULL AND kept.record = ?3)
+                            OR (kept.blob = ?3 AND kept.record IS NOT NULL))))
              LIMIT 1",
         )
         .bind(owner)
@@ -100,9 +105,9 @@ impl Queue {
 pub(crate) enum LeaseNeed<'a> {
     /// Sending a blob or a picture.
     Upload,
-    /// The file of the lease's job.
+    /// The file of the lease's job, or of a recorded one if that is based on another.
     JobFile(JobId),
-    /// A blob of the lease's job, by its hash.
+    /// A blob of the lease's job, by its hash, or of a recorded tile if the job is based on another.
     Blob(&'a str),
 }
 

@@ -291,6 +291,7 @@ fn sync_input(worker: &SimulatedWorker, reports: Vec<LeaseReport>, wants_work: b
         rays_per_second: worker.reported(),
         held_leases: Vec::new(),
         reports,
+        records: Vec::new(),
         rejected: Vec::new(),
         checked: None,
         wants_work,
@@ -314,6 +315,8 @@ fn new_job(plan: &JobPlan) -> NewJob {
         no_cache: true,
         retention: None,
         tile_seconds: 600,
+        recorded: false,
+        based_on: None,
         file_text: "{}".to_owned(),
     }
 }

@@ -10,7 +10,7 @@ use proto::client_auth::client_builder;
 use proto::job::{JobState, JobView};
 use proto::worker_protocol::{
     self, Batch, BatchWork, LeaseOutcome, LeaseReport, RegisterRequest, RegisterResponse, SyncRequest, SyncResponse,
-    WorkerMetrics,
+    TileRecord, WorkerMetrics,
 };
 use proto::{JobId, LeaseId, Problem, Rect, WorkerId};
 use reqwest::{Client, Response, StatusCode};
@@ -177,6 +177,7 @@ pub(crate) struct Worker<'a> {
 pub(crate) struct Said {
     pub(crate) holding: Vec<LeaseId>,
     pub(crate) results: Vec<LeaseReport>,
+    pub(crate) records: Vec<TileRecord>,
     pub(crate) wants_work: bool,
     pub(crate) wait: Duration,
     pub(crate) measured: WorkerMetrics,
@@ -207,6 +208,7 @@ impl<'a> Worker<'a> {
             rays_per_second: self.rays_per_second.and_then(proto::bounded::RaysPerSecond::new),
             held_leases: said.holding,
             reports: said.results,
+            records: said.records,
             wants_work: said.wants_work,
             max_batches: 1,
             wait_ms: said.wait.as_millis() as u64,

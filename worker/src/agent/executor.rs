@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 
-use proto::worker_protocol::{Batch, BatchWork, LeaseOutcome, LeaseReport, Phase};
+use proto::worker_protocol::{Batch, BatchWork, LeaseOutcome, LeaseReport, Phase, Recording, TileRecord};
 use proto::{JobId, LeaseId};
 use scene::Job;
 use tokio::sync::Semaphore;
@@ -15,6 +15,7 @@ use tokio::task::JoinError;
 use tokio_util::sync::CancellationToken;
 
 use super::back_off::BackOff;
+use super::changes::ChangeCache;
 use super::device_use::DeviceSlots;
 use super::job_cache::{JobCache, JobFetchError};
 use super::rendering::TileTask;
@@ -33,6 +34,8 @@ pub(super) const MEMORY_KIB: u32 = 1 << 20;
 pub(super) enum BatchEvent {
     /// These leases finished together, with their outcomes.
     Finished(Vec<LeaseReport>),
+    /// The record of a tile, before the tile is finished.
+    Recorded(TileRecord),
     /// A batch no longer needs the device.
     Rendered {
         /// How long it used the device, if at all.
@@ -103,6 +106,8 @@ pub(super) struct FrameTask {
     pub(super) number: u32,
     /// Time limit for rendering a tile; `None` means no limit.
     pub(super) tile_seconds: Option<u32>,
+    /// How its tiles are recorded, if that is wanted.
+    pub(super) recording: Option<Recording>,
 }
 
 /// Device and server of the worker.
@@ -116,6 +121,7 @@ pub(super) struct BatchExecutor {
     /// Permits, each for one KiB of pixels.
     pub(super) memory: Semaphore,
     jobs: JobCache,
+    pub(super) changes: ChangeCache,
     events: UnboundedSender<BatchEvent>,
 }
 
@@ -129,7 +135,18 @@ impl BatchExecutor {
         events: UnboundedSender<BatchEvent>,
     ) -> Self {
         let (device, memory) = (DeviceSlots::new(renderer.overlapping()), Semaphore::new(MEMORY_KIB as usize));
-        Self { link, store, scratch, renderer, encoders, device, memory, jobs: JobCache::default(), events }
+        Self {
+            link,
+            store,
+            scratch,
+            renderer,
+            encoders,
+            device,
+            memory,
+            jobs: JobCache::default(),
+            changes: ChangeCache::default(),
+            events,
+        }
     }
 
     /// Number of batches, or tiles of a batch, delivered concurrently: one for each thread that encodes, and a few that
@@ -152,7 +169,8 @@ impl BatchExecutor {
                 return self.fail_all(&holds, &error);
             }
         };
-        let frame = FrameTask { id: run.job, job, number: run.frame, tile_seconds: run.tile_seconds };
+        let frame =
+            FrameTask { id: run.job, job, number: run.frame, tile_seconds: run.tile_seconds, recording: run.recording };
         match run.work {
             BatchWork::Stitch { inputs: parts, .. } => self.stitch(&frame, &parts, &holds[0]).await,
             BatchWork::Render { tiles, whole_frame } => {
@@ -161,14 +179,14 @@ impl BatchExecutor {
                 if whole_frame {
                     self.render_whole(frame, &places).await;
                 } else {
-                    self.render_tiles(frame, &places).await;
+                    self.render_tiles(frame, places).await;
                 }
             }
         }
     }
 
     /// Loads a job; waits while the server is unreachable.
-    async fn job(&self, id: JobId) -> Result<Arc<Job>, JobFetchError> {
+    pub(super) async fn job(&self, id: JobId) -> Result<Arc<Job>, JobFetchError> {
         let mut back_off = BackOff::new(Duration::from_millis(50), Duration::from_secs(2));
         loop {
             match self.jobs.get(&self.link, id).await {

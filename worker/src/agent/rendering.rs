@@ -13,6 +13,7 @@ use tokio::sync::{SemaphorePermit, oneshot};
 use tokio::task::{JoinError, JoinSet, spawn_blocking};
 use tracing::Instrument;
 
+use super::changes::{Record, Recorded};
 use super::device_use::DeviceUse;
 use super::executor::{
     BatchEvent, BatchExecutor, CancelOnDrop, FrameTask, LeaseHandle, MEMORY_KIB, all_dropped, chain, panic_message,
@@ -40,11 +41,13 @@ pub(super) struct Rendered {
     pub(super) pixels: TilePixels,
     /// Lease of the tile.
     pub(super) hold: LeaseHandle,
+    /// Record of what its rays asked for.
+    pub(super) record: Option<Record>,
 }
 
 /// Outcome of giving tiles to the device.
 enum RenderOutcome {
-    Pixels(Vec<TilePixels>),
+    Pixels(Vec<Recorded>),
     /// All leases of the tiles were dropped.
     Dropped,
     /// The device failed, or a time limit has passed.
@@ -55,7 +58,11 @@ enum RenderOutcome {
 
 impl BatchExecutor {
     /// Renders tiles, each delivered as a blob while the next ones render.
-    pub(super) async fn render_tiles(self: &Arc<Self>, frame: FrameTask, places: &[TileTask]) {
+    pub(super) async fn render_tiles(self: &Arc<Self>, frame: FrameTask, places: Vec<TileTask>) {
+        let places = &self.keep_unchanged(&frame, places).await[..];
+        if places.is_empty() {
+            return self.send(BatchEvent::Rendered { took: None, frame_of: None });
+        }
         let memory = self.reserve(&frame.job, places).await;
         let mut stage = Some(self.device.stage().await);
         let mut device = self.prepared(&frame, places, None).await;
@@ -155,7 +162,12 @@ impl BatchExecutor {
         let message = match self.launch(frame, &wanted, device, is_last).instrument(span).await {
             RenderOutcome::Pixels(pixels) => {
                 let pairs = pixels.into_iter().zip(wanted);
-                return pairs.map(|(pixels, TileTask { hold, .. })| Rendered { pixels, hold }).collect();
+                let rendered = |(Recorded { pixels, visited }, TileTask { hold, .. })| Rendered {
+                    pixels,
+                    hold,
+                    record: visited.map(|visited| Record::of_rendered(&visited)),
+                };
+                return pairs.map(rendered).collect();
             }
             RenderOutcome::Dropped => return Vec::new(),
             RenderOutcome::Refused(message) => message,
@@ -207,6 +219,7 @@ impl BatchExecutor {
         let rays = rects.iter().map(|rect| rect.pixels()).sum::<u64>() as f64 * f64::from(frame.job.image.samples);
         let stop = CancelOnDrop::default();
         let (renderer, job, number, cancel) = (self.renderer.clone(), frame.job.clone(), frame.number, stop.0.clone());
+        let records = frame.recording.is_some() && renderer.can_record();
         let start = Instant::now();
         let (free, mut freed) = oneshot::channel();
         let mut free = Some(free).filter(|_| is_last);
@@ -220,9 +233,13 @@ impl BatchExecutor {
             fail_point::trigger_infallible(FailPoint::Rendering);
             let runs: Vec<TileRequest<'_>> =
                 rects.iter().map(|&rect| TileRequest { job: &job, frame: number, rect }).collect();
+            if records {
+                let recorded = |run| renderer.render_recorded(run, &cancel, &|_| {});
+                return runs.iter().map(|run| Ok(Recorded::from(recorded(run)?))).collect();
+            }
             let rendered = renderer.render_overlapped(&runs, &cancel, &|_| {}, &mut on_device_free)?;
             assert_eq!(rendered.len(), runs.len(), "a renderer renders all tiles or none");
-            Ok(rendered)
+            Ok(rendered.into_iter().map(|pixels| Recorded::from((pixels, None))).collect())
         });
         let (mut dropped, mut limit) = (pin!(all_dropped(&holds)), pin!(over_limit(frame.tile_seconds)));
         let mut on_device = None;
@@ -253,7 +270,7 @@ impl BatchExecutor {
     /// over its limit, with this message, or its leases were dropped.
     fn outcome(
         &self,
-        rendered: Result<Result<Vec<TilePixels>, RenderError>, JoinError>,
+        rendered: Result<Result<Vec<Recorded>, RenderError>, JoinError>,
         rays: f64,
         spent: Duration,
         stop: &CancelFlag,

@@ -8,7 +8,7 @@ use std::time::Duration;
 
 use proto::bounded::RaysPerSecond;
 use proto::worker_protocol::{
-    Batch, BatchWork, LeaseOutcome, LeaseReport, RegisterResponse, SyncRequest, SyncResponse, TracedBatch,
+    Batch, BatchWork, LeaseOutcome, LeaseReport, RegisterResponse, SyncRequest, SyncResponse, TileRecord, TracedBatch,
 };
 use proto::{JobId, LeaseId};
 use tokio::sync::mpsc::{self, UnboundedReceiver, UnboundedSender};
@@ -80,6 +80,8 @@ pub(super) struct Session {
     broken: Option<SessionEnd>,
     holds: HashMap<LeaseId, LeaseHandle>,
     pending_reports: Vec<LeaseReport>,
+    /// Records of the tiles that are reported.
+    records: HashMap<LeaseId, TileRecord>,
     speed: ThroughputEstimate,
     measurements: MetricsBuffer,
     draining: bool,
@@ -167,6 +169,7 @@ impl Session {
             broken: None,
             holds: HashMap::new(),
             pending_reports: Vec::new(),
+            records: HashMap::new(),
             speed: ThroughputEstimate::default(),
             measurements,
             draining: false,
@@ -258,6 +261,11 @@ impl Session {
         !self.holds.is_empty() && now < self.report_after
     }
 
+    /// Records of the tiles of these reports.
+    fn records_of(&self, reports: &[LeaseReport]) -> Vec<TileRecord> {
+        reports.iter().filter_map(|report| self.records.get(&report.lease).cloned()).collect()
+    }
+
     /// The call to make now, if any.
     fn next_sync(&mut self) -> Option<PendingSync> {
         let now = Instant::now();
@@ -287,6 +295,7 @@ impl Session {
             worker: self.registration.worker,
             rays_per_second: self.speed.rays_per_second(),
             held_leases: holding,
+            records: self.records_of(&results),
             reports: results,
             wants_work,
             max_batches: self.room().clamp(1, self.registration.max_batches.max(1)),
@@ -341,6 +350,10 @@ impl Session {
         tracing::debug!(results, wait_ms, has_run, sync_ms, "synced");
         self.last_renewal = call.start;
         self.call_back_off.reset();
+        let reported = call.request.reports.iter().map(|report| &report.lease);
+        for lease in reported.chain(&reply.revoked_leases) {
+            self.records.remove(lease);
+        }
         if !reply.revoked_leases.is_empty() {
             self.heartbeat_at = Instant::now();
         } else if reply.batch.is_none() && call.request.wait_ms > 0 {
@@ -415,6 +428,7 @@ impl Session {
                 let wanted = reports.into_iter().filter(|report| self.holds.remove(&report.lease).is_some());
                 self.pending_reports.extend(wanted);
             }
+            BatchEvent::Recorded(record) => _ = self.records.insert(record.lease, record),
             BatchEvent::Rendered { took, frame_of } => {
                 self.rendering = self.rendering.saturating_sub(1);
                 if let Some(took) = took {
@@ -460,6 +474,7 @@ impl Session {
             worker: self.registration.worker,
             rays_per_second: self.speed.rays_per_second(),
             held_leases: Vec::new(),
+            records: self.records_of(&self.pending_reports),
             reports: std::mem::take(&mut self.pending_reports),
             wants_work: false,
             max_batches: 1,

@@ -115,7 +115,8 @@ impl BatchExecutor {
     }
 }
 
-fn is_intact(bytes: &[u8], part: &StitchInput, planes: usize) -> bool {
+/// Whether these are the bytes of a tile.
+pub(super) fn is_intact(bytes: &[u8], part: &StitchInput, planes: usize) -> bool {
     let header = blob::BlobReader::open_at(std::io::Cursor::new(bytes), 0);
     blob::hash(bytes) == part.hash
         && bytes.len() as u64 == blob::size_bytes(part.rect, planes)

@@ -89,7 +89,7 @@ fn hash_all(file: &mut (impl Read + Seek)) -> std::io::Result<(String, u64)> {
 impl BatchExecutor {
     /// Delivers a tile as a blob.
     pub(super) async fn upload_blob(self: Arc<Self>, rendered: Rendered) {
-        let (renderer, Rendered { pixels, hold }) = (self.renderer.clone(), rendered);
+        let (renderer, Rendered { pixels, hold, record }) = (self.renderer.clone(), rendered);
         let begun = Instant::now();
         let encoded = spawn_blocking(move || {
             let bytes = blob::encode(&pixels);
@@ -112,6 +112,9 @@ impl BatchExecutor {
             stored = put => {
                 let outcome = stored.err().unwrap_or_else(|| LeaseOutcome::Blob { hash: hash.clone(), size_bytes });
                 fail_point::trigger_infallible(FailPoint::BlobPut);
+                if let (LeaseOutcome::Blob { .. }, Some(record)) = (&outcome, record) {
+                    self.upload_record(&hold, record).await;
+                }
                 self.finish([&hold], &outcome);
             }
         }
@@ -119,7 +122,7 @@ impl BatchExecutor {
 
     /// Encodes a whole frame, and delivers its picture for all its leases.
     pub(super) async fn upload_frame(&self, frame: &FrameTask, rendered: Vec<Rendered>, render: Duration) {
-        let pairs = rendered.into_iter().map(|Rendered { pixels, hold }| (pixels, hold));
+        let pairs = rendered.into_iter().map(|Rendered { pixels, hold, record: _ }| (pixels, hold));
         let (tiles, holds): (Vec<TilePixels>, Vec<LeaseHandle>) = pairs.unzip();
         let stop = CancelOnDrop::default();
         let (encoders, renderer, scratch) = (self.encoders.clone(), self.renderer.clone(), self.scratch.clone());

@@ -64,6 +64,7 @@ impl Farm {
             frame: 3,
             tile_seconds: self.tile_seconds,
             work: BatchWork::Render { tiles, whole_frame },
+            recording: None,
         });
         leases
     }

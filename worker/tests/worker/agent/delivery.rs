@@ -72,6 +72,7 @@ fn stitch(server: &FakeServer, job: JobId, parts: Vec<StitchInput>) -> LeaseOutc
             frame: 3,
             tile_seconds: None,
             work: BatchWork::Stitch { lease, inputs: parts },
+            recording: None,
         });
     });
     server.outcomes(&[lease]).remove(0)
