@@ -10,8 +10,8 @@ use std::time::Duration;
 use rcgen::{CertificateParams, KeyPair};
 use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
 
-use crate::jobs;
-use crate::support::{DEADLINE, Farm, eventually, finish, sdfarm, text};
+use crate::support::{DEADLINE, Farm, eventually, finish, rendered_here, sdfarm, text};
+use crate::{jobs, recorded};
 
 /// Number of idle connections in every test run.
 const FEW_IDLE: u64 = 200;
@@ -145,6 +145,17 @@ fn remote_worker_renders_over_tls_with_its_key() {
     let submitted = finish(submit, jobs::quick().to_string().as_bytes());
     assert!(submitted.status.success(), "{}\n{}", text(&submitted.stderr), farm.log());
     assert!(fs::read(&picture).expect("saved").starts_with(b"\x89PNG"));
+    // It also reads what recorded jobs have kept.
+    let mut scene = recorded::balls(12, "png");
+    let recorded = finish(with(&["submit", "-", "--wait", "--record"], &anna), scene.to_string().as_bytes());
+    assert!(recorded.status.success(), "{}\n{}", text(&recorded.stderr), farm.log());
+    scene["scene"]["objects"][6]["material"]["diffuse"]["kd"] = serde_json::json!([0.1, 0.2, 0.8]);
+    let mut edit = with(&["submit", "-", "--wait", "--based-on", text(&recorded.stdout).trim()], &anna);
+    edit.arg("-o").arg(&picture);
+    let edited = finish(edit, scene.to_string().as_bytes());
+    let told = text(&edited.stderr);
+    assert!(told.contains(" tiles are those of ") && !told.contains("0 of "), "{told}\n{}", farm.log());
+    assert!(fs::read(&picture).expect("saved") == rendered_here(&scene, 0), "the bytes of a full render");
     let stranger = finish(with(&["worker", "--device", "cpu", "--threads", "1"], &anna), b"");
     assert_eq!(stranger.status.code(), Some(1));
     assert!(text(&stranger.stderr).contains("scope worker"), "{}", text(&stranger.stderr));

@@ -5,7 +5,7 @@ use serde_json::{Value, json};
 use crate::support::{Farm, rendered_here, root, send, succeed};
 
 /// Balls on a floor, far apart, with an edge of tiles of 32 pixels.
-fn balls(count: u32, format: &str) -> Value {
+pub(crate) fn balls(count: u32, format: &str) -> Value {
     let ball = |index: u32| {
         let at = [f64::from(index % 6) * 2.0 - 5.0, 0.5, f64::from(index / 6) * -2.0];
         json!({ "material": { "diffuse": { "kd": [0.8, 0.2, 0.1] } },

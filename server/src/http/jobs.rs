@@ -53,6 +53,8 @@ pub(super) fn job_id(text: &str) -> Result<JobId, ApiError> {
         ("set" = Option<Vec<String>>, Query, description = "Sets a value of the job, as in `numbers.r=0.3`; may be repeated"),
         ("keep" = Option<String>, Query, description = "Retention after the job finishes: 36h, 7d, forever; by default the server's setting"),
         ("tile_seconds" = Option<u32>, Query, description = "Time limit for rendering one tile, in seconds: above it the tile has failed; at most, and by default, the server's `--max-tile-seconds`", minimum = 1),
+        ("record" = Option<bool>, Query, description = "Keep its tiles, so that another job can be based on it"),
+        ("based_on" = Option<String>, Query, description = "A recorded job: only tiles that can differ from it are rendered"),
         ("webhook" = Option<Vec<String>>, Query, description = "Address to notify when the job has finished; up to four"),
         ("webhook_event" = Option<Vec<String>>, Query, description = "Events to send instead: job.running, job.succeeded, job.failed, job.cancelled, frame.stored"),
         ("Content-Encoding" = Option<String>, Header, description = "`gzip` or `zstd` if the body is compressed; unpacked it has at most 32 MiB"),

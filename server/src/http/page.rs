@@ -49,6 +49,7 @@ const KINDS: [(&str, &str, bool); 7] = [
 /// Files of the page; a debug build reads them from the folder when they are requested.
 #[derive(RustEmbed)]
 #[folder = "../web"]
+#[exclude = "*.md"]
 #[exclude = "tsconfig.json"]
 #[exclude = "vendor/build/*"]
 struct WebFiles;
