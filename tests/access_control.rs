@@ -130,7 +130,10 @@ fn remote_worker_renders_over_tls_with_its_key() {
     new_key(&data, "ops", "admin");
     let (anna, host) = (new_key(&data, "anna", "submit"), new_key(&data, "host-7", "worker"));
     let files = [certificate.to_str().expect("plain"), secret.to_str().expect("plain")];
-    let farm = Farm::start_on(folder.path(), &["--workers", "0", "--tls-cert", files[0], "--tls-key", files[1]]);
+    let farm = Farm::start_on(
+        folder.path(),
+        &["--workers", "0", "--tile", "64", "--tls-cert", files[0], "--tls-key", files[1]],
+    );
     assert!(farm.address.starts_with("https://"), "{}", farm.address);
     let with = |arguments: &[&str], key: &str| {
         let mut command = sdfarm(arguments);

@@ -204,3 +204,32 @@ fn picked_objects_have_pointers_into_the_file_as_sent() {
         answer.problem(422, "wrong_query");
     }
 }
+
+#[test]
+fn a_program_for_webgpu_is_sent_once_and_its_numbers_again() {
+    let farm = Farm::start(&["--workers", "0"]);
+    let ask = |job: &Value, query: &str| {
+        let json = [("content-type", "application/json")];
+        farm.send("POST", &format!("/v1/shader{query}"), &json, job.to_string().into())
+    };
+    let mut csg = jobs::named("csg");
+    let first = ask(&csg, "?width=320").json();
+    assert_eq!(
+        (&first["width"], &first["height"], &first["exact"], &first["reason"]),
+        (&json!(320), &json!(180), &json!(false), &Value::Null)
+    );
+    assert!(first["wgsl"].as_str().expect("a program").contains("@compute"), "{first}");
+    let program = first["program"].as_str().expect("a hash");
+    let query = format!("?width=320&program={program}");
+    csg["scene"]["camera"]["position"][0] = json!(1.25);
+    let moved = ask(&csg, &query).json();
+    assert_eq!((&moved["program"], &moved["wgsl"]), (&first["program"], &Value::Null), "another view is other numbers");
+    assert_ne!(moved["uniforms"], first["uniforms"]);
+    csg["scene"]["objects"][0]["shape"] = json!({ "torus": { "radius": 0.5, "tube": 0.2 } });
+    let other = ask(&csg, &query).json();
+    assert_ne!(other["program"], first["program"]);
+    assert!(other["wgsl"].is_string(), "another structure is another program: {other}");
+    csg["scene"]["objects"][0]["shape"] = json!({ "sphere": { "radius": -1 } });
+    let refused = ask(&csg, &query).problem(422, "invalid_job");
+    assert_eq!(refused["errors"][0]["pointer"], json!("/scene/objects/0/shape/sphere/radius"), "{refused}");
+}

@@ -29,9 +29,9 @@ fn farm_prices_a_job_with_its_map_and_its_savings() {
     assert_eq!((list("seconds").len() as u64, list("steps").len() as u64), (cells, cells));
     let sum: f64 = list("seconds").iter().sum();
     assert!((sum / number("core_seconds") - 1.0).abs() < 0.05, "{sum} in {price}");
-    // The fractal in the middle takes longer than the sky in the corner.
+    // The fractal in the middle takes more steps than the sky in the corner; the seconds of a few rays are noisy.
     let middle = (cells / 2 + map["columns"].as_u64().expect("a number") / 2) as usize;
-    assert!(list("seconds")[middle] > 2.0 * list("seconds")[0], "{map}");
+    assert!(list("steps")[middle] > 2.0 * list("steps")[0], "{map}");
     let savings = price["savings"].as_array().expect("a list");
     assert!((1..=3).contains(&savings.len()), "{price}");
     assert!(savings.iter().any(|saving| saving["pointer"] == "/image/samples"), "{price}");

@@ -290,7 +290,7 @@ pub struct Batch {
     pub tile_seconds: Option<u32>,
     /// Work of the batch.
     pub work: BatchWork,
-    /// What to record of the tiles, if that is wanted.
+    /// Earlier tiles, and that these are recorded, if that is wanted.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub recording: Option<Recording>,
 }

@@ -15,7 +15,6 @@
 //! 39(4), 2020, prunes formulas by intervals; Wilhem Barbier et al., "Lipschitz pruning: hierarchical simplification of
 //! primitive-based SDFs", Computer Graphics Forum 44(2), 2025, prunes lists of smooth joins.
 
-mod contents;
 mod division;
 mod materials;
 mod program;
@@ -25,9 +24,9 @@ mod tree;
 mod walk;
 
 use crate::bounds::Bounds;
-pub(crate) use contents::{ContentIds, Contents};
 pub use division::{BOX_LEVELS, BOX_NUMBERS, Division};
 pub use program::Program;
+pub(crate) use program::contents::{ContentIds, Contents};
 pub use prune::{Pruned, Pruner, ROUNDING, Regions, SLAB_CELLS, SLABS, Unpruned};
 pub use tree::{BLOCK_CELLS, CellBuilder, CellTree, Distances, LeafDistances, ScalarBuilder, checksum};
 pub use walk::{DistanceLists, Located};

@@ -187,7 +187,7 @@ class Parser {
       }
       const from = this.at;
       const item = this.value(node, node.children.length, depth);
-      // What begins no value is passed.
+      // A character that begins no value is passed.
       if (this.at === from) this.at += 1;
       else node.children.push(item);
     }

@@ -105,7 +105,7 @@ fn measure(job: &Job, frame: u32, renderers: &[CpuRenderer], limit: Duration) ->
         }
         first.has_cells(&single, frame)?;
         let making = Pass::render(&single, frame, renderers, limit / 2, &rects)?;
-        // What was not finished would still make cells.
+        // Blocks that were not finished would still make cells.
         let mut finished: Vec<Rect> = making.blocks.iter().map(|block| block.pixels.rect).collect();
         if finished.is_empty() {
             finished.extend(rects.first());

@@ -1,5 +1,7 @@
 //! A scene cut into leaves, and the operations above them in the order in which they are computed.
 
+pub(super) mod contents;
+
 use std::collections::{BTreeSet, HashMap};
 
 use super::materials::{LeafMaterial, ListedMaterial, MAX_MATERIALS};
@@ -267,24 +269,6 @@ impl<'a> Program<'a> {
 
     pub(super) fn joins(&self) -> impl Iterator<Item = &JoinKind> {
         self.joins.iter().map(|join| &join.kind)
-    }
-
-    /// Everything that decides the values and materials of a leaf, given the slot of its object's own material.
-    pub(super) fn leaf_content(&self, leaf: usize, own: u32) -> (&[u32], &[u32], Option<u32>) {
-        let Leaf { family, numbers, material, above: _, shape: _, bounds: _, lipschitz: _, object: _ } =
-            &self.leaves[leaf];
-        let own = match material {
-            LeafMaterial::OfObject => Some(own),
-            // They are among the numbers.
-            LeafMaterial::Single(_) | LeafMaterial::Mixed(_) => None,
-        };
-        (&self.texts[*family], numbers, own)
-    }
-
-    /// Everything that decides the values of a join.
-    pub(super) fn join_content(&self, join: usize) -> (&[u32], &[u32]) {
-        let Join { family, numbers, kind: _ } = &self.joins[join];
-        (&self.join_texts[*family], numbers)
     }
 
     /// Maximum number of values that wait for a join.

@@ -1,11 +1,10 @@
-//! What decides the scene's values in a box: the operations that can matter there, with their numbers.
+//! Contents of a box: the operations that can matter there, with their numbers.
 
 use std::collections::HashMap;
 
-use super::Program;
-use super::program::Leaf;
-use super::prune::{Pruner, Regions, SLAB_CELLS, Unpruned};
+use super::{Join, Leaf, LeafMaterial, Program};
 use crate::bounds::Bounds;
+use crate::cells::prune::{Pruner, Regions, SLAB_CELLS, Unpruned};
 use crate::real::list::{NO_LEAF, ROW_MASK, function_of};
 use crate::real::vec3;
 use crate::scene::Scene;
@@ -23,6 +22,26 @@ impl ContentIds {
 
 /// Leaves and joins by their contents, in the order in which they are computed: whether it is a leaf, and its number.
 pub(crate) type List = Vec<(bool, u32)>;
+
+impl Program<'_> {
+    /// Everything that decides the values and materials of a leaf, given the slot of its object's own material.
+    fn leaf_content(&self, leaf: usize, own: u32) -> (&[u32], &[u32], Option<u32>) {
+        let Leaf { family, numbers, material, above: _, shape: _, bounds: _, lipschitz: _, object: _ } =
+            &self.leaves[leaf];
+        let own = match material {
+            LeafMaterial::OfObject => Some(own),
+            // They are among the numbers.
+            LeafMaterial::Single(_) | LeafMaterial::Mixed(_) => None,
+        };
+        (&self.texts[*family], numbers, own)
+    }
+
+    /// Everything that decides the values of a join.
+    fn join_content(&self, join: usize) -> (&[u32], &[u32]) {
+        let Join { family, numbers, kind: _ } = &self.joins[join];
+        (&self.join_texts[*family], numbers)
+    }
+}
 
 /// A program whose contents can be compared with those of another.
 pub(crate) struct Contents<'a, 'b> {
@@ -68,7 +87,7 @@ impl<'a, 'b> Contents<'a, 'b> {
         words.flatten().map(|word| self.id(word)).collect()
     }
 
-    /// What can matter in boxes: the scene's values and materials are the same, bit for bit, where it is equal.
+    /// Contents of boxes: the scene's values and materials are the same, bit for bit, where it is equal.
     pub(crate) fn in_boxes(&self, boxes: &[Bounds; SLAB_CELLS]) -> [List; SLAB_CELLS] {
         let middle = |low: f32, high: f32| 0.5 * (low + high);
         let centers =
