@@ -21,6 +21,9 @@
  * @property {string | null} finished_at
  * @property {number | null} eta_seconds
  * @property {number | null} [queue_position]
+ * @property {boolean} recorded
+ * @property {string | null} based_on
+ * @property {number} tiles_kept
  *
  * @typedef {{jobs: Job[], next_cursor: string | null}} JobPage
  *

@@ -187,12 +187,24 @@ class JobRoom extends Room {
       ['Priority', String(job.priority).replace('-', '−')],
       ['Picture', this.isSized && size ? `${size.width} × ${size.height}${typeof samples === 'number' ? `, ${counted(samples, 'sample')}` : ''}` : null],
       ['Frames', job.frames.total > 1 ? `${count(job.frames.total)}${this.film ? `, ${this.film.fps} a second` : ''}` : null],
+      ['Kept tiles', job.based_on === null ? null : this.#kept(job, job.based_on)],
+      ['Recorded', job.based_on === null && job.recorded ? 'its tiles are kept for edits' : null],
       ['Submitted', moment(job.created_at)],
       ['Started', job.started_at ? moment(job.started_at) : null],
       ['Finished', job.finished_at ? moment(job.finished_at) : null],
       ['Took', job.started_at && job.finished_at ? duration((Date.parse(job.finished_at) - Date.parse(job.started_at)) / 1000) : null],
     ];
     this.facts?.replaceChildren(...facts.flatMap(([name, value]) => (value === null ? [] : [h('dt', {}, name), h('dd', {}, value)])));
+  }
+
+  /**
+   * The tiles that an edit did not change, with a way to the job before.
+   * @param {Job} job
+   * @param {string} earlier
+   */
+  #kept(job, earlier) {
+    const link = h('a', { href: `#/jobs/${encodeURIComponent(earlier)}` }, 'the job before');
+    return h('span', {}, `${count(job.tiles_kept)} of ${count(job.tiles.total)}, of `, link);
   }
 
   /** @param {Job} job */

@@ -108,11 +108,12 @@ export const price = async (text, map, signal) => getJson('/v1/price', await pos
  * Submits a job once, whatever happens to the answer.
  * @param {string} text
  * @param {string} key
+ * @param {import('/ui/api.js').Options['query']} [query]
  * @returns {Promise<{id: string}>}
  */
-export async function submit(text, key) {
+export async function submit(text, key, query = {}) {
   const { body, headers } = await bodyOf(text);
-  return send('POST', '/v1/jobs', { body, headers: { ...headers, 'idempotency-key': key } });
+  return send('POST', '/v1/jobs', { query, body, headers: { ...headers, 'idempotency-key': key } });
 }
 
 /**

@@ -21,7 +21,8 @@ import { objectOf, shownOf } from './document.js';
 import { Picture } from './picture.js';
 import { Previewer } from './preview.js';
 import { PricePanel, drawMap } from './price.js';
-import { jobFile, nodeTable, sceneFile, submit } from './server.js';
+import { submitDraft } from './recorded.js';
+import { jobFile, nodeTable, sceneFile } from './server.js';
 import { SHORTCUTS } from './shortcuts.js';
 import { separator } from './split.js';
 import { Timeline } from './timeline.js';
@@ -406,7 +407,7 @@ export class Studio {
     if (this.#submitKey.text !== text) this.#submitKey = { text, key: crypto.getRandomValues(new Uint32Array(4)).join('-') };
     this.toolbar.setRendering(true);
     try {
-      const job = await submit(text, this.#submitKey.key);
+      const job = await submitDraft(this.drafts.current.id, text, this.#submitKey.key);
       this.#submitKey = { text: '', key: '' };
       await this.drafts.flush();
       location.hash = `#/jobs/${encodeURIComponent(job.id)}`;

@@ -7,6 +7,7 @@ import { confirm } from '/ui/parts/dialog.js';
 import { ago, counted, duration, short, size } from '/ui/parts/format.js';
 import { session } from '/ui/session.js';
 import { openFile, saveFile } from './files.js';
+import { isWanted, want } from './recorded.js';
 
 /** @typedef {import('./studio.js').Studio} Studio */
 /** @typedef {import('./faults.js').Result} Result */
@@ -44,6 +45,8 @@ export class Toolbar {
     this.examplesButton = h('button', { type: 'button', class: 'button wide-only', 'aria-pressed': 'false', on: { click: () => (studio.examples.isOpen ? studio.examples.close() : studio.tab('examples')) } }, icon('plus'), 'Examples');
     this.priceButton = h('button', { type: 'button', class: 'button wide-only', 'aria-pressed': 'false', title: 'What it costs, before it is rendered', on: { click: () => (studio.price.isOpen ? studio.price.close() : studio.tab('price')) } }, 'Price');
     this.renderButton = h('button', { type: 'button', class: 'button primary', title: 'Render (Ctrl+Enter)', on: { click: () => void studio.render() } }, icon('play'), 'Render');
+    const recorded = h('input', { type: 'checkbox', checked: isWanted(), on: { change: () => want(recorded.checked) } });
+    this.recordedChoice = h('label', { class: 'check wide-only', title: 'The farm keeps the tiles of a render, and the next one renders only those that the edit can change. The picture is the same.' }, recorded, 'Only what changed');
     this.element = h(
       'div',
       { class: 'studio-bar', role: 'toolbar', 'aria-label': 'Studio' },
@@ -57,6 +60,7 @@ export class Toolbar {
       this.#gpu,
       this.#plan,
       this.priceButton,
+      this.recordedChoice,
       this.renderButton,
     );
     const tab = (/** @type {Tab} */ name, /** @type {string} */ label) => h('button', { type: 'button', 'aria-pressed': String(name === 'text'), 'data-tab': name, on: { click: () => studio.tab(name) } }, label);
@@ -67,6 +71,7 @@ export class Toolbar {
   /** Shows what the caller may do. */
   showRights() {
     this.renderButton.hidden = !session.maySubmit;
+    this.recordedChoice.hidden = !session.maySubmit;
     this.priceButton.hidden = !session.mayPreview;
   }
 
