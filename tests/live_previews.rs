@@ -230,6 +230,6 @@ fn a_program_for_webgpu_is_sent_once_and_its_numbers_again() {
     assert_ne!(other["program"], first["program"]);
     assert!(other["wgsl"].is_string(), "another structure is another program: {other}");
     csg["scene"]["objects"][0]["shape"] = json!({ "sphere": { "radius": -1 } });
-    let refused = ask(&csg, &query).problem(422, "invalid_job");
+    let refused = ask(&csg, &query).problem(422, "wrong_job");
     assert_eq!(refused["errors"][0]["pointer"], json!("/scene/objects/0/shape/sphere/radius"), "{refused}");
 }
