@@ -30,6 +30,7 @@ const LINES: &[(&str, &[&str])] = &[
     ("curl -s $farm/v1/jobs/$id/resubmit -X POST", &["\"id\":\"", "\"state\":\""]),
     ("sdfarm resubmit latest --patch", &["-"]),
     ("curl -sN \"$farm/v1/jobs/$id/events\"", &["event: state", "event: frame", "\"state\":\"succeeded\""]),
+    ("curl -sN --max-time 1 \"$farm/v1/events\"", &["event: hello", "event: farm"]),
     (
         "curl -s \"$farm/v1/jobs/$id/frames?limit=1000\"",
         &["\"number\":1", "\"state\":\"stored\"", "\"next_cursor\":null"],

@@ -80,8 +80,8 @@ fn pause_is_shown_by_every_command() {
     let told: Value = serde_json::from_str(&on_farm(&["status", "--json"])).expect("JSON");
     assert_eq!(told["paused"], true);
     assert_eq!(
-        (farm.get("/v1/farm").json(), farm.get("/").json()["farm"]["paused"].clone()),
-        (json!({"paused": true}), json!(true))
+        (farm.get("/v1/farm").json()["paused"].clone(), farm.get("/").json()["farm"]["paused"].clone()),
+        (json!(true), json!(true))
     );
     on_farm(&["resume"]);
     assert!(!on_farm(&["status"]).contains("paused"));
@@ -175,4 +175,43 @@ fn count_of_one_is_singular() {
     assert!(said.contains(" 1 frame of ") && !said.contains("1 frames"), "{said}");
     let (said, _) = done(folder.path(), &["explain", "job.json"]);
     assert!(said.contains(", 1 frame\n"), "{said}");
+}
+
+#[test]
+fn workers_tiles_and_throughput_are_listed_and_a_worker_is_changed() {
+    let farm = Farm::start(&["--workers", "1"]);
+    let folder = folder_with_frames(1);
+    let on_farm = |arguments: &[&str]| done(folder.path(), &[arguments, &["--server", &farm.address]].concat()).0;
+    let id = on_farm(&["submit", "job.json", "--wait"]).trim().to_owned();
+    let workers: Value = serde_json::from_str(&on_farm(&["workers", "--json"])).expect("JSON");
+    let worker = &workers["workers"][0];
+    let (name, short) = (worker["name"].as_str().expect("a name"), &worker["id"].as_str().expect("an id")[28..]);
+    let listed = on_farm(&["workers"]);
+    assert!(listed.starts_with(&format!("{short}  {name} ")) && listed.contains(" ready "), "{listed}");
+
+    let tiles = on_farm(&["tiles", "latest", "--frame", "0"]);
+    assert!(!tiles.is_empty());
+    for line in tiles.lines() {
+        assert!(line.starts_with("frame 0 ") && line.contains(&format!(" {name} ({short}) on cpu, ")), "{line}");
+    }
+    let (first, more) = done(folder.path(), &["tiles", &id, "--limit", "1", "--server", &farm.address]);
+    assert_eq!(tiles.lines().next(), first.lines().next());
+    assert_eq!(more.contains(&format!("more: sdfarm tiles {id} --cursor 0-0")), tiles.lines().count() > 1, "{more}");
+
+    for (last, steps) in [("hour", 12), ("day", 24), ("week", 28)] {
+        let table = on_farm(&["history", "--last", last]);
+        assert_eq!(table.lines().count(), 1 + steps, "{table}");
+        assert!(table.starts_with("from "), "{table}");
+    }
+
+    assert!(on_farm(&["workers", "quarantine", name]).contains(" quarantined "));
+    let alerts = on_farm(&["status"]);
+    assert!(alerts.contains(&format!("alert    quarantined, and without work: {name}: ")), "{alerts}");
+    assert!(on_farm(&["workers", "release", short]).contains(" ready "));
+    let wrong = run_in(folder.path(), &["workers", "drain", "nobody", "--server", &farm.address]);
+    assert_eq!(wrong.status.code(), Some(2), "{}", text(&wrong.stderr));
+    assert!(text(&wrong.stderr).contains("no worker matches \"nobody\""), "{}", text(&wrong.stderr));
+    let alone = run_in(folder.path(), &["workers", "drain", "--server", &farm.address]);
+    assert_eq!(alone.status.code(), Some(2), "{}", text(&alone.stderr));
+    assert!(on_farm(&["workers", "drain", short]).contains(" draining "));
 }

@@ -161,7 +161,7 @@ export async function follow(path, { signal, onMessage, onOpen, isFarm = false }
 
 /**
  * The farm's events, for all rooms: `job` (detail: the job), `deleted` (detail: its id), `farm` (detail: counts), and `open`
- * each time the stream starts, when lists are to be read again.
+ * each time the stream starts, or the server cannot tell what has changed, when lists are to be read again.
  */
 class FarmEvents extends EventTarget {
   /** @type {AbortController | null} */
@@ -191,6 +191,7 @@ class FarmEvents extends EventTarget {
 
   /** @param {Message} message */
   #take({ event, data }) {
+    if (event === 'resync') this.dispatchEvent(new Event('open'));
     if (!['job', 'deleted', 'farm'].includes(event)) return;
     const value = JSON.parse(data);
     if (event === 'farm') this.counts = value.farm ?? value;

@@ -16,6 +16,7 @@ mod file;
 mod fmt;
 mod forget;
 mod gc;
+mod history;
 mod jobs;
 mod key;
 mod link;
@@ -39,11 +40,13 @@ mod serve;
 mod soak;
 mod status;
 mod submit;
+mod tiles;
 mod top;
 mod verify;
 mod watch;
 mod webhook;
 mod worker;
+mod workers;
 
 use std::fs::Permissions;
 use std::future::Future;
@@ -112,6 +115,12 @@ pub(crate) enum Command {
     Webhook(webhook::Arguments),
     /// Show the server's own workers, or set their number.
     Pool(pool::Arguments),
+    /// List workers, or drain, quarantine or release one.
+    Workers(workers::Arguments),
+    /// Show the farm's throughput of the last hour, day or week.
+    History(history::Arguments),
+    /// List a job's tiles: who rendered which, when, and how long it took.
+    Tiles(tiles::Arguments),
     /// Create, list, or revoke API keys.
     Key(key::Arguments),
     /// List the audit log: who changed what.
@@ -192,6 +201,9 @@ impl Command {
             Self::Resume(arguments) => run_async(interruptible(pause::run(arguments, false))),
             Self::Webhook(arguments) => webhook::run(&arguments),
             Self::Pool(arguments) => run_async(interruptible(pool::run(arguments))),
+            Self::Workers(arguments) => run_async(interruptible(workers::run(arguments))),
+            Self::History(arguments) => run_async(interruptible(history::run(arguments))),
+            Self::Tiles(arguments) => run_async(interruptible(tiles::run(arguments))),
             Self::Key(arguments) => run_async(key::run(arguments)),
             Self::Audit(arguments) => run_async(interruptible(audit::run(arguments))),
             Self::New(arguments) => new::run(&arguments),

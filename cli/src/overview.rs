@@ -2,6 +2,7 @@
 
 mod openmetrics;
 
+use proto::alert::{AlertSeverity, AlertView};
 use proto::job::{JobState, JobView};
 use proto::pool::{PoolView, WorkerView};
 use proto::scaling::ScalingView;
@@ -13,8 +14,6 @@ use openmetrics::Metrics;
 
 /// Unfinished jobs that are listed, at most.
 const JOBS: u32 = 50;
-/// Free disk space below which there is a warning.
-const MIN_DISK_BYTES: f64 = 5e9;
 /// Fraction of a GPU's memory that counts as full.
 const FULL_GPU: f64 = 0.95;
 
@@ -45,7 +44,9 @@ pub(crate) struct Overview {
     pub(crate) jobs: Vec<JobView>,
     /// The data folder.
     pub(crate) disk: DiskOverview,
-    /// Warnings.
+    /// Conditions that need an operator, as the server says.
+    pub(crate) alerts: Vec<AlertView>,
+    /// Warnings: the alerts, and what the counters show.
     pub(crate) warnings: Vec<String>,
 }
 
@@ -117,10 +118,10 @@ pub(crate) async fn fetch(client: &Client) -> Result<Overview, ClientError> {
     let samples = Metrics::read(&client.metrics().await?);
     let (pool, workers) = (client.pool().await?, client.workers().await?.workers);
     let capacity = Capacity { pool, workers, scaling: client.scaling().await? };
-    let paused = client.farm().await?.paused;
+    let (paused, alerts) = (client.farm().await?.paused, client.alerts().await?);
     let mut jobs = client.jobs(Some(JobState::Running), JOBS, None).await?.jobs;
     jobs.extend(client.jobs(Some(JobState::Queued), JOBS, None).await?.jobs);
-    Ok(Overview::from_parts(client.server(), health, &samples, paused, capacity, jobs))
+    Ok(Overview::from_parts(client.server(), health, &samples, paused, capacity, jobs, alerts))
 }
 
 impl Overview {
@@ -131,6 +132,7 @@ impl Overview {
         paused: bool,
         capacity: Capacity,
         jobs: Vec<JobView>,
+        alerts: Vec<AlertView>,
     ) -> Self {
         let Capacity { pool, workers, scaling } = capacity;
         let sum = |name: &str| samples.sum(name, &[]);
@@ -175,6 +177,7 @@ impl Overview {
             scaling,
             jobs,
             disk,
+            alerts,
             warnings: Vec::new(),
         };
         overview.warnings = overview.warnings(samples);
@@ -187,36 +190,24 @@ impl Overview {
     }
 
     fn warnings(&self, samples: &Metrics) -> Vec<String> {
-        let mut worries = Vec::new();
+        let mut worries: Vec<String> =
+            self.alerts.iter().map(|alert| format!("{}: {}", alert.message, alert.cure)).collect();
+        let is_explained = self.alerts.iter().any(|alert| alert.severity == AlertSeverity::Critical);
         let mut worry = |is_so: bool, text: String| {
             if is_so {
                 worries.push(text);
             }
         };
-        let TotalsOverview { expired, fenced, nondeterministic, webhook_failures, server_errors, .. } = self.totals;
-        worry(!self.is_healthy(), self.health.clone());
-        worry(self.paused, "the farm is paused: `sdfarm resume` continues it".to_owned());
-        worry(nondeterministic > 0, format!("{} rendered differently by two workers", were(nondeterministic, "tile")));
-        worry(self.queue.work_seconds.is_none(), "there is work, but no worker with a measured speed".to_owned());
-        worry(
-            self.pool.ready < self.pool.workers,
-            format!("{} of {} ready", self.pool.ready, counted(self.pool.workers, "local worker")),
-        );
-        worry((self.disk.free_bytes as f64) < MIN_DISK_BYTES, "little disk space is left".to_owned());
+        let TotalsOverview { expired, fenced, server_errors, .. } = self.totals;
+        worry(!self.is_healthy() && !is_explained, self.health.clone());
         worry(expired > 0, format!("{} expired", counted(expired, "lease")));
         worry(fenced > 0, format!("{} arrived too late", counted(fenced, "result")));
-        worry(webhook_failures > 0, format!("{} failed", counted(webhook_failures, "webhook delivery")));
         worry(server_errors > 0, format!("{} failed in the server", counted(server_errors, "request")));
         let (used, all) =
             (samples.sum("sdfarm_gpu_memory_used_bytes", &[]), samples.sum("sdfarm_gpu_memory_bytes", &[]));
         worry(all > 0.0 && used / all > FULL_GPU, "the GPUs' memory is almost full".to_owned());
         worries
     }
-}
-
-/// Formats a count with its verb: `1 tile was`, `2 tiles were`.
-fn were(number: u64, noun: &str) -> String {
-    format!("{} {}", counted(number, noun), if number == 1 { "was" } else { "were" })
 }
 
 /// Formats a duration in its two largest units: `3 h 20 min`.
@@ -286,6 +277,13 @@ pub(crate) mod tests {
                 },
             },
             vec![serde_json::from_str(job).expect("a job"), serde_json::from_str(&held).expect("a job")],
+            vec![AlertView {
+                code: "farm_paused".to_owned(),
+                severity: AlertSeverity::Warning,
+                message: "the farm is paused".to_owned(),
+                cure: "`sdfarm resume` continues it".to_owned(),
+                since: "2026-01-01T00:00:00Z".to_owned(),
+            }],
         )
     }
 
@@ -294,14 +292,7 @@ pub(crate) mod tests {
         let overview = unhealthy();
         assert_eq!(
             overview.warnings,
-            [
-                "the farm is paused: `sdfarm resume` continues it",
-                "2 tiles were rendered differently by two workers",
-                "1 of 2 local workers ready",
-                "little disk space is left",
-                "3 leases expired",
-                "1 request failed in the server",
-            ]
+            ["the farm is paused: `sdfarm resume` continues it", "3 leases expired", "1 request failed in the server",]
         );
         assert_eq!((overview.version.as_str(), overview.totals.rate_limited), ("1.2.3", 5));
         assert_eq!((overview.queue.rays_per_second, overview.disk.store_bytes), (11e6, 570));

@@ -2,6 +2,7 @@
 //!
 //! It sends requests and names errors; display, retries and waiting are up to its caller.
 
+mod farm;
 mod health;
 mod job_body;
 mod jobs;
@@ -18,11 +19,12 @@ use crate::audit::AuditPage;
 use crate::client_auth::{ClientAuth, ClientAuthError, server_url};
 use crate::farm::FarmView;
 use crate::job::{DryRun, JobPage, JobState, JobView};
-use crate::pool::{PoolSize, PoolView, WorkerList};
+use crate::pool::{PoolSize, PoolView};
 use crate::price::Price;
 use crate::scaling::ScalingView;
 use crate::{JobId, Problem};
 
+pub use farm::WorkerChange;
 pub use jobs::{EventStream, SubmitOptions};
 
 const CONNECT_TIMEOUT: Duration = Duration::from_secs(10);
@@ -208,11 +210,6 @@ impl Client {
             size_bytes += chunk.len() as u64;
         }
         Ok(size_bytes)
-    }
-
-    /// Lists every worker that is not gone.
-    pub async fn workers(&self) -> Result<WorkerList, ClientError> {
-        self.json(self.request(Method::GET, "/v1/workers")).await
     }
 
     /// State of the local pool.

@@ -1,11 +1,12 @@
-//! Events of a job, as `GET /v1/jobs/{id}/events` sends them, and their parser.
+//! Events of a job, as `GET /v1/jobs/{id}/events` sends them, and of the farm, as `GET /v1/events` does, and their parser.
 //!
 //! It only names and parses; subscriptions are managed elsewhere.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::job::{DoneOfTotal, JobState};
+use crate::farm::FarmCounts;
+use crate::job::{DoneOfTotal, JobState, JobView};
 
 /// A job has reached a state.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -100,6 +101,49 @@ impl JobEvent {
             "tile" => serde_json::from_str(data).map(Self::Tile).ok(),
             "frame" => serde_json::from_str(data).map(Self::Frame).ok(),
             "snapshot" => serde_json::from_str(data).map(Self::Snapshot).ok(),
+            _ => None,
+        }
+    }
+}
+
+/// First event of the farm's.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct HelloEvent {
+    /// The server's time: RFC 3339, UTC.
+    pub server_time: String,
+}
+
+/// A job was deleted.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct DeletedEvent {
+    /// The id that it had.
+    pub id: String,
+}
+
+/// Event of the farm.
+#[derive(Clone, Debug)]
+pub enum FarmEvent {
+    /// The stream has begun: every later change is told.
+    Hello(HelloEvent),
+    /// A job has changed, or is new.
+    Job(Box<JobView>),
+    /// A job was deleted.
+    Deleted(DeletedEvent),
+    /// The farm's numbers have changed.
+    Farm(FarmCounts),
+    /// Jobs have changed that are not told: read their list again.
+    Resync,
+}
+
+impl FarmEvent {
+    /// Reads an event; `None` if this version does not know it.
+    pub fn parse(name: &str, data: &str) -> Option<Self> {
+        match name {
+            "hello" => serde_json::from_str(data).map(Self::Hello).ok(),
+            "job" => serde_json::from_str(data).map(Self::Job).ok(),
+            "deleted" => serde_json::from_str(data).map(Self::Deleted).ok(),
+            "farm" => serde_json::from_str(data).map(Self::Farm).ok(),
+            "resync" => Some(Self::Resync),
             _ => None,
         }
     }

@@ -8,6 +8,22 @@ use serde::{Deserialize, Serialize};
 pub struct FarmView {
     /// No tiles are leased until the farm is resumed; leased tiles finish and count.
     pub paused: bool,
+    /// Disk of the server that was asked.
+    pub disk: DiskView,
+}
+
+/// Disk of a server's data folder, and what the farm stores.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct DiskView {
+    /// Free space on the disk of the data folder.
+    pub free_bytes: u64,
+    /// Size of that disk.
+    pub total_bytes: u64,
+    /// Size of the stored pictures, at most 30 s old. Of a store in a bucket it is known once `/metrics` was read, and at
+    /// most 10 min older than that; null before.
+    pub pictures_bytes: Option<u64>,
+    /// Size of the stored tiles of frames that are not finished, likewise.
+    pub blobs_bytes: Option<u64>,
 }
 
 /// Summary of the farm, as `GET /` returns it to programs.

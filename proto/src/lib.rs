@@ -3,6 +3,7 @@
 //!
 //! Nothing here renders, stores or decides.
 
+pub mod alert;
 pub mod api_key;
 pub mod audit;
 pub mod bounded;

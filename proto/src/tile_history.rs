@@ -76,7 +76,7 @@ pub struct TileView {
     pub state: TileState,
     /// Number of its leases so far.
     pub attempts: u64,
-    /// Its leases of the last hour, and those that have not ended, oldest first.
+    /// Its leases of the last hour, those that have not ended, and the last one with a result, oldest first.
     pub leases: Vec<TileLeaseView>,
 }
 

@@ -30,6 +30,37 @@ pub(crate) struct Disk {
     pub(crate) total_bytes: u64,
 }
 
+/// Room on a disk.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Room {
+    /// It suffices.
+    Enough,
+    /// It does not suffice for long.
+    Low,
+    /// There is none: the farm stops.
+    None,
+}
+
+/// Free disk space below which there is little room.
+const LOW_DISK_BYTES: u64 = 5 << 30;
+/// Free disk space below which there is no room.
+const NO_DISK_BYTES: u64 = 500 << 20;
+/// Cure of a full disk.
+pub(crate) const DISK_CURE: &str = "free space, or move the data folder to a larger disk";
+
+impl Disk {
+    /// Room that is left.
+    pub(crate) fn room(self) -> Room {
+        if self.free_bytes < NO_DISK_BYTES {
+            Room::None
+        } else if self.free_bytes < LOW_DISK_BYTES {
+            Room::Low
+        } else {
+            Room::Enough
+        }
+    }
+}
+
 /// Reads the figures of this process.
 pub(crate) fn process() -> Process {
     let stat = fs::read_to_string("/proc/self/stat").unwrap_or_default();

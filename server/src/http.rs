@@ -1,6 +1,7 @@
 //! The HTTP layer: the whole API on one screen. Handlers read the request, call a service, and respond;
 //! they decide nothing about jobs.
 
+mod alerts;
 mod audit;
 mod auth;
 mod body;
@@ -76,9 +77,11 @@ routes::table! {
         GET    "/v1/jobs/{id}/file"                         READ_OWN   MINUTE Nothing files::file;
         POST   "/v1/jobs/{id}/resubmit"                     CHANGE_OWN MINUTE NewJob  files::resubmit;
         GET    "/v1/jobs/{id}/events"                       READ_OWN   NONE   Nothing events::follow;
+        GET    "/v1/events"                                 READ_OWN   NONE   Nothing events::follow_farm;
         POST   "/v1/jobs/{id}/pause"                        CHANGE_OWN MINUTE Work    pause::pause_job;
         POST   "/v1/jobs/{id}/resume"                       CHANGE_OWN MINUTE Work    pause::resume_job;
         GET    "/v1/farm"                                   READ       MINUTE Nothing pause::get;
+        GET    "/v1/alerts"                                 READ       MINUTE Nothing alerts::list;
         POST   "/v1/farm/pause"                             ADMIN      MINUTE Admin   pause::pause;
         POST   "/v1/farm/resume"                            ADMIN      MINUTE Admin   pause::resume;
         GET    "/v1/jobs/{id}/webhooks"                     READ_OWN   MINUTE Nothing webhooks::list;

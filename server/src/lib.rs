@@ -3,6 +3,7 @@
 //! It plans, leases and stores; it touches no pixel.
 
 mod admission;
+mod alerts;
 mod api_keys;
 mod archive;
 mod audit_log;
@@ -19,6 +20,7 @@ mod delivery_check;
 mod estimate;
 mod events;
 mod fair_queue;
+mod farm_events;
 mod histograms;
 mod host;
 mod http;

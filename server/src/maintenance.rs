@@ -164,6 +164,7 @@ impl Cleanup {
         self.queue.prune().await?;
         self.queue.drop_traces().await?;
         self.queue.prune_events().await?;
+        self.queue.prune_changes().await?;
         if let Err(error) = self.retention.collect_until_done(end).await {
             tracing::error!(%error, cause = ?std::error::Error::source(&error), "could not remove old jobs");
         }

@@ -18,6 +18,7 @@ mod event_gaps;
 mod events;
 mod exclusion;
 mod fair_share;
+mod farm_changes;
 mod finish;
 mod frames;
 mod idempotency;
@@ -73,6 +74,7 @@ pub(crate) use cleanup::RemovedContent;
 pub(crate) use doomed::{CheckedNames, content_of};
 pub(crate) use event_gaps::mark_restored;
 pub(crate) use events::Event;
+pub(crate) use farm_changes::{ChangePosition, FarmChanges};
 pub(crate) use finish::{CancelOutcome, DeleteOutcome};
 pub(crate) use frames::{FrameSet, StoredFrame};
 pub(crate) use idempotency::{IdempotencyKey, NewWebhook, SubmitOptions, SubmitOutcome};
@@ -380,7 +382,12 @@ impl Queue {
 
     /// Seconds since 1970, by the wall clock.
     pub(crate) fn wall_seconds(&self) -> i64 {
-        self.clock.wall_ms() / 1000
+        self.wall_ms() / 1000
+    }
+
+    /// Milliseconds since 1970, by the wall clock.
+    pub(crate) fn wall_ms(&self) -> i64 {
+        self.clock.wall_ms()
     }
 
     /// Signal sent after every commit.

@@ -11,6 +11,8 @@ use std::sync::atomic::Ordering;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
+use proto::farm::{DiskView, FarmCounts};
+use proto::job::JobState;
 use proto::worker_protocol::{DeviceMemory, MAX_TIMINGS, WorkerMetrics};
 use proto::{JobId, WorkerId};
 use tokio::time::Instant;
@@ -183,6 +185,22 @@ impl Telemetry {
         Ok(counts)
     }
 
+    /// Numbers of the farm; those of jobs and workers are cached.
+    pub(crate) async fn farm_counts(&self) -> Result<FarmCounts, DatabaseError> {
+        let counts = self.counts().await?;
+        let jobs = |state: JobState| counts.jobs_in(state.name()).unsigned_abs();
+        let ready = counts.workers.iter().filter(|group| group.state == "ready").map(|group| group.number).sum::<i64>();
+        Ok(FarmCounts {
+            paused: self.queue.is_paused().await?,
+            queued: jobs(JobState::Queued),
+            running: jobs(JobState::Running),
+            succeeded: jobs(JobState::Succeeded),
+            failed: jobs(JobState::Failed),
+            cancelled: jobs(JobState::Cancelled),
+            workers_ready: ready.unsigned_abs(),
+        })
+    }
+
     /// Current backlog and workers, cached like the counts.
     pub(crate) async fn demand(&self) -> Result<Demand, DatabaseError> {
         let mut kept = self.demand.lock().await;
@@ -216,6 +234,24 @@ impl Telemetry {
         };
         *kept = Some(Expiring::new(sizes, begun, keep));
         sizes
+    }
+
+    /// The data folder's disk.
+    pub(crate) fn disk(&self) -> Disk {
+        host::disk(&self.data)
+    }
+
+    /// The data folder's disk, and the sizes of the store: those of a bucket as they were last listed for the metrics.
+    pub(crate) async fn disk_view(&self) -> DiskView {
+        let sizes = if self.content.folder().is_some() {
+            Some(self.sizes().await)
+        } else {
+            self.sizes.lock().await.as_ref().map(|kept| kept.value)
+        };
+        let Disk { free_bytes, total_bytes } = self.disk();
+        let (pictures_bytes, blobs_bytes) =
+            (sizes.map(|sizes| sizes.pictures_bytes), sizes.map(|sizes| sizes.blobs_bytes));
+        DiskView { free_bytes, total_bytes, pictures_bytes, blobs_bytes }
     }
 
     /// Every metric, in the `OpenMetrics` format; `pool_workers` is the target number of local workers.

@@ -6,6 +6,7 @@ mod postgres_server;
 mod skip;
 
 mod api {
+    mod alerts;
     mod bad_input;
     mod bodies;
     mod caller;
@@ -15,6 +16,7 @@ mod api {
     mod editing;
     mod events;
     pub(crate) mod fake_pictures;
+    mod farm_events;
     mod files;
     mod frames;
     pub(crate) mod harness;

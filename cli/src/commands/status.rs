@@ -126,9 +126,6 @@ worker   pool-1               cpu      ready         8 leases  2.0 Mrays/s
 job      099a8058  running   25 %  1 min 15 s left  fjord
 job      099a8058  running   25 %  paused  lantern
 alert    the farm is paused: `sdfarm resume` continues it
-alert    2 tiles were rendered differently by two workers
-alert    1 of 2 local workers ready
-alert    little disk space is left
 alert    3 leases expired
 alert    1 request failed in the server";
         assert_eq!(text, wanted);

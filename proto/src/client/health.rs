@@ -4,6 +4,7 @@ use reqwest::Method;
 use serde::Deserialize;
 
 use super::{Client, ClientError};
+use crate::alert::{AlertList, AlertView};
 
 /// Response of `GET /readyz`.
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
@@ -16,6 +17,12 @@ impl Client {
     /// Whether the database and the content store can be used; if not, the error is the problem.
     pub async fn ready(&self) -> Result<Readiness, ClientError> {
         self.json(self.request(Method::GET, "/readyz")).await
+    }
+
+    /// Conditions that need an operator.
+    pub async fn alerts(&self) -> Result<Vec<AlertView>, ClientError> {
+        let list: AlertList = self.json(self.request(Method::GET, "/v1/alerts")).await?;
+        Ok(list.alerts)
     }
 
     /// Metrics in the `OpenMetrics` text format.

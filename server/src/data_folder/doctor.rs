@@ -13,14 +13,10 @@ use super::{DataFolderError, bucket, database};
 use crate::blobs::{BlobStore, ContentError, ContentHash, ContentKind};
 use crate::clock::Clock;
 use crate::db::{self, Database, Durability};
-use crate::host;
+use crate::host::{self, DISK_CURE, Room};
 use crate::lock::{FolderLock, LockError};
 use crate::queue::{Reopened, absurd_shares, forget_pictures, reset_shares};
 
-/// Free disk space below which there is a warning.
-const MIN_DISK_BYTES: u64 = 5 << 30;
-/// Free disk space below which there is an error: the farm stops.
-const NO_DISK_BYTES: u64 = 500 << 20;
 /// Number of open files that a busy server needs.
 const MIN_OPEN_FILES: u64 = 4096;
 /// WAL size above which the WAL is not being checkpointed.
@@ -315,13 +311,10 @@ fn store_findings(found: &StoreComparison, repaired: Option<Reopened>) -> Vec<Fi
 fn check_host(data: &Path, findings: &mut Vec<Finding>) {
     let disk = host::disk(data);
     let text = format!("{} MiB of {} MiB are free", disk.free_bytes >> 20, disk.total_bytes >> 20);
-    let cure = "free space, or move the data folder to a larger disk";
-    findings.push(if disk.free_bytes < NO_DISK_BYTES {
-        Finding::error("disk", text, cure)
-    } else if disk.free_bytes < MIN_DISK_BYTES {
-        Finding::warning("disk", text, cure)
-    } else {
-        Finding::ok("disk", text)
+    findings.push(match disk.room() {
+        Room::None => Finding::error("disk", text, DISK_CURE),
+        Room::Low => Finding::warning("disk", text, DISK_CURE),
+        Room::Enough => Finding::ok("disk", text),
     });
     let files = host::process().max_files;
     findings.push(if files < MIN_OPEN_FILES {

@@ -1,18 +1,23 @@
-//! Sends a job's events as a stream for a browser's `EventSource`, curl and `sdfarm watch`.
+//! Sends events of a job, or of all jobs, as a stream for a browser's `EventSource`, curl and `sdfarm watch`.
 
+use std::convert::Infallible;
 use std::sync::Arc;
 
+use axum::BoxError;
 use axum::body::Body;
 use axum::extract::{Path, State};
 use axum::http::{HeaderMap, HeaderValue, StatusCode, Uri, header};
 use axum::response::{IntoResponse, Response};
-use futures_util::stream;
+use bytes::Bytes;
+use futures_util::{Stream, stream};
 use serde::Deserialize;
 
+use super::auth::Caller;
 use super::body;
 use super::error::ApiError;
 use super::jobs::job_id;
 use crate::events::{EventHub, EventSubscriber, SubscribeOutcome};
+use crate::farm_events::{FarmEvents, FarmSubscriber};
 use crate::shutdown::Shutdown;
 
 /// Header that browsers send when they reconnect.
@@ -69,7 +74,7 @@ fn event_id(text: &str) -> Result<i64, ApiError> {
 }
 
 fn streamed(follower: EventSubscriber) -> Response {
-    let bytes = stream::unfold(Some(follower), async |follower| {
+    response(stream::unfold(Some(follower), async |follower| {
         let mut follower = follower?;
         match follower.next().await {
             Ok(Some(bytes)) => Some((Ok(bytes), Some(follower))),
@@ -79,8 +84,33 @@ fn streamed(follower: EventSubscriber) -> Response {
                 Some((Err(error), None))
             }
         }
-    });
-    let mut response = Body::from_stream(bytes).into_response();
+    }))
+}
+
+/// Follow the farm.
+///
+/// First `hello`, after which every change is told: `job`, a job that is new or has changed, as it is now, at most once in
+/// 250 ms; `deleted`, the id of a job that was deleted; and `farm`, the farm's numbers, at most once a second. After `resync`, and after
+/// reconnecting, read the list of jobs again: changes in between are not told. A key with scope submit but not read receives
+/// events of jobs of its own name only. The stream does not end.
+#[utoipa::path(
+    get, path = "/v1/events", tag = "farm", operation_id = "follow_farm",
+    responses((status = 200, description = "Events, as they happen", body = serde_json::Value, content_type = "text/event-stream"))
+)]
+pub(super) async fn follow_farm(
+    State(events): State<Arc<FarmEvents>>,
+    State(shutdown): State<Shutdown>,
+    caller: Caller,
+) -> Result<Response, ApiError> {
+    let follower = FarmSubscriber::start(&events, caller.visible_submitter(), shutdown.closing().clone()).await?;
+    Ok(response(stream::unfold(follower, async |mut follower| {
+        follower.next().await.map(|bytes| (Ok::<_, Infallible>(bytes), follower))
+    })))
+}
+
+/// Response with a stream of events.
+fn response<E: Into<BoxError> + 'static>(events: impl Stream<Item = Result<Bytes, E>> + Send + 'static) -> Response {
+    let mut response = Body::from_stream(events).into_response();
     let headers = response.headers_mut();
     headers.insert(header::CONTENT_TYPE, HeaderValue::from_static("text/event-stream"));
     headers.insert(header::CACHE_CONTROL, HeaderValue::from_static("no-store"));

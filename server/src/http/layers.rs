@@ -129,7 +129,7 @@ pub(super) async fn layer(
     }
     images::intact(&previews.pictures, &stored.hash, stored.size_bytes).await?;
     let request = async {
-        let copies = previews.copies(ContentKind::Picture, &[stored.hash.clone()]).await?;
+        let copies = previews.copies(ContentKind::Picture, std::slice::from_ref(&stored.hash)).await?;
         let file = copies.files()[0].clone();
         Ok((HelperRequest::DrawLayer { file, layer, width_px, exposure }, copies))
     };
@@ -193,7 +193,8 @@ impl Previews {
         request: impl FnOnce(std::path::PathBuf) -> HelperRequest,
     ) -> Result<StoredAnswer, ApiError> {
         images::intact(&self.pictures, &stored.hash, stored.size_bytes).await?;
-        let copies = self.copies(ContentKind::Picture, &[stored.hash.clone()]).await.map_err(HelperError::from)?;
+        let copies =
+            self.copies(ContentKind::Picture, std::slice::from_ref(&stored.hash)).await.map_err(HelperError::from)?;
         let request = request(copies.files()[0].clone());
         let (answer, _) = self.preview_helper.live(caller.name(), &request).await?;
         drop(copies);

@@ -9,6 +9,7 @@ use axum::Json;
 use axum::http::header;
 use axum::response::{IntoResponse, Response};
 use proto::Problem;
+use proto::alert::AlertList;
 use proto::api_key::{ApiKeyList, IssuedApiKey, NewApiKey};
 use proto::audit::AuditPage;
 use proto::caller::CallerView;
@@ -89,6 +90,7 @@ fn answers() -> Map<String, Value> {
     generator.subschema_for::<ShaderView>();
     generator.subschema_for::<DeleteDryRun>();
     generator.subschema_for::<FarmView>();
+    generator.subschema_for::<AlertList>();
     generator.subschema_for::<HistoryView>();
     generator.subschema_for::<StartView>();
     generator.subschema_for::<LinkView>();

@@ -51,6 +51,7 @@ const KINDS: [(&str, &str, bool); 7] = [
 #[folder = "../web"]
 #[exclude = "*.md"]
 #[exclude = "tsconfig.json"]
+#[exclude = "*.md"]
 #[exclude = "vendor/build/*"]
 struct WebFiles;
 

@@ -13,6 +13,7 @@ use super::jobs::{job_id, view};
 use super::quota;
 use crate::config::Config;
 use crate::queue::{PauseOutcome, Queue};
+use crate::telemetry::Telemetry;
 
 /// Pause a job: no new tiles are leased; leased tiles finish and count.
 #[utoipa::path(
@@ -74,8 +75,11 @@ async fn set_job(
     get, path = "/v1/farm", tag = "farm", operation_id = "get_farm",
     responses((status = 200, description = "The farm", body = ref("#/components/schemas/FarmView")))
 )]
-pub(super) async fn get(State(queue): State<Queue>) -> Result<Json<FarmView>, ApiError> {
-    Ok(Json(FarmView { paused: queue.is_paused().await? }))
+pub(super) async fn get(
+    State(queue): State<Queue>,
+    State(telemetry): State<Arc<Telemetry>>,
+) -> Result<Json<FarmView>, ApiError> {
+    Ok(Json(FarmView { paused: queue.is_paused().await?, disk: telemetry.disk_view().await }))
 }
 
 /// Pause the farm: no new tiles are leased; leased tiles finish and count.
@@ -83,9 +87,9 @@ pub(super) async fn get(State(queue): State<Queue>) -> Result<Json<FarmView>, Ap
     post, path = "/v1/farm/pause", tag = "farm", operation_id = "pause_farm",
     responses((status = 200, description = "The farm is paused", body = ref("#/components/schemas/FarmView")))
 )]
-pub(super) async fn pause(queue: State<Queue>) -> Result<Json<FarmView>, ApiError> {
+pub(super) async fn pause(queue: State<Queue>, telemetry: State<Arc<Telemetry>>) -> Result<Json<FarmView>, ApiError> {
     queue.pause_all(true).await?;
-    get(queue).await
+    get(queue, telemetry).await
 }
 
 /// Resume a paused farm.
@@ -93,7 +97,7 @@ pub(super) async fn pause(queue: State<Queue>) -> Result<Json<FarmView>, ApiErro
     post, path = "/v1/farm/resume", tag = "farm", operation_id = "resume_farm",
     responses((status = 200, description = "The farm is resumed", body = ref("#/components/schemas/FarmView")))
 )]
-pub(super) async fn resume(queue: State<Queue>) -> Result<Json<FarmView>, ApiError> {
+pub(super) async fn resume(queue: State<Queue>, telemetry: State<Arc<Telemetry>>) -> Result<Json<FarmView>, ApiError> {
     queue.pause_all(false).await?;
-    get(queue).await
+    get(queue, telemetry).await
 }

@@ -298,6 +298,6 @@ mod tests {
             .filter(|route| route.policy.time_limit.is_none() && route.policy.permission != permission::WORKER)
             .map(|route| format!("{} {}", route.method, route.path))
             .collect();
-        assert_eq!(unlimited, ["POST /v1/jobs", "GET /v1/jobs/{id}/events"]);
+        assert_eq!(unlimited, ["POST /v1/jobs", "GET /v1/jobs/{id}/events", "GET /v1/events"]);
     }
 }

@@ -8,14 +8,12 @@ use axum::Json;
 use axum::extract::{Request, State};
 use axum::http::{HeaderMap, HeaderValue, header};
 use axum::response::{IntoResponse, Response};
-use proto::farm::{FarmCounts, StartView};
-use proto::job::JobState;
+use proto::farm::StartView;
 
 use super::error::ApiError;
 use super::page;
 use super::state::handle_group;
 use crate::api_keys::ApiKeys;
-use crate::queue::Queue;
 use crate::telemetry::Telemetry;
 
 handle_group! {
@@ -23,8 +21,6 @@ handle_group! {
     StartPageHandles {
         /// Say whether the farm has keys.
         api_keys: Arc<ApiKeys>,
-        /// Says whether the farm is paused.
-        queue: Queue,
         /// Has the counts.
         telemetry: Arc<Telemetry>,
     }
@@ -43,7 +39,7 @@ pub(super) async fn get(State(handles): State<StartPageHandles>, request: Reques
         return page::index(&request);
     }
     let needs_key = handles.api_keys.are_required();
-    let farm = if needs_key { None } else { Some(counts(&handles.queue, &handles.telemetry).await?) };
+    let farm = if needs_key { None } else { Some(handles.telemetry.farm_counts().await?) };
     let view = StartView {
         name: "sdfarm".to_owned(),
         version: env!("CARGO_PKG_VERSION").to_owned(),
@@ -62,22 +58,6 @@ pub(super) async fn get(State(handles): State<StartPageHandles>, request: Reques
         response.headers_mut().insert(name, HeaderValue::from_static(value));
     }
     Ok(response)
-}
-
-/// Numbers of the farm, at most 1 s old.
-async fn counts(queue: &Queue, telemetry: &Telemetry) -> Result<FarmCounts, ApiError> {
-    let counts = telemetry.counts().await?;
-    let jobs = |state: JobState| counts.jobs_in(state.name()).unsigned_abs();
-    let ready = counts.workers.iter().filter(|group| group.state == "ready").map(|group| group.number).sum::<i64>();
-    Ok(FarmCounts {
-        paused: queue.is_paused().await?,
-        queued: jobs(JobState::Queued),
-        running: jobs(JobState::Running),
-        succeeded: jobs(JobState::Succeeded),
-        failed: jobs(JobState::Failed),
-        cancelled: jobs(JobState::Cancelled),
-        workers_ready: ready.unsigned_abs(),
-    })
 }
 
 /// Whether the client accepts HTML explicitly; `*/*` alone, as curl sends it, counts as a program.

@@ -7,12 +7,14 @@ use std::sync::Arc;
 use axum::extract::FromRef;
 
 use crate::admission::{RateLimits, Shares};
+use crate::alerts::Alerts;
 use crate::api_keys::ApiKeys;
 use crate::audit_log::AuditLog;
 use crate::blobs::BlobStore;
 use crate::config::Config;
 use crate::estimate::Estimator;
 use crate::events::EventHub;
+use crate::farm_events::FarmEvents;
 use crate::job_cache::JobCache;
 use crate::orphans::Orphans;
 use crate::pictures::Pictures;
@@ -50,6 +52,8 @@ macro_rules! handles_of_state {
 }
 
 handles_of_state! {
+    /// Conditions that need an operator.
+    alerts: Arc<Alerts>,
     /// API keys.
     api_keys: Arc<ApiKeys>,
     /// Audit log.
@@ -62,6 +66,8 @@ handles_of_state! {
     estimator: Arc<Estimator>,
     /// Distributor of events.
     events: Arc<EventHub>,
+    /// Events of all jobs.
+    farm_events: Arc<FarmEvents>,
     /// Parsed job files.
     jobs: Arc<JobCache>,
     /// Signer of links.

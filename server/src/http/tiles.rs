@@ -27,7 +27,8 @@ struct TileQuery {
 /// List a job's tiles, with the workers that rendered them.
 ///
 /// Tiles of frames that no worker has reached yet, and of frames from the cache, are not listed. A lease is forgotten an
-/// hour after it was granted, unless it lasts; `attempts` counts those too.
+/// hour after it was granted, unless it lasts; the last one of each tile with a result is kept as long as the job, and `attempts`
+/// counts all.
 #[utoipa::path(
     get, path = "/v1/jobs/{id}/tiles", tag = "jobs", operation_id = "list_tiles",
     params(

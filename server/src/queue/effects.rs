@@ -5,6 +5,7 @@
 //! changes no job, frame, tile or lease itself.
 
 mod books;
+mod changes;
 mod events;
 mod outbox;
 
@@ -180,6 +181,16 @@ pub(super) async fn job_standing_changed(
         books::join_share(connection, submitter, after.priority).await?;
     }
     Ok(())
+}
+
+/// A job has changed for those who follow all jobs, without an event of its own.
+pub(super) async fn job_changed(connection: &mut Connection, job: &ChangedJob) -> Result<()> {
+    changes::insert(connection, &job.source, false).await
+}
+
+/// A job is deleted for its users, who know it by the id that it had before.
+pub(super) async fn job_hidden(connection: &mut Connection, before: &ChangedJob) -> Result<()> {
+    changes::insert(connection, &before.source, true).await
 }
 
 /// Deletes what was measured in a job that has finished.

@@ -4,11 +4,13 @@
 //! Both happen only if another worker can do the work, so that a single worker never stops the farm. A worker that
 //! delivers something else than was asked for is quarantined whatever others there are.
 
+use std::collections::BTreeSet;
+
 use crate::db;
 use proto::WorkerId;
 
 use super::lease::LiveLease;
-use super::{Connection, Result, TransitionContext};
+use super::{Connection, Queue, Result, TransitionContext};
 
 /// Number of a worker's errors in one job that excludes it from the job.
 const ERRORS_BEFORE_EXCLUSION: i64 = 3;
@@ -32,6 +34,22 @@ pub(super) async fn count_error(connection: &mut Connection, worker: &str, messa
         .execute(connection)
         .await?;
     super::expect_rows("worker: error counted", 1, counted)
+}
+
+impl Queue {
+    /// Workers on which three or more tiles of unfinished jobs have failed.
+    pub(crate) async fn failing_workers(&self) -> Result<BTreeSet<WorkerId>> {
+        let ids: Vec<String> = db::query_scalar(
+            "SELECT strike.worker FROM strike JOIN job ON job.number = strike.job
+             WHERE job.finished_at_ms IS NULL AND (strike.until_ms IS NULL OR strike.until_ms > ?)
+             GROUP BY strike.worker HAVING CAST(sum(strike.errors) AS BIGINT) >= ?",
+        )
+        .bind(self.clock.now_ms())
+        .bind(ERRORS_BEFORE_EXCLUSION)
+        .fetch_all(self.readers())
+        .await?;
+        ids.iter().map(|id| super::parse_column("strike.worker", id, |id| id.parse().ok())).collect()
+    }
 }
 
 /// Records a worker's error in a job.

@@ -7,6 +7,9 @@ use super::effects::{self, ChangedJob, JobCounters, Progress, RemovedJob, Standi
 use super::{Connection, NewJob, Result, TransitionContext};
 use crate::db::{self, DatabaseError, Statement};
 
+/// Name of the transition that hides a job, for errors.
+const HIDDEN: &str = "job: marked for deletion";
+
 /// A job's counters after progress.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Progressed {
@@ -171,7 +174,9 @@ pub(super) async fn reopen(connection: &mut Connection, job: i64, tiles: i64, ra
     ));
     let statement = statement.bind(tiles).bind(rays).bind(job);
     let running = change_one(connection, "job: succeeded to running", statement).await?;
-    if before.state != running.state {
+    if before.state == running.state {
+        effects::job_changed(connection, &running).await?;
+    } else {
         effects::job_state_changed(connection, &running).await?;
     }
     effects::job_standing_changed(connection, &running, before.standing).await
@@ -183,7 +188,7 @@ pub(super) async fn set_priority(connection: &mut Connection, id: JobId, priorit
         "UPDATE job SET priority = coalesce(?, priority) WHERE id = ? AND finished_at_ms IS NULL RETURNING ",
         changed_job_columns!()
     ));
-    change_standing(connection, JobKey::Id(id), statement.bind(priority).bind(id.to_string())).await
+    change_standing(connection, id, statement.bind(priority).bind(id.to_string())).await
 }
 
 /// Pauses or resumes a job that has not finished; returns whether there is such a job.
@@ -192,7 +197,7 @@ pub(super) async fn set_paused(connection: &mut Connection, id: JobId, paused: b
         "UPDATE job SET paused = ? WHERE id = ? AND finished_at_ms IS NULL RETURNING ",
         changed_job_columns!()
     ));
-    change_standing(connection, JobKey::Id(id), statement.bind(paused).bind(id.to_string())).await
+    change_standing(connection, id, statement.bind(paused).bind(id.to_string())).await
 }
 
 /// Hides a job that is not running, so that it can be deleted in pieces: its id is no job's id from now on, and nothing
@@ -203,10 +208,11 @@ pub(super) async fn hide(connection: &mut Connection, job: i64) -> Result<()> {
          WHERE number = ? AND state <> 'running' RETURNING ",
         changed_job_columns!()
     ));
-    if change_standing(connection, JobKey::Number(job), statement.bind(job)).await? {
-        return Ok(());
-    }
-    Err(DatabaseError::Rows { what: "job: marked for deletion", expected: 1, changed: 0 })
+    let missing = DatabaseError::Rows { what: HIDDEN, expected: 1, changed: 0 };
+    let before = read(connection, JobKey::Number(job)).await?.ok_or(missing)?;
+    let hidden = change_one(connection, HIDDEN, statement.bind(job)).await?;
+    effects::job_hidden(connection, &before).await?;
+    effects::job_standing_changed(connection, &hidden, before.standing).await
 }
 
 /// Deletes the row of a job whose other rows are deleted.
@@ -251,9 +257,10 @@ async fn read(connection: &mut Connection, key: JobKey) -> Result<Option<Changed
 }
 
 /// Runs a statement that writes the standing of a job; returns whether it did.
-async fn change_standing(connection: &mut Connection, key: JobKey, statement: Statement) -> Result<bool> {
-    let Some(before) = read(connection, key).await? else { return Ok(false) };
+async fn change_standing(connection: &mut Connection, id: JobId, statement: Statement) -> Result<bool> {
+    let Some(before) = read(connection, JobKey::Id(id)).await? else { return Ok(false) };
     let Some(after) = change(connection, statement).await? else { return Ok(false) };
+    effects::job_changed(connection, &after).await?;
     effects::job_standing_changed(connection, &after, before.standing).await?;
     Ok(true)
 }

@@ -1,4 +1,5 @@
-//! Makers of a picture, and the jobs that have it, as far as the rows of leases and workers are still kept.
+//! Makers of tiles and of pictures, and the jobs that have a picture. Leases are kept for an hour; the last one of each tile
+//! with a result is recorded before it is deleted.
 
 use std::collections::BTreeMap;
 
@@ -6,7 +7,7 @@ use proto::JobId;
 use proto::job::JobPage;
 use proto::verify::Maker;
 
-use super::{Queue, Result};
+use super::{Connection, Queue, Result};
 use crate::db;
 
 /// Hash by which a picture is found.
@@ -16,6 +17,42 @@ pub(crate) enum PictureMark<'a> {
     Bytes(&'a str),
     /// BLAKE3 of the scene that it was made from, in hex.
     Scene(&'a str),
+}
+
+/// Records the makers of the tiles of ended leases, given as a list, that are to be deleted.
+pub(super) async fn record(connection: &mut Connection, leases: &str) -> Result<()> {
+    db::query(
+        "INSERT INTO maker (worker, name, device)
+         SELECT DISTINCT worker.id, worker.name, worker.device
+         FROM @texts(?) @join lease ON lease.id = listed.value @join worker ON worker.id = lease.worker
+         WHERE lease.ended = 'done'
+         ON CONFLICT (worker) DO NOTHING",
+    )
+    .bind(leases)
+    .execute(&mut *connection)
+    .await?;
+    db::query(
+        "INSERT INTO tile_maker (tile, maker, ended_at_ms, took_ms, used_us)
+         SELECT lease.tile, maker.number, lease.ended_at_ms, lease.took_ms, lease.used_us
+         FROM @texts(?) @join lease ON lease.id = listed.value @join maker ON maker.worker = lease.worker
+         WHERE lease.ended = 'done' AND lease.ended_at_ms IS NOT NULL AND lease.took_ms IS NOT NULL AND NOT EXISTS (
+             SELECT 1 FROM lease AS later
+             WHERE later.tile = lease.tile AND later.epoch > lease.epoch AND later.ended = 'done')
+         ON CONFLICT (tile) DO UPDATE SET maker = excluded.maker, ended_at_ms = excluded.ended_at_ms,
+                                          took_ms = excluded.took_ms, used_us = excluded.used_us",
+    )
+    .bind(leases)
+    .execute(connection)
+    .await?;
+    Ok(())
+}
+
+/// Deletes makers of which no tile is left.
+pub(super) async fn tidy(connection: &mut Connection) -> Result<()> {
+    db::query("DELETE FROM maker WHERE NOT EXISTS (SELECT 1 FROM tile_maker WHERE tile_maker.maker = maker.number)")
+        .execute(connection)
+        .await?;
+    Ok(())
 }
 
 impl Queue {
@@ -57,14 +94,19 @@ impl Queue {
     /// Workers that rendered a frame's picture, in this job or in an earlier one that has the same; `None` if none is known.
     pub(crate) async fn makers(&self, id: JobId, frame: u32) -> Result<Option<Vec<Maker>>> {
         let rows = db::query(
-            "SELECT worker.id, worker.name, worker.device, tile.x_px, tile.y_px, tile.width_px, tile.height_px
-             FROM frame AS shown @join job ON job.number = shown.job
-             @join frame AS made ON made.picture = shown.picture
-             @join tile ON tile.job = made.job AND tile.frame = made.number
-             @join lease ON lease.tile = tile.id
-             @join worker ON worker.id = lease.worker
-             WHERE job.id = ? AND shown.number = ? AND tile.kind = 'render' AND lease.ended = 'done'
-             ORDER BY tile.position, worker.id",
+            "WITH made AS (
+                 SELECT tile.id AS tile, tile.position, tile.x_px, tile.y_px, tile.width_px, tile.height_px
+                 FROM job @join frame AS shown ON shown.job = job.number
+                 @join frame AS made ON made.picture = shown.picture
+                 @join tile ON tile.job = made.job AND tile.frame = made.number
+                 WHERE job.id = ? AND shown.number = ? AND tile.kind = 'render')
+             SELECT worker.id, worker.name, worker.device, made.position, x_px, y_px, width_px, height_px
+             FROM made @join lease ON lease.tile = made.tile @join worker ON worker.id = lease.worker
+             WHERE lease.ended = 'done'
+             UNION ALL
+             SELECT maker.worker AS id, maker.name, maker.device, made.position, x_px, y_px, width_px, height_px
+             FROM made @join tile_maker ON tile_maker.tile = made.tile @join maker ON maker.number = tile_maker.maker
+             ORDER BY 4, 1",
         )
         .bind(id.to_string())
         .bind(frame)

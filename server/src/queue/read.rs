@@ -37,6 +37,7 @@ macro_rules! jobs_where {
         )
     };
 }
+pub(super) use jobs_where;
 
 /// Picture of a frame, as recorded in the database.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -65,7 +66,8 @@ pub(super) async fn has_picture(readers: &Readers, key: &str) -> Result<bool> {
     Ok(found.is_some())
 }
 
-fn read_job(row: &Row, wall_ms: i64) -> Result<JobView> {
+/// Reads a row with the columns of [`jobs_where`].
+pub(super) fn read_job(row: &Row, wall_ms: i64) -> Result<JobView> {
     let id: String = row.get("id")?;
     let state = finish::job_state(&row.get::<String>("state")?)?;
     let warnings: String = row.get("warnings")?;

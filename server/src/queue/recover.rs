@@ -1,6 +1,8 @@
 //! Recovery at startup: repairs the state that the last server left, and prunes old rows.
 
-use super::{Connection, Result, event_gaps, exclusion, fair_share, servers, speeds, verification};
+use super::{
+    Connection, Result, event_gaps, exclusion, fair_share, json_list, makers, row_count, servers, speeds, verification,
+};
 use crate::db;
 
 /// Retention of ended leases, to recognize late results.
@@ -63,16 +65,22 @@ pub(super) async fn recover(connection: &mut Connection, start: &StartingServer)
     Ok(Recovery { generation, jobs: jobs.get("jobs")?, leases })
 }
 
-/// Deletes leases that ended long ago, and workers that are gone and have none: at most `limit` of each. Returns
-/// whether there may be more.
+/// Deletes leases that ended long ago, after the makers of their tiles are recorded, and workers that are gone and have
+/// none: at most `limit` of each. Returns whether there may be more.
 pub(super) async fn tidy(connection: &mut Connection, limit: i64) -> Result<bool> {
-    let leases = db::query(
-        "DELETE FROM lease WHERE id IN (SELECT id FROM lease WHERE ended IS NOT NULL AND id < ? ORDER BY id LIMIT ?)",
-    )
-    .bind(min_kept_id(uuid::Uuid::now_v7()))
-    .bind(limit)
-    .execute(&mut *connection)
-    .await?;
+    let old: Vec<String> =
+        db::query_scalar("SELECT id FROM lease WHERE ended IS NOT NULL AND id < ? ORDER BY id LIMIT ?")
+            .bind(min_kept_id(uuid::Uuid::now_v7()))
+            .bind(limit)
+            .fetch_all(&mut *connection)
+            .await?;
+    let leases = row_count(old.len());
+    let old = json_list(old);
+    makers::record(connection, &old).await?;
+    db::query("DELETE FROM lease WHERE id IN (SELECT value FROM @texts(?))")
+        .bind(old)
+        .execute(&mut *connection)
+        .await?;
     let workers = db::query(
         "DELETE FROM worker WHERE id IN (SELECT id FROM worker WHERE state = 'gone'
              AND NOT EXISTS (SELECT 1 FROM lease WHERE lease.worker = worker.id) LIMIT ?)",
@@ -81,8 +89,11 @@ pub(super) async fn tidy(connection: &mut Connection, limit: i64) -> Result<bool
     .execute(&mut *connection)
     .await?;
     fair_share::tidy(connection).await?;
-    let limit = limit.unsigned_abs();
-    Ok(leases.rows_affected() >= limit || workers.rows_affected() >= limit)
+    let is_more = leases >= limit || workers.rows_affected() >= limit.unsigned_abs();
+    if !is_more {
+        makers::tidy(connection).await?;
+    }
+    Ok(is_more)
 }
 
 /// Smallest lease id that is kept; ids contain their time.

@@ -13,6 +13,7 @@ mod servers;
 mod several_batches;
 mod sharing;
 mod statements;
+mod tile_makers;
 mod workers;
 
 use proto::bounded::RaysPerSecond;
@@ -28,14 +29,14 @@ use crate::tile_plan::TilePlan;
 
 const LEASE_MS: i64 = 1000;
 
-struct Fixture {
-    queue: Queue,
+pub(super) struct Fixture {
+    pub(super) queue: Queue,
     hand: ManualClock,
     folder: tempfile::TempDir,
 }
 
 impl Fixture {
-    async fn new() -> Self {
+    pub(super) async fn new() -> Self {
         Self::in_folder(tempfile::tempdir().expect("a temporary folder")).await
     }
 
@@ -89,7 +90,7 @@ impl Fixture {
         process.fetch_optional(self.queue.readers()).await.expect("reads").unwrap_or(u32::MAX)
     }
 
-    async fn submit(&self, frames: u32, nodes: u32) -> JobId {
+    pub(super) async fn submit(&self, frames: u32, nodes: u32) -> JobId {
         let new = NewJob { nodes, ..new_job(frames) };
         let id = new.id;
         self.queue.submit(new).await.expect("accepted");

@@ -1,4 +1,5 @@
-//! Tiles of a job and their workers: read from the leases, which are forgotten an hour after they were granted.
+//! Tiles of a job and their workers: read from the leases, which are deleted an hour after they were granted, and from the
+//! record of makers.
 
 use std::collections::HashMap;
 
@@ -46,6 +47,12 @@ const LEASES_SQL: &str =
      FROM @numbers(?) @join lease ON lease.tile = listed.value @join worker ON worker.id = lease.worker
      ORDER BY lease.tile, lease.epoch";
 
+const MAKERS_SQL: &str =
+    "SELECT tile_maker.tile, maker.worker, maker.name, maker.device, tile_maker.ended_at_ms, tile_maker.took_ms,
+            tile_maker.used_us
+     FROM @numbers(?) @join tile_maker ON tile_maker.tile = listed.value
+     @join maker ON maker.number = tile_maker.maker";
+
 impl Queue {
     /// Page of a job's tiles, or of those of one frame; `None` if there is no such job.
     pub(crate) async fn tiles(
@@ -79,7 +86,11 @@ impl Queue {
             ids.push(row.get::<i64>("id")?);
         }
         let mut leases: HashMap<i64, Vec<TileLeaseView>> = HashMap::new();
-        for row in &db::query(LEASES_SQL).bind(json_numbers(ids)).fetch_all(self.readers()).await? {
+        let ids = json_numbers(ids);
+        for row in &db::query(MAKERS_SQL).bind(&ids).fetch_all(self.readers()).await? {
+            leases.entry(row.get("tile")?).or_default().push(maker_view(row)?);
+        }
+        for row in &db::query(LEASES_SQL).bind(&ids).fetch_all(self.readers()).await? {
             leases.entry(row.get("tile")?).or_default().push(self.lease_view(row)?);
         }
         let mut tiles = Vec::with_capacity(rows.len());
@@ -118,11 +129,29 @@ impl Queue {
             started_at: rfc3339(started_at_ms),
             ended_at: outcome.map(|_| rfc3339(ended_at_ms.unwrap_or(started_at_ms))),
             outcome,
-            seconds: used_us
-                .filter(|_| outcome == Some(TileOutcome::Done))
-                .map(|used_us| rounding::seconds(used_us as f64 / 1e6)),
+            seconds: used_us.filter(|_| outcome == Some(TileOutcome::Done)).map(seconds),
         })
     }
+}
+
+/// Lease that was recorded before it was deleted.
+fn maker_view(row: &Row) -> Result<TileLeaseView> {
+    let worker: String = row.get("worker")?;
+    let (ended_at_ms, took_ms): (i64, i64) = (row.get("ended_at_ms")?, row.get("took_ms")?);
+    let used_us: Option<i64> = row.get("used_us")?;
+    Ok(TileLeaseView {
+        worker: parse_column("maker.worker", &worker, |id| id.parse().ok())?,
+        worker_name: row.get("name")?,
+        device: row.get("device")?,
+        started_at: rfc3339(ended_at_ms - took_ms),
+        ended_at: Some(rfc3339(ended_at_ms)),
+        outcome: Some(TileOutcome::Done),
+        seconds: used_us.map(seconds),
+    })
+}
+
+fn seconds(used_us: i64) -> f64 {
+    rounding::seconds(used_us as f64 / 1e6)
 }
 
 fn tile_view(row: &Row, leases: Vec<TileLeaseView>) -> Result<TileView> {

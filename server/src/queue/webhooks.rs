@@ -16,6 +16,8 @@ use crate::db::Durability;
 
 /// Retention of finished deliveries.
 const RETENTION_MS: i64 = 7 * 24 * 3_600_000;
+/// Time for which a delivery that was given up is told to operators.
+const FAILURE_SHOWN_MS: i64 = 24 * 3_600_000;
 /// Time in which the server that makes an attempt records its outcome, which is longer than an attempt takes.
 const ATTEMPT_MS: i64 = 60_000;
 /// Number of deliveries deleted in one transaction.
@@ -78,7 +80,35 @@ pub(crate) enum Attempt {
     },
 }
 
+/// Deliveries that have failed so far, at most [`MAX_LISTED`] of each.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub(crate) struct FailingWebhooks {
+    /// Deliveries that failed and are tried again.
+    pub(crate) waiting: i64,
+    /// Deliveries of the last day that are not tried again.
+    pub(crate) given_up: i64,
+    /// Host and port of one of them.
+    pub(crate) target: Option<String>,
+}
+
+/// See [`FailingWebhooks`].
+const FAILING_SQL: &str = "SELECT count(*) FILTER (WHERE state = 'pending') AS waiting,
+        count(*) FILTER (WHERE state = 'failed') AS given_up, max(target) AS target
+     FROM (SELECT state, target FROM (
+               SELECT state, target FROM delivery WHERE state = 'pending' AND next_at_ms > 0 AND attempts > 0
+               ORDER BY next_at_ms LIMIT ?1) AS pending
+           UNION ALL SELECT state, target FROM (
+               SELECT state, target FROM delivery WHERE finished_at_ms > ?2 AND state = 'failed'
+               ORDER BY finished_at_ms LIMIT ?1) AS ended) AS failing";
+
 impl Queue {
+    /// Deliveries that have failed so far.
+    pub(crate) async fn failing_webhooks(&self) -> Result<FailingWebhooks> {
+        let query = db::query(FAILING_SQL).bind(MAX_LISTED).bind(self.clock.wall_ms() - FAILURE_SHOWN_MS);
+        let row = query.fetch_one(self.readers()).await?;
+        Ok(FailingWebhooks { waiting: row.get("waiting")?, given_up: row.get("given_up")?, target: row.get("target")? })
+    }
+
     /// Due deliveries, the longest overdue first, without those that must wait for others.
     pub(crate) async fn due_deliveries(&self, busy: &BusyReceivers, limit: u32) -> Result<Vec<Delivery>> {
         let rows = db::query(

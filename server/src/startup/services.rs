@@ -1,6 +1,6 @@
 //! Connects the services: each gets the handles that it uses. Nothing here can fail.
 
-use std::sync::Arc;
+use std::sync::{Arc, Mutex};
 
 use tokio::sync::mpsc;
 use tokio::task::JoinHandle;
@@ -8,6 +8,7 @@ use tokio_util::sync::CancellationToken;
 
 use super::Started;
 use crate::admission::{RateLimits, Shares};
+use crate::alerts::Alerts;
 use crate::api_keys::ApiKeys;
 use crate::audit_log::AuditLog;
 use crate::blobs::BlobStore;
@@ -17,6 +18,7 @@ use crate::counters::ServerCounters;
 use crate::db::Database;
 use crate::estimate::Estimator;
 use crate::events::EventHub;
+use crate::farm_events::FarmEvents;
 use crate::http::{ApiState, Handles};
 use crate::job_cache::JobCache;
 use crate::listen::Listeners;
@@ -79,6 +81,8 @@ pub(crate) struct BackgroundTasks {
     maintenance: Maintenance,
     candidates: mpsc::UnboundedReceiver<OrphanCandidates>,
     events: Arc<EventHub>,
+    farm_events: Arc<FarmEvents>,
+    alerts: Arc<Alerts>,
     webhooks: Arc<Webhooks>,
     api_keys: Arc<ApiKeys>,
     audit_log: Arc<AuditLog>,
@@ -88,7 +92,18 @@ pub(crate) struct BackgroundTasks {
 impl BackgroundTasks {
     /// Starts all tasks, which end at `end`; returns each with its name.
     pub(crate) fn start(self, end: &CancellationToken) -> Vec<(JoinHandle<()>, &'static str)> {
-        let Self { cluster, maintenance, candidates, events, webhooks, api_keys, audit_log, rate_limits } = self;
+        let Self {
+            cluster,
+            maintenance,
+            candidates,
+            events,
+            farm_events,
+            alerts,
+            webhooks,
+            api_keys,
+            audit_log,
+            rate_limits,
+        } = self;
         let admission = {
             let end = end.clone();
             async move {
@@ -97,7 +112,9 @@ impl BackgroundTasks {
         };
         let publishing = {
             let end = end.clone();
-            async move { events.run(end).await }
+            async move {
+                tokio::join!(events.run(end.clone()), farm_events.run(end.clone()), alerts.run(end));
+            }
         };
         vec![
             (tokio::spawn(cluster.run(end.clone())), "contact with other servers"),
@@ -120,6 +137,9 @@ impl Foundation {
         let pool = Arc::new(Pool::new(config.pool_workers()));
         let retention = Arc::new(self.retention(orphans.clone()));
         let events = Arc::new(EventHub::new(queue.clone()));
+        let telemetry = Arc::new(self.telemetry(&database));
+        let farm_events = Arc::new(FarmEvents::new(queue.clone(), Arc::clone(&telemetry)));
+        let alerts = Arc::new(self.alerts(&telemetry, &pool));
         let (api_keys, audit_log) = (Arc::new(api_keys), Arc::new(audit_log));
         let rate_limits = Arc::new(RateLimits::new());
         let counters = Arc::clone(&self.counters);
@@ -129,6 +149,8 @@ impl Foundation {
             maintenance: self.maintenance(&orphans, Arc::clone(&retention)),
             candidates,
             events: Arc::clone(&events),
+            farm_events: Arc::clone(&farm_events),
+            alerts: Arc::clone(&alerts),
             webhooks: Arc::new(webhooks),
             api_keys: Arc::clone(&api_keys),
             audit_log: Arc::clone(&audit_log),
@@ -136,10 +158,12 @@ impl Foundation {
         };
         let jobs = Arc::new(JobCache::new());
         let state = ApiState::new(Handles {
+            alerts,
             api_keys,
             audit_log,
             estimator: Arc::new(self.estimator(Arc::clone(&pool))),
             events,
+            farm_events,
             links: Arc::new(links),
             pictures: Arc::new(self.pictures()),
             pool: Arc::clone(&pool),
@@ -148,7 +172,7 @@ impl Foundation {
             shares: Arc::new(Shares::new(listeners.connections(), config.max_requests_per_caller as usize)),
             shutdown: shutdown.clone(),
             submissions: Submissions::new(queue.clone(), Arc::clone(&jobs)),
-            telemetry: Arc::new(self.telemetry(&database)),
+            telemetry,
             webhook_addresses,
             worker_sync: Arc::new(self.worker_sync(&jobs, orphans.clone())),
             config: Arc::clone(&config),
@@ -185,6 +209,18 @@ impl Foundation {
                 preview_helper: Arc::clone(&self.preview_helper),
                 content: Arc::clone(&self.content),
             },
+        }
+    }
+
+    fn alerts(&self, telemetry: &Arc<Telemetry>, pool: &Arc<Pool>) -> Alerts {
+        Alerts {
+            queue: self.queue.clone(),
+            content: Arc::clone(&self.content),
+            telemetry: Arc::clone(telemetry),
+            pool: Arc::clone(pool),
+            reserve: Arc::clone(&self.reserve),
+            counters: Arc::clone(&self.counters),
+            since: Mutex::default(),
         }
     }
 

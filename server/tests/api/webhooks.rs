@@ -7,6 +7,7 @@ use std::time::Duration;
 use axum::body::Bytes;
 use axum::extract::State;
 use axum::http::{HeaderMap, StatusCode};
+use proto::alert::AlertList;
 use proto::webhook::{DeliveryList, DeliveryState, DeliveryView};
 use proto::{JobId, Secret};
 use serde_json::{Value, json};
@@ -157,8 +158,18 @@ async fn a_rejected_message_is_retried_unchanged() {
     let first = deliveries(&farm, job, Duration::ZERO, once).await;
     assert_eq!((first[0].state, first[0].status), (DeliveryState::Pending, Some(500)));
     assert!(first[0].next_at.is_some() && first[0].error.is_some());
+    let failing = async || {
+        let list: AlertList = read(farm.get("/v1/alerts").await, StatusCode::OK).await;
+        list.alerts.into_iter().find(|alert| alert.code == "webhooks_failing").map(|alert| alert.message)
+    };
+    let target = address.strip_prefix("http://").and_then(|rest| rest.split('/').next()).expect("a host and a port");
+    let message = format!(
+        "webhook messages cannot be delivered, such as to {target}: 1 will be tried again, 0 of the last day were given up"
+    );
+    assert_eq!(failing().await, Some(message));
     let told = deliveries(&farm, job, Duration::from_mins(1), is_over).await;
     assert_eq!((told[0].state, told[0].attempts), (DeliveryState::Delivered, 4));
+    assert_eq!(failing().await, None, "it has arrived at last");
     let messages = receiver.messages.lock().expect("no panic").clone();
     assert_eq!(messages.len(), 4, "no redirect was followed");
     for message in &messages {

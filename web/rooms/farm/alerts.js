@@ -63,12 +63,14 @@ export class Disk {
 
   /**
    * Shows the disk of an answer.
-   * @param {{free_bytes: number, total_bytes: number, pictures_bytes: number, blobs_bytes: number} | null | undefined} disk
+   * @param {{free_bytes: number, total_bytes: number, pictures_bytes: number | null, blobs_bytes: number | null} | null | undefined} disk
    */
   show(disk) {
     this.element.hidden = !disk;
     if (!disk) return;
-    const { free_bytes: free, total_bytes: total, pictures_bytes: pictures, blobs_bytes: blobs } = disk;
+    const { free_bytes: free, total_bytes: total } = disk;
+    // In a bucket they take no place on the disk.
+    const [pictures, blobs] = [disk.pictures_bytes ?? 0, disk.blobs_bytes ?? 0];
     const other = Math.max(0, total - free - pictures - blobs);
     const parts = [
       { name: 'Pictures', bytes: pictures, color: '--accent' },

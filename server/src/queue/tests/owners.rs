@@ -13,7 +13,7 @@ struct Rule {
     owners: &'static [&'static str],
 }
 
-const RULES: [Rule; 14] = [
+const RULES: [Rule; 15] = [
     Rule {
         start: "UPDATE job SET",
         sets: &[" state =", " finished_at_ms =", " priority =", " submitter =", " paused =", " rays_peak ="],
@@ -32,6 +32,7 @@ const RULES: [Rule; 14] = [
     Rule { start: "INSERT INTO frame", sets: &["'stored'"], owners: &["open_frame.rs"] },
     Rule { start: "UPDATE lease SET", sets: &[" ended ="], owners: &["lease_ends.rs"] },
     Rule { start: "INSERT INTO outbox", sets: &[], owners: &["effects/outbox.rs"] },
+    Rule { start: "INSERT INTO job_change", sets: &[], owners: &["effects/changes.rs"] },
     Rule { start: "INSERT INTO delivery", sets: &[], owners: &["effects/outbox.rs"] },
     Rule { start: "INSERT INTO backlog", sets: &[], owners: &["effects/books.rs"] },
     Rule { start: "UPDATE backlog", sets: &[], owners: &["effects/books.rs"] },

@@ -1,4 +1,4 @@
--- Recorded jobs, and the records of their tiles: see migrations/0022_recorded.sql.
+-- Recorded jobs, and the records of their tiles: see migrations/0023_recorded.sql.
 
 ALTER TABLE job ADD COLUMN recorded BIGINT NOT NULL DEFAULT 0 CHECK (recorded IN (0, 1));
 ALTER TABLE job ADD COLUMN based_on TEXT CHECK (based_on IS NULL OR recorded = 1);
