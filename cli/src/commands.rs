@@ -31,6 +31,7 @@ mod price;
 mod priority;
 mod relocate;
 mod render;
+mod reorder;
 mod restore;
 mod resubmit;
 mod retry;
@@ -105,6 +106,8 @@ pub(crate) enum Command {
     Retry(retry::Arguments),
     /// Change a job's priority.
     Priority(priority::Arguments),
+    /// Move a job in the queue, before or after another one.
+    Reorder(reorder::Arguments),
     /// Delete a job and its pictures, or list what would be deleted (--dry-run).
     Delete(delete::Arguments),
     /// Pause a job or the whole farm; running tiles finish.
@@ -196,6 +199,7 @@ impl Command {
             Self::Cancel(arguments) => run_async(interruptible(cancel::run(arguments))),
             Self::Retry(arguments) => run_async(interruptible(retry::run(arguments))),
             Self::Priority(arguments) => run_async(interruptible(priority::run(arguments))),
+            Self::Reorder(arguments) => run_async(interruptible(reorder::run(arguments))),
             Self::Delete(arguments) => run_async(interruptible(delete::run(arguments))),
             Self::Pause(arguments) => run_async(interruptible(pause::run(arguments, true))),
             Self::Resume(arguments) => run_async(interruptible(pause::run(arguments, false))),

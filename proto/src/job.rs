@@ -88,6 +88,10 @@ pub struct JobView {
     /// Tiles that kept the pixels of the job that it is based on.
     #[serde(default)]
     pub tiles_kept: u64,
+    /// Its place in the queue by priority and age, or by where it was moved, from 1: jobs of one submitter are rendered in this order,
+    /// and submitters of equal priority take turns. Null for jobs that are paused or finished, and beyond the first 200.
+    #[serde(default)]
+    pub queue_position: Option<u32>,
     /// Error messages.
     pub errors: Vec<String>,
     /// Warnings for the author; the job renders all the same.
@@ -137,6 +141,26 @@ pub struct JobPatch {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(range(min = -100, max = 100))]
     pub priority: Option<i32>,
+}
+
+/// The body of `POST /v1/jobs/{id}/move`: one of the members.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct JobMove {
+    /// Right before this job, with its priority.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub before: Option<JobId>,
+    /// Right after this job, with its priority.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub after: Option<JobId>,
+    /// Before all jobs of its own priority.
+    #[serde(default, skip_serializing_if = "is_false")]
+    pub first: bool,
+}
+
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde passes a reference")]
+fn is_false(value: &bool) -> bool {
+    !value
 }
 
 /// Response to `DELETE /v1/jobs/{id}?dry_run=true`: what would be deleted.

@@ -78,7 +78,7 @@ impl VisitGrid {
     /// along each axis.
     pub(crate) fn bounds(&self, grid: u32, first: [u32; 3], size: u32) -> Bounds {
         let unit = self.quarter * (1 << grid) as f32 * (4.0 / EDGE as f32);
-        let along = |axis: usize, cells: u32| (cells as f32 - EDGE as f32 / 2.0).mul_add(unit, self.center[axis]);
+        let along = |axis: usize, cells: u32| Real::mul_add(cells as f32 - EDGE as f32 / 2.0, unit, self.center[axis]);
         let corner = |more: u32| vec3(along(0, first[0] + more), along(1, first[1] + more), along(2, first[2] + more));
         let bounds = Bounds { min: corner(0), max: corner(size) };
         // A point is rounded to its cell.

@@ -71,6 +71,7 @@ routes::table! {
         GET    "/v1/jobs"                                   READ_OWN   MINUTE Nothing jobs::list;
         GET    "/v1/jobs/{id}"                              READ_OWN   MINUTE Nothing jobs::get;
         PATCH  "/v1/jobs/{id}"                              CHANGE_OWN MINUTE Work    job_changes::patch;
+        POST   "/v1/jobs/{id}/move"                         CHANGE_OWN MINUTE Work    job_changes::move_job;
         DELETE "/v1/jobs/{id}"                              CHANGE_OWN MINUTE Work    job_changes::delete;
         POST   "/v1/jobs/{id}/cancel"                       CHANGE_OWN MINUTE Work    jobs::cancel;
         POST   "/v1/jobs/{id}/retry"                        CHANGE_OWN MINUTE Work    job_changes::retry;

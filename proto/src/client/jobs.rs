@@ -9,7 +9,7 @@ use reqwest::{Method, Response, StatusCode};
 use super::{Client, ClientError, job_body};
 use crate::event::{JobEvent, SseMessage, SseParser};
 use crate::frame::FramePage;
-use crate::job::{DeleteDryRun, JobPatch};
+use crate::job::{DeleteDryRun, JobMove, JobPatch};
 use crate::job::{JobPage, JobView};
 use crate::{JobId, Retention};
 
@@ -127,6 +127,11 @@ impl Client {
     /// Changes a job.
     pub async fn patch(&self, id: JobId, patch: &JobPatch) -> Result<JobView, ClientError> {
         self.json(self.request(Method::PATCH, &format!("/v1/jobs/{id}")).json(patch)).await
+    }
+
+    /// Moves a job in the queue.
+    pub async fn move_job(&self, id: JobId, place: &JobMove) -> Result<JobView, ClientError> {
+        self.json(self.request(Method::POST, &format!("/v1/jobs/{id}/move")).json(place)).await
     }
 
     /// Jobs that match a name, a part of an id, or `latest`, newest first.

@@ -6,7 +6,7 @@ use axum::Json;
 use axum::extract::{Path, State};
 use axum::http::{HeaderMap, StatusCode, Uri};
 use axum::response::{IntoResponse, Response};
-use proto::job::JobPatch;
+use proto::job::{JobMove, JobPatch};
 use proto::job::{JobState, JobView};
 use serde::Deserialize;
 
@@ -17,7 +17,7 @@ use super::jobs::{job_id, view};
 use super::{body, quota};
 use crate::config::Config;
 use crate::orphans::Orphans;
-use crate::queue::{ChangeOutcome, DeleteOutcome, Queue, RetryOutcome};
+use crate::queue::{ChangeOutcome, DeleteOutcome, MoveOutcome, Place, Queue, RetryOutcome};
 use crate::space_reserve::SpaceReserve;
 
 /// Maximum size of a request body; valid ones are smaller.
@@ -97,6 +97,56 @@ pub(super) async fn patch(
         ChangeOutcome::Done => view(&queue, job).await,
         ChangeOutcome::WrongState(state) => Err(ApiError::Finished { job, state }),
         ChangeOutcome::Unknown => Err(ApiError::UnknownJob(id)),
+    }
+}
+
+/// Move a job in the queue.
+///
+/// The job gets a place before or after another one, and takes its priority, or comes before all jobs of its own priority. Jobs
+/// of one submitter and priority are rendered in this order; submitters of equal priority take turns.
+#[utoipa::path(
+    post, path = "/v1/jobs/{id}/move", tag = "jobs", operation_id = "move_job",
+    params(("id" = String, Path, description = "The job")),
+    request_body(content = ref("#/components/schemas/JobMove"), content_type = "application/json"),
+    responses(
+        (status = 200, description = "The moved job", body = ref("#/components/schemas/JobView")),
+        (status = 400, description = "Not JSON", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+        (status = 404, description = "No such job, or none to move it beside", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+        (status = 409, description = "One of the jobs has finished", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+        (status = 413, description = "Too large", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+        (status = 415, description = "The content type is not JSON", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+        (status = 422, description = "Not exactly one of before, after and first, or a priority above the caller's", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+    )
+)]
+pub(super) async fn move_job(
+    State(queue): State<Queue>,
+    caller: Caller,
+    Path(id): Path<String>,
+    headers: HeaderMap,
+    request: RequestBody,
+) -> Result<Json<JobView>, ApiError> {
+    let job = job_id(&id)?;
+    let (place, other) = match body::read_json(&headers, request, MAX_BYTES).await? {
+        JobMove { before: Some(other), after: None, first: false } => (Place::Before(other), Some(other)),
+        JobMove { before: None, after: Some(other), first: false } => (Place::After(other), Some(other)),
+        JobMove { before: None, after: None, first: true } => (Place::First, None),
+        JobMove { .. } => {
+            let message = "say where: one of {\"before\": ID}, {\"after\": ID} and {\"first\": true}".to_owned();
+            return Err(body::invalid_body("", message));
+        }
+    };
+    let priority = match other {
+        None => 0,
+        Some(other) => {
+            let beside = queue.job(other).await?.ok_or_else(|| ApiError::UnknownJob(other.to_string()))?;
+            quota::check_priority(&caller, beside.priority)?;
+            beside.priority
+        }
+    };
+    match queue.move_job(job, place, priority).await? {
+        MoveOutcome::Done => view(&queue, job).await,
+        MoveOutcome::Finished(job, state) => Err(ApiError::Finished { job, state }),
+        MoveOutcome::Unknown(job) => Err(ApiError::UnknownJob(job.to_string())),
     }
 }
 

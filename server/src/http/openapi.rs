@@ -16,7 +16,7 @@ use proto::caller::CallerView;
 use proto::farm::{FarmView, StartView};
 use proto::frame::{ForgottenPicture, FramePage};
 use proto::history::HistoryView;
-use proto::job::{DeleteDryRun, JobPatch};
+use proto::job::{DeleteDryRun, JobMove, JobPatch};
 use proto::job::{DryRun, JobPage, JobView};
 use proto::link::{LinkRequest, LinkView};
 use proto::pool::{PoolSize, PoolView, WorkerList};
@@ -76,6 +76,7 @@ fn settings() -> SchemaSettings {
 fn requests() -> Map<String, Value> {
     let mut generator = settings().into_generator();
     generator.subschema_for::<JobPatch>();
+    generator.subschema_for::<JobMove>();
     generator.subschema_for::<LinkRequest>();
     generator.subschema_for::<PoolSize>();
     generator.subschema_for::<NewApiKey>();

@@ -51,7 +51,6 @@ const KINDS: [(&str, &str, bool); 7] = [
 #[folder = "../web"]
 #[exclude = "*.md"]
 #[exclude = "tsconfig.json"]
-#[exclude = "*.md"]
 #[exclude = "vendor/build/*"]
 struct WebFiles;
 

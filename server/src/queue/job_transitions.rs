@@ -191,6 +191,15 @@ pub(super) async fn set_priority(connection: &mut Connection, id: JobId, priorit
     change_standing(connection, id, statement.bind(priority).bind(id.to_string())).await
 }
 
+/// Changes the place and the priority of a job that has not finished; returns whether there is such a job.
+pub(super) async fn set_place(connection: &mut Connection, id: JobId, place: i64, priority: i32) -> Result<bool> {
+    let statement = db::query(concat!(
+        "UPDATE job SET place = ?, priority = ? WHERE id = ? AND finished_at_ms IS NULL RETURNING ",
+        changed_job_columns!()
+    ));
+    change_standing(connection, id, statement.bind(place).bind(priority).bind(id.to_string())).await
+}
+
 /// Pauses or resumes a job that has not finished; returns whether there is such a job.
 pub(super) async fn set_paused(connection: &mut Connection, id: JobId, paused: bool) -> Result<bool> {
     let statement = db::query(concat!(

@@ -1,5 +1,5 @@
 SELECT number, id, width_px, height_px, samples, pixel_bytes, edge_px, frames_total, frames_opened, nodes, tile_seconds,
-       recorded, based_on,       state = 'queued' AS queued, job.submitter, job.priority
+       recorded, based_on, state = 'queued' AS queued, job.submitter, job.priority
  FROM share @join job ON job.number = (
      SELECT number FROM job
      WHERE job.submitter = share.submitter AND job.priority = share.priority AND finished_at_ms IS NULL AND paused = 0
@@ -16,6 +16,6 @@ SELECT number, id, width_px, height_px, samples, pixel_bytes, edge_px, frames_to
                   AND coalesce(other.max_nodes, job.nodes) >= job.nodes
                   AND NOT EXISTS (SELECT 1 FROM strike
                       WHERE strike.job = job.number AND strike.worker = other.id AND until_ms > ?1)))
-     ORDER BY number LIMIT 1)
+     ORDER BY coalesce(place, number * 1048576), number LIMIT 1)
  WHERE share.jobs > 0
  ORDER BY share.priority DESC, share.served_us, share.submitter LIMIT 1

@@ -22,10 +22,17 @@ const MAX_SCANNED_ROWS: u32 = 100_000;
 macro_rules! jobs_where {
     ($condition:literal) => {
         concat!(
-            "SELECT number, id, name, submitter, priority, state, frames_total, frames_stored, tiles_total, tiles_done, rays_total, rays_peak,
+            "WITH placed AS MATERIALIZED (
+                 SELECT number, row_number() OVER (ORDER BY priority DESC, coalesce(place, number * 1048576), number)
+                     AS position
+                 FROM (SELECT number, priority, place FROM job WHERE finished_at_ms IS NULL AND paused = 0
+                       ORDER BY priority DESC, coalesce(place, number * 1048576), number LIMIT 200) AS next)
+             SELECT number, id, name, submitter, priority, state, frames_total, frames_stored, tiles_total, tiles_done, rays_total, rays_peak,
                     paused, warnings, error, recorded, based_on,
                     CASE WHEN based_on IS NULL THEN 0 ELSE (SELECT count(*) FROM tile WHERE tile.job = job.number AND kept = 1) END
-                    AS tiles_kept, created_at_ms, started_at_ms, finished_at_ms, nodes,
+                    AS tiles_kept,
+                    CASE WHEN finished_at_ms IS NULL AND paused = 0
+                         THEN (SELECT position FROM placed WHERE placed.number = job.number) END AS queue_position, created_at_ms, started_at_ms, finished_at_ms, nodes,
                     finished_at_ms IS NULL AND (frames_opened < frames_total OR EXISTS (
                         SELECT 1 FROM tile WHERE tile.job = job.number AND tile.state = 'ready' AND kind = 'render'))
                     AS waits,
@@ -92,6 +99,7 @@ pub(super) fn read_job(row: &Row, wall_ms: i64) -> Result<JobView> {
         recorded: row.get("recorded")?,
         based_on: based_on.map(|id| parse_column("job.based_on", &id, |id| id.parse().ok())).transpose()?,
         tiles_kept: row.get("tiles_kept")?,
+        queue_position: row.get("queue_position")?,
         errors: error.into_iter().collect(),
         warnings,
         created_at: rfc3339(row.get("created_at_ms")?),

@@ -7,6 +7,7 @@ mod fair_share;
 mod large_jobs;
 mod model;
 mod owners;
+mod places;
 mod plans;
 mod sequences;
 mod servers;

@@ -62,6 +62,7 @@ const ROWS: &[(&str, Row)] = &[
     ("POST /v1/shader", Submit),
     ("GET /v1/jobs/{id}", ReadOrOwn),
     ("PATCH /v1/jobs/{id}", Own),
+    ("POST /v1/jobs/{id}/move", Own),
     ("DELETE /v1/jobs/{id}", Own),
     ("POST /v1/jobs/{id}/cancel", Own),
     ("POST /v1/jobs/{id}/pause", Own),

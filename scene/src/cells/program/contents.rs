@@ -11,7 +11,10 @@ use crate::scene::Scene;
 
 /// Numbers of formulas with their numbers: equal ones have one, in all programs that share these.
 #[derive(Default)]
-pub(crate) struct ContentIds(HashMap<(Vec<u32>, Vec<u32>, Option<u32>), u32>);
+pub(crate) struct ContentIds(HashMap<Content, u32>);
+
+/// A formula, its numbers, and the slot of its object's material if that is its own.
+type Content = (Vec<u32>, Vec<u32>, Option<u32>);
 
 impl ContentIds {
     fn of(&mut self, text: &[u32], numbers: &[u32], material: Option<u32>) -> u32 {

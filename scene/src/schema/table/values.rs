@@ -76,7 +76,7 @@ pub(super) fn shape_of<'a>(
     let mut shape = Shape::default();
     Reader { definitions, inline, shape: &mut shape }.read(schema, place);
     if shape.kind.is_empty() {
-        shape.kind = if shape.words.is_empty() { "object" } else { "word" }.to_owned();
+        if shape.words.is_empty() { "object" } else { "word" }.clone_into(&mut shape.kind);
     }
     shape
 }
