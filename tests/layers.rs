@@ -50,7 +50,7 @@ fn layers_of_an_exr_are_pictures_and_its_pixels_have_all_values() {
         let [ball, sky, floor] = at(&picture);
         match name {
             "color" => {
-                assert!(ball[0].abs_diff(188) <= 1 && ball[1] == 0 && sky[2].abs_diff(225) <= 1, "{ball:?} {sky:?}")
+                assert!(ball[0].abs_diff(188) <= 1 && ball[1] == 0 && sky[2].abs_diff(225) <= 1, "{ball:?} {sky:?}");
             }
             "depth" => {
                 assert!(floor[0] > ball[0] && ball[0] > 31 && sky == [0; 3], "{ball:?} {sky:?} {floor:?}");

@@ -44,8 +44,11 @@ export function messageOf(error) {
   return String(error);
 }
 
-/** @param {string} text */
-function sentence(text) {
+/**
+ * A text with a capital letter and an end.
+ * @param {string} text
+ */
+export function sentence(text) {
   const trimmed = text.trim();
   const first = trimmed.slice(0, 1).toUpperCase() + trimmed.slice(1);
   return /[.!?…]$/.test(first) ? first : `${first}.`;

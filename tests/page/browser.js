@@ -15,22 +15,30 @@ const FAILURES = resolve('target/page');
 export const DESKTOP = { width: 1440, height: 900 };
 export const PHONE = { width: 390, height: 844 };
 
+const ARGUMENTS = ['--no-sandbox', '--disable-dev-shm-usage', '--enable-unsafe-webgpu', '--use-webgpu-adapter=swiftshader'];
+/** A canvas that WebGPU draws on needs a compositor by Vulkan, which is slow on a CPU: only cases that look at such a canvas use it. */
+const GPU_ARGUMENTS = ['--use-vulkan=swiftshader', '--use-angle=swiftshader', '--enable-features=Vulkan', '--disable-gpu-watchdog'];
+
 let browser;
+let gpuBrowser;
+
+const start = (more = []) => chromium.launch({ executablePath: process.env.SDFARM_BROWSER, args: [...ARGUMENTS, ...more] });
 
 /** Starts the browser. */
 export async function launch() {
-  browser = await chromium.launch({
-    executablePath: process.env.SDFARM_BROWSER,
-    args: ['--no-sandbox', '--disable-dev-shm-usage', '--enable-unsafe-webgpu', '--use-webgpu-adapter=swiftshader'],
-  });
-  return browser;
+  browser = await start();
 }
 
-export const close = () => browser?.close();
+/** Ends the browsers. */
+export async function close() {
+  await browser?.close();
+  await gpuBrowser?.close();
+}
 
-/** Opens a page of a farm. `expected` are patterns of console errors that the case provokes. */
-export async function open(farm, hash = '#/jobs', { size = DESKTOP, theme = 'light', expected = [], motion = 'no-preference', init, permissions = [] } = {}) {
-  const context = await browser.newContext({ viewport: size, colorScheme: theme, reducedMotion: motion, hasTouch: size === PHONE, permissions, acceptDownloads: true });
+/** Opens a page of a farm. `expected` are patterns of console errors that the case provokes; `gpu` shows what WebGPU draws. */
+export async function open(farm, hash = '#/jobs', { size = DESKTOP, theme = 'light', expected = [], motion = 'no-preference', init, permissions = [], gpu = false } = {}) {
+  if (gpu) gpuBrowser ??= await start(GPU_ARGUMENTS);
+  const context = await (gpu ? gpuBrowser : browser).newContext({ viewport: size, colorScheme: theme, reducedMotion: motion, hasTouch: size === PHONE, permissions, acceptDownloads: true });
   if (init) await context.addInitScript(init);
   context.setDefaultTimeout(TIMEOUT_MS);
   const page = await context.newPage();

@@ -14,7 +14,7 @@ for (const file of files) {
   const group = file.replace('.js', '');
   const cases = await import(`./cases/${file}`);
   // Pictures are drawn only if they are asked for.
-  if (group === 'pictures' && !wanted.includes('pictures')) continue;
+  if (group === 'pictures' && !wanted.some((word) => word === group || word in cases)) continue;
   const chosen = Object.entries(cases).filter(([name, run]) => typeof run === 'function' && name !== 'after' && (wanted.length === 0 || wanted.some((word) => group === word || name.includes(word))));
   for (const [name, run] of chosen) {
     const begin = Date.now();

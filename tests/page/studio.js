@@ -10,8 +10,8 @@ export const csg = readFileSync('scenes/csg.json', 'utf8');
 export const turntable = readFileSync('scenes/turntable.json', 'utf8');
 
 const TIMEOUT_MS = 15_000;
-/** What the browser says of answers that the studio expects while a text is not valid, and of a long layout. */
-const EXPECTED = [/status of (400|422)/, /Measure loop restarted/];
+/** What the browser says of answers that the studio expects while a text is not valid, of a long layout, and of a GPU that starts while the page is left. */
+const EXPECTED = [/status of (400|422)/, /Measure loop restarted/, /valid external Instance reference no longer exists/];
 
 let farm;
 /** The farm of the studio's cases. */
@@ -25,8 +25,8 @@ export function stopFarm() {
 /**
  * Opens the studio with a text; null is what a first visit has.
  */
-export async function studio({ text = csg, size = DESKTOP, theme = 'light', init, expected = [] } = {}) {
-  const page = await open(await startFarm(), '#/studio', { size, theme, expected: [...EXPECTED, ...expected], ...(init ? { init } : {}) });
+export async function studio({ text = csg, size = DESKTOP, theme = 'light', init, gpu = false, expected = [] } = {}) {
+  const page = await open(await startFarm(), '#/studio', { size, theme, gpu, expected: [...EXPECTED, ...expected], ...(init ? { init } : {}) });
   await ready(page, text);
   return page;
 }

@@ -69,7 +69,18 @@ test('text that is cut, or has any character replaced, is read without an error'
       format(text);
     }
   }
-  parse('['.repeat(100_000));
+});
+
+test('text that is deeper than any job is read to its end', () => {
+  for (const piece of ['[', '{', '{"scene":', '[{"a":[', '{"a" {', '{]', '[}', '{:', '[1,{,']) {
+    for (const depth of [511, 512, 513, 20_000]) {
+      const text = piece.repeat(depth);
+      const tree = parse(text);
+      nodeAt(tree, text.length);
+      placeAt(tree, text.length);
+      assert.equal(format(text), null);
+    }
+  }
 });
 
 test('a place is a key or a value', () => {

@@ -38,7 +38,7 @@ export function shortcutGroups() {
 
 /** @param {KeyboardEvent} event */
 function handle(event) {
-  if (event.defaultPrevented || event.ctrlKey || event.metaKey || event.altKey || isTyping(event)) return;
+  if (event.defaultPrevented || event.ctrlKey || event.metaKey || event.altKey || isTyping(event) || isPress(event)) return;
   if (document.querySelector('dialog[open], [popover]:popover-open')) return;
   const key = event.shiftKey && event.key.length > 1 ? `Shift+${event.key}` : event.key;
   const candidates = pending === '' ? [key] : [`${pending} ${key}`, key];
@@ -58,6 +58,15 @@ function handle(event) {
     pending = key;
     pendingTimer = setTimeout(() => (pending = ''), SEQUENCE_MS);
   }
+}
+
+/**
+ * Whether a key presses the control that has the focus.
+ * @param {KeyboardEvent} event
+ */
+function isPress(event) {
+  const target = event.composedPath()[0];
+  return (event.key === ' ' || event.key === 'Enter') && target instanceof Element && target.closest('button, a, input, select, summary') !== null;
 }
 
 addEventListener('keydown', handle);

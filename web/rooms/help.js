@@ -8,7 +8,7 @@ import { Room, heading } from '/ui/parts/room.js';
 import { addShortcuts, keyCaps } from '/ui/parts/shortcuts.js';
 import { session } from '/ui/session.js';
 import { compact } from '/ui/rooms/help/example.js';
-import { submitText } from '/ui/rooms/jobs/submit.js';
+import { submitJob } from '/ui/rooms/jobs/submit.js';
 
 /** @typedef {import('/ui/types.js').Kind} Kind */
 /** @typedef {import('/ui/types.js').KindKey} KindKey */
@@ -36,6 +36,9 @@ const SHORTCUTS = [
   ['Farm', [['+', 'One more worker'], ['-', 'One fewer'], ['p', 'Pause the farm']]],
 ];
 
+/** Pictures are loaded when they are this near. */
+const PICTURE_MARGIN = '240px';
+
 class HelpRoom extends Room {
   /** @type {Kind[]} */
   kinds = [];
@@ -59,8 +62,25 @@ class HelpRoom extends Room {
     ]);
     this.listen(this.contents, 'click', (event) => this.#follow(event));
     addShortcuts([{ keys: '/', text: 'Search the job language', group: 'Help', run: () => this.search?.focus() }], this.signal);
+    this.pictures = new IntersectionObserver((entries) => this.#load(entries), { rootMargin: PICTURE_MARGIN });
     this.#showContents();
     void this.#read();
+  }
+
+  leave() {
+    this.pictures?.disconnect();
+  }
+
+  /**
+   * Loads the pictures that are seen, or nearly: a browser's own lazy loading begins thousands of pixels before.
+   * @param {IntersectionObserverEntry[]} entries
+   */
+  #load(entries) {
+    for (const { target, isIntersecting } of entries) {
+      if (!isIntersecting || !(target instanceof HTMLImageElement)) continue;
+      target.src = target.dataset['source'] ?? '';
+      this.pictures?.unobserve(target);
+    }
   }
 
   #firstSteps() {
@@ -91,7 +111,7 @@ class HelpRoom extends Room {
         setText(code, text.trimEnd());
         button.hidden = !session.maySubmit;
         button.addEventListener('click', async () => {
-          const job = await submitText('first.json', text);
+          const job = await submitJob('first.json', text);
           if (job !== null) location.hash = `#/jobs/${job.id}`;
         });
       })
@@ -171,6 +191,7 @@ class HelpRoom extends Room {
     const kinds = this.kinds.filter(fits).sort((a, b) => rank(a) - rank(b));
     if (this.found) setText(this.found, words.length === 0 ? '' : `${kinds.length} of ${this.kinds.length}`);
     const groups = FAMILIES.map(([family, title]) => ({ family, title, kinds: kinds.filter((kind) => kind.family === family) })).filter((group) => group.kinds.length > 0);
+    this.pictures?.disconnect();
     this.language?.replaceChildren(
       ...groups.map((group) => h('section', { class: 'family', id: `family-${group.family}` }, h('h3', {}, group.title, h('span', { class: 'muted' }, ` ${group.kinds.length}`)), h('div', { class: 'kinds' }, ...group.kinds.map((kind) => this.#kind(kind))))),
       kinds.length === 0 && this.kinds.length > 0 ? h('p', { class: 'empty-line' }, 'Nothing has these words.') : '',
@@ -179,7 +200,8 @@ class HelpRoom extends Room {
 
   /** @param {Kind} kind */
   #kind(kind) {
-    const picture = kind.picture === null ? null : h('img', { src: kind.picture, alt: '', loading: 'lazy', width: 132, height: 84 });
+    const picture = kind.picture === null ? null : h('img', { 'data-source': kind.picture, alt: '', width: 112, height: 84 });
+    if (picture !== null) this.pictures?.observe(picture);
     const body = h('div', { class: 'kind-body' });
     const details = h('details', { class: 'kind', id: `kind-${kind.name}` }, h('summary', {}, picture, h('span', { class: 'kind-title' }, h('b', { class: 'mono' }, kind.name), h('span', { class: 'muted' }, kind.title.replaceAll('`', '')))), body);
     // Most are never opened.

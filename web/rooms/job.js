@@ -203,7 +203,7 @@ class JobRoom extends Room {
    * @param {string} earlier
    */
   #kept(job, earlier) {
-    const link = h('a', { href: `#/jobs/${encodeURIComponent(earlier)}` }, 'the job before');
+    const link = h('a', { href: `#/jobs/${encodeURIComponent(earlier)}?with=${encodeURIComponent(job.id)}`, title: 'Open it, compared with this job' }, 'the job before');
     return h('span', {}, `${count(job.tiles_kept)} of ${count(job.tiles.total)}, of `, link);
   }
 

@@ -4,18 +4,9 @@
 import { Problem, isAbort } from '/ui/api.js';
 import { shader } from './server.js';
 
-/**
- * The renderer that `gpu.js` makes.
- * @typedef {object} Renderer
- * @property {(wgsl: string) => Promise<void>} setProgram
- * @property {(width: number, height: number) => void} setSize
- * @property {(numbers: number[], table: number[]) => void} setNumbers
- * @property {(options: {samples: number}) => Promise<boolean>} draw
- * @property {() => void} destroy
- */
+/** @typedef {import('./gpu.js').Renderer} Renderer */
 /** @typedef {{text: string, frame: number, width: number, isShown: boolean}} Wanted Not shown, it is only made ready. */
 
-const RENDERER = './gpu.js';
 /** A GPU that needs longer for a picture gets a smaller one. */
 const SLOW_MS = 60;
 const FAST_MS = 14;
@@ -54,7 +45,7 @@ export class Approximate extends EventTarget {
       return;
     }
     try {
-      const { createRenderer } = await import(RENDERER);
+      const { createRenderer } = await import('./gpu.js');
       this.#renderer = await createRenderer({ canvas: this.canvas, onLost: () => this.#lost() });
       this.#say(this.#renderer === null ? 'this machine’s GPU can’t be used' : null);
     } catch (error) {

@@ -41,237 +41,283 @@ const SHOW = `
  * @returns {Promise<Renderer | null>}
  */
 export async function createRenderer({ canvas = null, onLost = () => {} } = {}) {
-    const gpu = globalThis.navigator?.gpu;
-    if (!gpu) return null;
-    let device;
-    try {
-        const adapter = await gpu.requestAdapter({ powerPreference: 'high-performance' });
-        if (!adapter) return null;
-        const { maxStorageBufferBindingSize, maxBufferSize } = adapter.limits;
-        device = await adapter.requestDevice({ requiredLimits: { maxStorageBufferBindingSize, maxBufferSize } });
-    } catch {
-        return null;
-    }
-    const context = canvas ? canvas.getContext('webgpu') : null;
-    if (canvas && !context) {
-        device.destroy();
-        return null;
-    }
-    return new Renderer(device, canvas, context, gpu.getPreferredCanvasFormat(), onLost);
+  // Where there is no WebGPU, the types are wrong to promise it.
+  const gpu = /** @type {GPU | undefined} */ (navigator.gpu);
+  if (!gpu) return null;
+  let device;
+  try {
+    const adapter = await gpu.requestAdapter({ powerPreference: 'high-performance' });
+    if (!adapter) return null;
+    const { maxStorageBufferBindingSize, maxBufferSize } = adapter.limits;
+    device = await adapter.requestDevice({ requiredLimits: { maxStorageBufferBindingSize, maxBufferSize } });
+  } catch {
+    return null;
+  }
+  const context = canvas ? /** @type {GPUCanvasContext | null} */ (canvas.getContext('webgpu')) : null;
+  if (canvas && !context) {
+    device.destroy();
+    return null;
+  }
+  return new Renderer(device, canvas, context, gpu.getPreferredCanvasFormat(), onLost);
 }
 
 /** Renders the pictures of one program at a time. */
 export class Renderer {
-    #device; #canvas; #context; #layout; #pipeline = null; #show = null; #format;
-    #dispatch; #size; #numbers = null; #words = null; #sums = null; #picture = null;
-    #bindings = null; #showBindings = null;
-    #width = 0; #height = 0;
-    /** Raised by each draw and change: what began under a lower one stops. */
-    #turn = 0;
-    #programTurn = 0;
-    #isLost = false;
-    #pixelsPerMs = 0;
+  #device;
+  #canvas;
+  #context;
+  #format;
+  #layout;
+  /** @type {GPUComputePipeline | null} */
+  #pipeline = null;
+  /** @type {GPURenderPipeline | null} */
+  #show = null;
+  /** @type {GPUBuffer} */
+  #dispatch;
+  /** @type {GPUBuffer} */
+  #size;
+  /** @type {GPUBuffer} */
+  #numbers;
+  /** @type {GPUBuffer} */
+  #words;
+  /** @type {{sums: GPUBuffer, picture: GPUBuffer} | null} What the size decides. */
+  #target = null;
+  /** @type {GPUBindGroup | null} */
+  #bindings = null;
+  /** @type {GPUBindGroup | null} */
+  #showBindings = null;
+  #width = 0; #height = 0;
+  /** Raised by each draw and change: what began under a lower one stops. */
+  #turn = 0;
+  #programTurn = 0;
+  #isLost = false;
+  #pixelsPerMs = 0;
 
-    /**
-     * @param {any} device
-     * @param {HTMLCanvasElement | OffscreenCanvas | null} canvas
-     * @param {any} context
-     * @param {string} format
-     * @param {(reason: string) => void} onLost
-     */
-    constructor(device, canvas, context, format, onLost) {
-        this.#device = device;
-        this.#canvas = canvas;
-        this.#context = context;
-        this.#format = format;
-        const buffer = (binding, type) => ({ binding, visibility: GPUShaderStage.COMPUTE, buffer: { type } });
-        this.#layout = device.createBindGroupLayout({ entries: [
-            buffer(0, 'uniform'), buffer(1, 'read-only-storage'), buffer(2, 'read-only-storage'),
-            buffer(3, 'storage'), buffer(4, 'storage'),
-        ] });
-        const uniform = (size) => device.createBuffer({ size, usage: GPUBufferUsage.UNIFORM | GPUBufferUsage.COPY_DST });
-        this.#dispatch = uniform(DISPATCH_BYTES);
-        this.#size = uniform(16);
-        this.#numbers = this.#storage(4);
-        this.#words = this.#storage(4);
-        device.lost.then(({ reason, message }) => {
-            this.#isLost = true;
-            this.#turn += 1;
-            if (reason !== 'destroyed') onLost(message || 'the GPU was lost');
-        });
+  /**
+   * @param {GPUDevice} device
+   * @param {HTMLCanvasElement | OffscreenCanvas | null} canvas
+   * @param {GPUCanvasContext | null} context
+   * @param {GPUTextureFormat} format
+   * @param {(reason: string) => void} onLost
+   */
+  constructor(device, canvas, context, format, onLost) {
+    this.#device = device;
+    this.#canvas = canvas;
+    this.#context = context;
+    this.#format = format;
+    /** @type {(binding: number, type: GPUBufferBindingType) => GPUBindGroupLayoutEntry} */
+    const buffer = (binding, type) => ({ binding, visibility: GPUShaderStage.COMPUTE, buffer: { type } });
+    this.#layout = device.createBindGroupLayout({
+      entries: [buffer(0, 'uniform'), buffer(1, 'read-only-storage'), buffer(2, 'read-only-storage'), buffer(3, 'storage'), buffer(4, 'storage')],
+    });
+    const uniform = (/** @type {number} */ size) => device.createBuffer({ size, usage: GPUBufferUsage.UNIFORM | GPUBufferUsage.COPY_DST });
+    this.#dispatch = uniform(DISPATCH_BYTES);
+    this.#size = uniform(16);
+    this.#numbers = this.#storage(4);
+    this.#words = this.#storage(4);
+    void device.lost.then(({ reason, message }) => {
+      this.#isLost = true;
+      this.#turn += 1;
+      if (reason !== 'destroyed') onLost(message || 'the GPU was lost');
+    });
+  }
+
+  /** Whether the GPU was lost, or the renderer destroyed. */
+  get isLost() {
+    return this.#isLost;
+  }
+
+  /**
+   * Compiles a program. Rejects with the compiler's messages if it is invalid; resolves to false if a later program
+   * replaced it in the meantime.
+   * @param {string} wgsl
+   * @returns {Promise<boolean>}
+   */
+  async setProgram(wgsl) {
+    this.#turn += 1;
+    this.#programTurn += 1;
+    const turn = this.#programTurn;
+    const module = this.#device.createShaderModule({ code: wgsl });
+    const layout = this.#device.createPipelineLayout({ bindGroupLayouts: [this.#layout] });
+    let pipeline;
+    try {
+      pipeline = await this.#device.createComputePipelineAsync({ layout, compute: { module, entryPoint: 'render' } });
+    } catch (error) {
+      const { messages } = await module.getCompilationInfo();
+      const errors = messages.filter(({ type }) => type === 'error');
+      const texts = errors.map(({ lineNum, message }) => `line ${lineNum}: ${message}`);
+      throw new Error(`the program does not compile: ${texts.join('; ') || error}`);
     }
+    if (turn !== this.#programTurn) return false;
+    this.#pipeline = pipeline;
+    this.#pixelsPerMs = 0;
+    return true;
+  }
 
-    /** Whether the GPU was lost, or the renderer destroyed. */
-    get isLost() { return this.#isLost; }
-
-    /**
-     * Compiles a program. Rejects with the compiler's messages if it is invalid; resolves to false if a later program
-     * replaced it in the meantime.
-     * @param {string} wgsl
-     * @returns {Promise<boolean>}
-     */
-    async setProgram(wgsl) {
-        this.#turn += 1;
-        const turn = ++this.#programTurn;
-        const module = this.#device.createShaderModule({ code: wgsl });
-        const layout = this.#device.createPipelineLayout({ bindGroupLayouts: [this.#layout] });
-        let pipeline;
-        try {
-            pipeline = await this.#device.createComputePipelineAsync({ layout, compute: { module, entryPoint: 'render' } });
-        } catch (error) {
-            const { messages } = await module.getCompilationInfo();
-            const errors = messages.filter(({ type }) => type === 'error');
-            const texts = errors.map(({ lineNum, message }) => `line ${lineNum}: ${message}`);
-            throw new Error(`the program does not compile: ${texts.join('; ') || error.message}`);
-        }
-        if (turn !== this.#programTurn) return false;
-        this.#pipeline = pipeline;
-        this.#pixelsPerMs = 0;
-        return true;
+  /**
+   * Sets the size of the picture in pixels, and that of the canvas.
+   * @param {number} width
+   * @param {number} height
+   */
+  setSize(width, height) {
+    if (width === this.#width && height === this.#height) return;
+    this.#turn += 1;
+    this.#target?.sums.destroy();
+    this.#target?.picture.destroy();
+    this.#width = width;
+    this.#height = height;
+    if (this.#canvas) {
+      this.#canvas.width = width;
+      this.#canvas.height = height;
     }
+    this.#target = { sums: this.#storage(16 * width * height), picture: this.#storage(4 * width * height) };
+    this.#bindings = null;
+    this.#showBindings = null;
+  }
 
-    /**
-     * Sets the size of the picture in pixels.
-     * @param {number} width
-     * @param {number} height
-     */
-    setSize(width, height) {
-        if (width === this.#width && height === this.#height) return;
-        this.#turn += 1;
-        this.#sums?.destroy();
-        this.#picture?.destroy();
-        this.#width = width;
-        this.#height = height;
-        this.#sums = this.#storage(16 * width * height);
-        this.#picture = this.#storage(4 * width * height);
-        this.#bindings = this.#showBindings = null;
-    }
+  /**
+   * Sets the inputs of the program: `uniforms` and `table` of `POST /v1/shader`.
+   * @param {ArrayLike<number>} uniforms
+   * @param {ArrayLike<number>} table
+   */
+  setNumbers(uniforms, table) {
+    this.#turn += 1;
+    this.#numbers = this.#filled(this.#numbers, uniforms);
+    this.#words = this.#filled(this.#words, table);
+  }
 
-    /**
-     * Sets the inputs of the program: `uniforms` and `table` of `POST /v1/shader`.
-     * @param {ArrayLike<number>} uniforms
-     * @param {ArrayLike<number>} table
-     */
-    setNumbers(uniforms, table) {
-        this.#turn += 1;
-        this.#numbers = this.#filled(this.#numbers, uniforms);
-        this.#words = this.#filled(this.#words, table);
+  /**
+   * Renders the picture in bands. Resolves to false if a later draw or change replaced it, or the GPU was lost.
+   * @param {DrawOptions} [options]
+   * @returns {Promise<boolean>}
+   */
+  async draw({ samples = 1, onProgress = () => {} } = {}) {
+    const [pipeline, target] = [this.#pipeline, this.#target];
+    if (!pipeline || !target) throw new Error('set a program, its numbers and a size before drawing');
+    this.#turn += 1;
+    const turn = this.#turn;
+    const [width, height] = [this.#width, this.#height];
+    for (let sample = 0; sample < samples; sample += 1) {
+      for (let y = 0; y < height; ) {
+        if (this.#isLost || turn !== this.#turn) return false;
+        const pixels = this.#pixelsPerMs > 0 ? this.#pixelsPerMs * BAND_MS : FIRST_BAND_PIXELS;
+        const rows = Math.min(height - y, Math.max(GROUP, Math.floor(pixels / width / GROUP) * GROUP));
+        const start = performance.now();
+        this.#render(pipeline, target, { y, rows, sample });
+        this.#present(target);
+        await this.#device.queue.onSubmittedWorkDone();
+        this.#pixelsPerMs = (rows * width) / Math.max(0.5, performance.now() - start);
+        y += rows;
+        onProgress((sample + y / height) / samples);
+      }
     }
+    return !this.#isLost && turn === this.#turn;
+  }
 
-    /**
-     * Renders the picture in bands. Resolves to false if a later draw or change replaced it, or the GPU was lost.
-     * @param {DrawOptions} [options]
-     * @returns {Promise<boolean>}
-     */
-    async draw({ samples = 1, onProgress = () => {} } = {}) {
-        if (!this.#pipeline || !this.#picture) throw new Error('set a program, its numbers and a size before drawing');
-        const turn = ++this.#turn;
-        const [width, height] = [this.#width, this.#height];
-        for (let sample = 0; sample < samples; sample += 1) {
-            for (let y = 0; y < height;) {
-                if (this.#isLost || turn !== this.#turn) return false;
-                const pixels = this.#pixelsPerMs > 0 ? this.#pixelsPerMs * BAND_MS : FIRST_BAND_PIXELS;
-                const rows = Math.min(height - y, Math.max(GROUP, Math.floor(pixels / width / GROUP) * GROUP));
-                const start = performance.now();
-                this.#render(y, rows, sample);
-                this.#present();
-                await this.#device.queue.onSubmittedWorkDone();
-                this.#pixelsPerMs = (rows * width) / Math.max(0.5, performance.now() - start);
-                y += rows;
-                onProgress((sample + y / height) / samples);
-            }
-        }
-        return !this.#isLost && turn === this.#turn;
-    }
+  /**
+   * Reads the picture: RGBA of 8 bits, row by row, with straight alpha.
+   * @returns {Promise<{width: number, height: number, data: Uint8ClampedArray}>}
+   */
+  async readPixels() {
+    if (!this.#target) throw new Error('set a size before reading');
+    const [width, height] = [this.#width, this.#height];
+    const size = 4 * width * height;
+    const copy = this.#device.createBuffer({ size, usage: GPUBufferUsage.COPY_DST | GPUBufferUsage.MAP_READ });
+    const encoder = this.#device.createCommandEncoder();
+    encoder.copyBufferToBuffer(this.#target.picture, 0, copy, 0, size);
+    this.#device.queue.submit([encoder.finish()]);
+    await copy.mapAsync(GPUMapMode.READ);
+    const data = new Uint8ClampedArray(copy.getMappedRange().slice(0));
+    copy.destroy();
+    return { width, height, data };
+  }
 
-    /**
-     * Reads the picture: RGBA of 8 bits, row by row, with straight alpha.
-     * @returns {Promise<{width: number, height: number, data: Uint8ClampedArray}>}
-     */
-    async readPixels() {
-        const [width, height] = [this.#width, this.#height];
-        const size = 4 * width * height;
-        const copy = this.#device.createBuffer({ size, usage: GPUBufferUsage.COPY_DST | GPUBufferUsage.MAP_READ });
-        const encoder = this.#device.createCommandEncoder();
-        encoder.copyBufferToBuffer(this.#picture, 0, copy, 0, size);
-        this.#device.queue.submit([encoder.finish()]);
-        await copy.mapAsync(GPUMapMode.READ);
-        const data = new Uint8ClampedArray(copy.getMappedRange().slice(0));
-        copy.destroy();
-        return { width, height, data };
-    }
+  /** Frees the GPU's memory. */
+  destroy() {
+    this.#turn += 1;
+    this.#isLost = true;
+    this.#device.destroy();
+  }
 
-    /** Frees the GPU's memory. */
-    destroy() {
-        this.#turn += 1;
-        this.#isLost = true;
-        this.#device.destroy();
-    }
+  /** @param {number} size in bytes */
+  #storage(size) {
+    const usage = GPUBufferUsage.STORAGE | GPUBufferUsage.COPY_DST | GPUBufferUsage.COPY_SRC;
+    return this.#device.createBuffer({ size, usage });
+  }
 
-    #storage(size) {
-        const usage = GPUBufferUsage.STORAGE | GPUBufferUsage.COPY_DST | GPUBufferUsage.COPY_SRC;
-        return this.#device.createBuffer({ size, usage });
+  /**
+   * The buffer with these words; a new one if their number has changed.
+   * @param {GPUBuffer} buffer
+   * @param {ArrayLike<number>} values
+   */
+  #filled(buffer, values) {
+    const words = values.length > 0 ? Uint32Array.from(values) : new Uint32Array(1);
+    let filled = buffer;
+    if (buffer.size !== words.byteLength) {
+      buffer.destroy();
+      filled = this.#storage(words.byteLength);
+      this.#bindings = null;
     }
+    this.#device.queue.writeBuffer(filled, 0, words);
+    return filled;
+  }
 
-    /** The buffer with these words; a new one if their number has changed. */
-    #filled(buffer, values) {
-        const words = values.length > 0 ? Uint32Array.from(values) : new Uint32Array(1);
-        if (buffer.size !== words.byteLength) {
-            buffer.destroy();
-            buffer = this.#storage(words.byteLength);
-            this.#bindings = null;
-        }
-        this.#device.queue.writeBuffer(buffer, 0, words);
-        return buffer;
-    }
+  /**
+   * Renders a band of one sample.
+   * @param {GPUComputePipeline} pipeline
+   * @param {{sums: GPUBuffer, picture: GPUBuffer}} target
+   * @param {{y: number, rows: number, sample: number}} band
+   */
+  #render(pipeline, { sums, picture }, { y, rows, sample }) {
+    const buffers = [this.#dispatch, this.#numbers, this.#words, sums, picture];
+    this.#bindings ??= this.#device.createBindGroup({
+      layout: this.#layout,
+      entries: buffers.map((buffer, binding) => ({ binding, resource: { buffer } })),
+    });
+    const block = new Uint32Array([0, y, this.#width, rows, this.#width, sample, sample + 1, 0]);
+    this.#device.queue.writeBuffer(this.#dispatch, 0, block);
+    const encoder = this.#device.createCommandEncoder();
+    const pass = encoder.beginComputePass();
+    pass.setPipeline(pipeline);
+    pass.setBindGroup(0, this.#bindings);
+    pass.dispatchWorkgroups(Math.ceil(this.#width / GROUP), Math.ceil(rows / GROUP));
+    pass.end();
+    this.#device.queue.submit([encoder.finish()]);
+  }
 
-    #render(y, rows, sample) {
-        const buffers = [this.#dispatch, this.#numbers, this.#words, this.#sums, this.#picture];
-        this.#bindings ??= this.#device.createBindGroup({
-            layout: this.#layout,
-            entries: buffers.map((buffer, binding) => ({ binding, resource: { buffer } })),
-        });
-        const block = new Uint32Array([0, y, this.#width, rows, this.#width, sample, sample + 1, 0]);
-        this.#device.queue.writeBuffer(this.#dispatch, 0, block);
-        const encoder = this.#device.createCommandEncoder();
-        const pass = encoder.beginComputePass();
-        pass.setPipeline(this.#pipeline);
-        pass.setBindGroup(0, this.#bindings);
-        pass.dispatchWorkgroups(Math.ceil(this.#width / GROUP), Math.ceil(rows / GROUP));
-        pass.end();
-        this.#device.queue.submit([encoder.finish()]);
+  /**
+   * Copies the picture so far to the canvas.
+   * @param {{picture: GPUBuffer}} target
+   */
+  #present({ picture }) {
+    if (!this.#context || !this.#canvas) return;
+    if (!this.#show) {
+      this.#context.configure({ device: this.#device, format: this.#format, alphaMode: 'premultiplied' });
+      const module = this.#device.createShaderModule({ code: SHOW });
+      this.#show = this.#device.createRenderPipeline({
+        layout: 'auto',
+        vertex: { module, entryPoint: 'corner' },
+        fragment: { module, entryPoint: 'color', targets: [{ format: this.#format }] },
+      });
     }
-
-    /** Copies the picture so far to the canvas. */
-    #present() {
-        if (!this.#context) return;
-        if (!this.#show) {
-            this.#context.configure({ device: this.#device, format: this.#format, alphaMode: 'premultiplied' });
-            const module = this.#device.createShaderModule({ code: SHOW });
-            this.#show = this.#device.createRenderPipeline({
-                layout: 'auto',
-                vertex: { module, entryPoint: 'corner' },
-                fragment: { module, entryPoint: 'color', targets: [{ format: this.#format }] },
-            });
-        }
-        this.#showBindings ??= this.#device.createBindGroup({
-            layout: this.#show.getBindGroupLayout(0),
-            entries: [
-                { binding: 0, resource: { buffer: this.#picture } },
-                { binding: 1, resource: { buffer: this.#size } },
-            ],
-        });
-        const { width, height } = this.#canvas;
-        this.#device.queue.writeBuffer(this.#size, 0, new Uint32Array([this.#width, this.#height, width, height]));
-        const encoder = this.#device.createCommandEncoder();
-        const view = this.#context.getCurrentTexture().createView();
-        const pass = encoder.beginRenderPass({
-            colorAttachments: [{ view, loadOp: 'clear', storeOp: 'store', clearValue: [0, 0, 0, 0] }],
-        });
-        pass.setPipeline(this.#show);
-        pass.setBindGroup(0, this.#showBindings);
-        pass.draw(3);
-        pass.end();
-        this.#device.queue.submit([encoder.finish()]);
-    }
+    this.#showBindings ??= this.#device.createBindGroup({
+      layout: this.#show.getBindGroupLayout(0),
+      entries: [
+        { binding: 0, resource: { buffer: picture } },
+        { binding: 1, resource: { buffer: this.#size } },
+      ],
+    });
+    const { width, height } = this.#canvas;
+    this.#device.queue.writeBuffer(this.#size, 0, new Uint32Array([this.#width, this.#height, width, height]));
+    const encoder = this.#device.createCommandEncoder();
+    const view = this.#context.getCurrentTexture().createView();
+    const pass = encoder.beginRenderPass({
+      colorAttachments: [{ view, loadOp: 'clear', storeOp: 'store', clearValue: [0, 0, 0, 0] }],
+    });
+    pass.setPipeline(this.#show);
+    pass.setBindGroup(0, this.#showBindings);
+    pass.draw(3);
+    pass.end();
+    this.#device.queue.submit([encoder.finish()]);
+  }
 }

@@ -158,6 +158,11 @@ class Parser {
         child = { kind: 'missing', from: to, to, value: undefined, key: name, keyFrom: from, keyTo: to, isClosed: true, parent: node, children: [] };
         this.at = to;
       }
+      if (this.at === from) {
+        // An object that is too deep to be read: its bracket is passed.
+        this.at += 1;
+        continue;
+      }
       child.keyFrom = from;
       child.keyTo = to;
       node.children.push(child);

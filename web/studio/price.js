@@ -1,7 +1,7 @@
 // The price of a job on this farm, before it is rendered: time and money with their error, where the time goes, and the
 // numbers that would save most.
 
-import { isAbort, messageOf } from '/ui/api.js';
+import { isAbort, messageOf, sentence } from '/ui/api.js';
 import { h } from '/ui/parts/dom.js';
 import { duration } from '/ui/parts/format.js';
 import { icon } from '/ui/parts/icons.js';
@@ -145,7 +145,7 @@ export class PricePanel extends EventTarget {
     return h(
       'li',
       {},
-      h('div', {}, h('code', { title: pointer }, change), ' ', h('strong', {}, `−${Math.round(saving.saves_share * 100)} %, ${duration(saving.saves_seconds)}`), h('p', { class: 'muted small' }, saving.message.replace(/^[\w.]+: /, ''))),
+      h('div', {}, h('code', { title: pointer }, change), ' ', h('strong', {}, `−${Math.round(saving.saves_share * 100)} %, ${duration(saving.saves_seconds)}`), h('p', { class: 'muted small' }, sentence(saving.message.replace(/^[\w.]+: /, '')))),
       h('button', { type: 'button', class: 'button', 'aria-label': `Apply: ${change}`, on: { click: () => this.dispatchEvent(new CustomEvent('save', { detail: saving })) } }, 'Apply'),
     );
   }

@@ -43,7 +43,7 @@ pub(super) fn shown(layer: Layer, planes: &[Vec<f32>], [width, height]: [u32; 2]
         Layer::Depth => gray(depth_level(channel(0, index), range[0][0], range[1][0])),
         Layer::Normal => match triple(index) {
             [0.0, 0.0, 0.0] => [0.0; 3],
-            normal => normal.map(|coordinate| (coordinate + 1.0) / 2.0),
+            normal => normal.map(|coordinate| 0.5 * coordinate + 0.5),
         },
         Layer::Position => match triple(index) {
             [0.0, 0.0, 0.0] => [0.0; 3],

@@ -46,7 +46,7 @@ const KINDS: [(&str, &str, bool); 7] = [
     (".json", "application/json", true),
 ];
 
-/// Files of the page; a debug build reads them from the folder when they are requested.
+/// Files of the page.
 #[derive(RustEmbed)]
 #[folder = "../web"]
 #[exclude = "*.md"]
@@ -73,7 +73,7 @@ fn serve(name: &str, request: &Request) -> Result<Response, ApiError> {
     let unknown =
         || ApiError::UnknownRoute { method: request.method().to_string(), path: request.uri().path().to_owned() };
     let (_, media_type, is_text) = KINDS.iter().find(|(end, _, _)| name.ends_with(end)).ok_or_else(unknown)?;
-    let file = Some(name).filter(|name| is_plain(name)).and_then(WebFiles::get).ok_or_else(unknown)?;
+    let file = Some(name).filter(|name| is_plain(name)).and_then(content).ok_or_else(unknown)?;
     let is_compressed = *is_text && accepts_gzip(request.headers());
     let hash = file.metadata.sha256_hash();
     let tag = entity_tag(&hash, is_compressed);
@@ -94,6 +94,15 @@ fn serve(name: &str, request: &Request) -> Result<Response, ApiError> {
     images::set(&mut response, header::ETAG, &tag);
     images::set(&mut response, header::VARY, "accept-encoding");
     Ok(response)
+}
+
+/// A file of the page. A debug build reads it from the folder if that is there, so that an edit is seen without a build.
+fn content(name: &str) -> Option<EmbeddedFile> {
+    let is_served = name != "tsconfig.json" && !name.starts_with("vendor/build/");
+    let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../web");
+    let edited = || rust_embed::utils::read_file_from_fs(&folder.join(name)).ok();
+    let on_disk = if cfg!(debug_assertions) && is_served { edited() } else { None };
+    on_disk.or_else(|| WebFiles::get(name))
 }
 
 /// Whether a name is folders and a file of plain letters, so that it means the same on every system.

@@ -71,19 +71,14 @@ async fn move_job(connection: &mut Connection, id: JobId, place: Place, priority
         return Ok(MoveOutcome::Done);
     }
     let priority = if place == Place::First { job.priority } else { priority };
-    let key = match free_key(connection, &job, place, other.as_ref(), priority).await? {
-        Some(key) => key,
-        None => {
-            spread(connection, priority).await?;
-            let other = match other {
-                None => None,
-                Some(other) => by_number(connection, other.number).await?,
-            };
-            // After all places are apart, there is one between any two.
-            free_key(connection, &job, place, other.as_ref(), priority).await?.unwrap_or(job.key)
-        }
-    };
-    job_transitions::set_place(connection, id, key, priority).await?;
+    let mut key = free_key(connection, &job, place, other.as_ref(), priority).await?;
+    if let (None, Place::Before(id) | Place::After(id)) = (key, place) {
+        spread(connection, priority).await?;
+        let other = queued(connection, id).await?.ok();
+        // Now all places are apart.
+        key = free_key(connection, &job, place, other.as_ref(), priority).await?;
+    }
+    job_transitions::set_place(connection, id, key.unwrap_or(job.key), priority).await?;
     Ok(MoveOutcome::Done)
 }
 
@@ -176,14 +171,4 @@ async fn queued(connection: &mut Connection, id: JobId) -> Result<std::result::R
         return Ok(Err(MoveOutcome::Finished(id, finish::job_state(&row.get::<String>("state")?)?)));
     }
     Ok(Ok(Queued { number: row.get("number")?, priority: row.get("priority")?, key: row.get("sort_key")? }))
-}
-
-async fn by_number(connection: &mut Connection, number: i64) -> Result<Option<Queued>> {
-    let row =
-        db::query("SELECT number, priority, coalesce(place, number * 1048576) AS sort_key FROM job WHERE number = ?")
-            .bind(number)
-            .fetch_optional(connection)
-            .await?;
-    row.map(|row| Ok(Queued { number: row.get("number")?, priority: row.get("priority")?, key: row.get("sort_key")? }))
-        .transpose()
 }

@@ -100,14 +100,24 @@ export async function the_farm_is_paused_and_resumed() {
 }
 
 export async function alerts_say_what_is_wrong_and_the_cure() {
-  await startIdle();
+  await emptyIdle();
   const page = await open(idle, '#/farm');
-  const { alerts } = await idle.get('/v1/alerts');
-  assert.ok(alerts.length > 0, 'a farm without a worker has an alert');
-  for (const alert of alerts) {
-    await page.getByRole('region', { name: 'Alerts' }).getByText(alert.message).first().waitFor();
-    await page.getByRole('region', { name: 'Alerts' }).getByText(alert.cure).first().waitFor();
+  const region = page.getByRole('region', { name: 'Alerts' });
+  await region.getByText('All is well').waitFor();
+  await idle.submit(smallJob('without a worker'));
+  const alerts = await until('the alert of a job without a worker', async () => {
+    const now = (await idle.get('/v1/alerts')).alerts;
+    return now.some(({ code }) => code === 'no_worker') && now;
+  });
+  for (const { message, cure } of alerts) {
+    await until(`the alert ${message}`, async () => {
+      const text = (await region.textContent()).toLowerCase();
+      return text.includes(message.toLowerCase()) && text.includes(cure.replaceAll('`', '').toLowerCase());
+    });
   }
+  await checkAccessibility(page, 'an alert');
+  await emptyIdle();
+  await region.getByText('All is well').waitFor();
 }
 
 export async function history_is_read_by_pointer_keyboard_and_as_a_table() {
@@ -152,6 +162,52 @@ export async function a_phone_shows_the_farm() {
   const page = await open(farm, '#/farm', { size: PHONE, theme: 'dark' });
   await page.locator('.workers tbody tr').first().waitFor();
   await checkWidth(page, 'the farm');
+  await page.getByRole('button', { name: 'One more worker on this machine' }).tap();
+  await until('two workers', async () => (await pool()) === 2);
+  await page.getByRole('button', { name: 'One worker fewer' }).tap();
+  await until('one worker', async () => (await pool()) === 1);
+  await page.getByRole('button', { name: 'Pause the farm' }).tap();
+  await page.getByRole('dialog').getByRole('button', { name: 'Pause the farm' }).tap();
+  await page.getByRole('button', { name: 'Resume the farm' }).tap();
+  await until('the end of the pause', async () => !(await farm.get('/v1/farm')).paused);
+}
+
+export async function workers_and_keys_are_changed_by_the_keyboard_alone() {
+  await startIdle();
+  const busy = await Farm.start();
+  try {
+    const page = await open(busy, '#/farm', { expected: [/401/] });
+    const row = page.locator('.workers tbody tr').first();
+    await until('a ready worker', async () => /ready/.test(await row.textContent()));
+    const worker = async () => (await busy.get('/v1/workers')).workers[0];
+    const press = async (...keys) => {
+      for (const key of keys) await page.keyboard.press(key);
+    };
+    await row.getByRole('button', { name: /^Actions for/ }).focus();
+    await press('Enter', 'ArrowDown', 'Enter');
+    // The safe answer has the focus; the next one quarantines.
+    await page.getByRole('dialog', { name: /^Quarantine/ }).waitFor();
+    await press('Tab', 'Enter');
+    await until('the quarantine', async () => (await worker()).quarantined);
+    await row.getByText('quarantined').waitFor();
+    await row.getByRole('button', { name: /^Actions for/ }).focus();
+    await press('Space', 'End', 'Enter');
+    await until('the release', async () => !(await worker()).quarantined);
+    await page.getByRole('button', { name: 'New key' }).focus();
+    await press('Enter');
+    await page.getByLabel('Name of its owner').waitFor();
+    await page.keyboard.type('by-keys');
+    await press('Enter');
+    const secret = page.getByLabel('The key', { exact: true });
+    await secret.waitFor();
+    busy.key = await secret.inputValue();
+    assert.deepEqual((await busy.get('/v1/keys')).keys.map((key) => key.name), ['by-keys']);
+    await page.getByRole('button', { name: 'I have kept it' }).focus();
+    await press('Enter');
+    await page.locator('tr', { hasText: 'by-keys' }).first().waitFor();
+  } finally {
+    busy.stop();
+  }
 }
 
 export async function the_language_is_searched_and_shown_with_pictures() {

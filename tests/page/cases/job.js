@@ -31,7 +31,7 @@ const transform = (page) => page.evaluate(() => document.querySelector('.viewer-
 export async function a_picture_grows_while_it_is_rendered() {
   await start();
   const scene = JSON.parse(readFileSync('scenes/lantern.json', 'utf8'));
-  const { id } = await farm.submit({ ...scene, name: 'growing', image: { width: 640, height: 400, samples: 24 } });
+  const { id } = await farm.submit({ ...scene, name: 'growing', image: { width: 640, height: 400, samples: 60 } });
   const page = await open(farm, `#/jobs/${id}`, { expected: [/429|503/] });
   await inRoom(page, 'growing');
   await shown(page);
@@ -170,6 +170,49 @@ export async function two_jobs_are_compared_by_a_wipe() {
   await divider.waitFor();
   await page.getByRole('button', { name: 'Right: other' }).click();
   await divider.waitFor({ state: 'hidden' });
+}
+
+export async function a_job_says_what_it_is_based_on_and_what_it_kept() {
+  await start();
+  const scene = smallJob('recorded', { image: { width: 192, height: 120 } });
+  scene.scene.objects.push({ material: 'clay', shape: { translate: { by: [2.2, 0, 0], child: { sphere: { radius: 0.3 } } } } });
+  const submit = async (job, query) => {
+    const { id } = await farm.send('POST', `/v1/jobs?${query}`, job);
+    return until('the end', async () => {
+      const now = await farm.get(`/v1/jobs/${id}`);
+      return now.state === 'succeeded' && now;
+    });
+  };
+  const first = await submit(scene, 'record=true');
+  const edited = structuredClone({ ...scene, name: 'edited' });
+  edited.scene.objects[1].shape.translate.child.sphere.radius = 0.2;
+  const second = await submit(edited, `based_on=${first.id}`);
+  assert.equal(second.based_on, first.id);
+  const page = await open(farm, `#/jobs/${second.id}`);
+  await inRoom(page, 'edited');
+  const facts = page.locator('.job-side .facts');
+  await until('what was kept', async () => (await facts.textContent()).includes(`Kept tiles${second.tiles_kept} of ${second.tiles.total}, of the job before`));
+  await facts.getByRole('link', { name: 'the job before' }).click();
+  await inRoom(page, 'recorded');
+  await page.getByRole('button', { name: 'Right: edited' }).waitFor();
+}
+
+export async function pixels_that_are_not_what_the_job_says_are_framed_in_red() {
+  const job = await finished();
+  const page = await open(farm, `#/jobs/${job.id}`);
+  await inRoom(page, 'film');
+  await shown(page);
+  // The server checks the hash of what it has stored, so that only its answer can be forged here.
+  await page.route('**/verify?*', async (route) => {
+    const answer = await (await route.fetch()).json();
+    await route.fulfill({ json: { ...answer, same: false, differs: [{ x: 10, y: 20, width: 1, height: 1 }], findings: ['the pixel 10, 20 is brighter'] } });
+  });
+  await page.getByRole('button', { name: 'Verify' }).click();
+  const dialog = page.getByRole('dialog', { name: 'The picture is not what its job says' });
+  await dialog.waitFor();
+  assert.match(await dialog.textContent(), /1 tile of the 2 .*framed in red.*the pixel 10, 20/s);
+  await page.keyboard.press('Escape');
+  await page.locator('.mark.differs').waitFor();
 }
 
 export async function a_picture_is_verified() {

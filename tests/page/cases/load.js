@@ -83,6 +83,7 @@ export async function ten_thousand_jobs_scroll_at_sixty_frames_a_second() {
     const page = await open(farm);
     await inRoom(page, 'Jobs');
     const foot = page.locator('.job-foot');
+    await page.locator('.job-row:visible').first().waitFor();
     await page.locator('.job-list').focus();
     await until('all jobs', async () => {
       await page.keyboard.press('End');

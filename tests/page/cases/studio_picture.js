@@ -1,8 +1,12 @@
 // The studio’s picture: gestures by mouse, keys and touch, selection, time, layers, the price, rendering, and its speed.
 
 import assert from 'node:assert/strict';
+import { createRequire } from 'node:module';
+import { resolve } from 'node:path';
 import { PHONE } from '../browser.js';
 import { csg, cursorAfter, jobOf, placeOf, ready, setText, settled, stageBox, startFarm, stopFarm, studio, textOf, turntable, versionOf } from '../studio.js';
+
+const { PNG } = createRequire(resolve('.tools/page/package.json'))('pngjs');
 
 export const after = stopFarm;
 
@@ -316,6 +320,20 @@ export async function only_numbers_are_sent_while_a_number_is_dragged() {
   assert.ok(requests.length >= 4 && requests.slice(1).every((program) => program === 'one'), `${requests}`);
 }
 
+export async function space_presses_the_control_that_has_the_focus_and_plays_elsewhere() {
+  const page = await studio({ text: turntable });
+  await settled(page);
+  const fly = page.getByRole('button', { name: 'Fly', exact: true });
+  await fly.focus();
+  await page.keyboard.press('Space');
+  assert.equal(await fly.getAttribute('aria-pressed'), 'true');
+  assert.equal(await page.getByRole('button', { name: 'Pause the time' }).count(), 0, 'nothing plays');
+  await page.locator('.stage').focus();
+  await page.keyboard.press('f');
+  await page.keyboard.press('Space');
+  await page.waitForFunction(() => document.querySelector('room-studio').studio.timeline.frame > 0);
+}
+
 export async function a_lost_gpu_and_a_scene_that_it_cannot_draw_leave_the_exact_previews() {
   const page = await studio({ text: null });
   await page.route('**/ui/studio/gpu.js', (route) =>
@@ -359,7 +377,7 @@ export async function without_webgpu_small_exact_previews_follow_a_drag() {
 }
 
 export async function the_gpu_draws_while_the_view_is_dragged() {
-  const page = await studio();
+  const page = await studio({ gpu: true });
   await settled(page);
   await page.waitForFunction(() => document.querySelector('room-studio').studio.approximate.isReady);
   const box = await stageBox(page);
@@ -370,7 +388,16 @@ export async function the_gpu_draws_while_the_view_is_dragged() {
     await page.mouse.move(box.x + 200 + (step % 100), box.y + 100);
     await page.waitForTimeout(50);
   }
+  // At rest, the exact picture of the same view takes its place: both look the same, but for the pixels that the first has not.
+  await page.waitForTimeout(500);
+  const width = await page.evaluate(() => document.querySelector('canvas.approximate').width);
+  assert.ok(width >= 160, `the approximate picture is ${width} pixels wide`);
+  const seen = () => page.locator('.stage').screenshot().then((bytes) => PNG.sync.read(bytes).data);
+  const approximate = await seen();
   await page.mouse.up();
   await settled(page);
   assert.ok(await page.locator('canvas.approximate').isHidden());
+  const exact = await seen();
+  const difference = exact.reduce((sum, value, at) => sum + Math.abs(value - approximate[at]), 0) / exact.length;
+  assert.ok(difference > 0 && difference < 6, `the pictures differ by ${difference} of 255`);
 }

@@ -1,6 +1,6 @@
 // The farm's alerts with their cures, and its disk.
 
-import { Problem, getJson, messageOf } from '/ui/api.js';
+import { Problem, getJson, messageOf, sentence } from '/ui/api.js';
 import { append, h } from '/ui/parts/dom.js';
 import { ago, percent, size } from '/ui/parts/format.js';
 import { icon } from '/ui/parts/icons.js';
@@ -45,14 +45,20 @@ export class Alerts {
               'div',
               { class: `alert ${alert.severity}` },
               icon('warning'),
-              h('div', {}, h('p', {}, h('b', {}, alert.message), alert.since ? h('span', { class: 'small since' }, ` since ${ago(alert.since)}`) : null), h('p', {}, alert.cure)),
+              h('div', {}, h('p', {}, h('b', {}, ...withCode(sentence(alert.message))), alert.since ? h('span', { class: 'small since' }, ` since ${ago(alert.since)}`) : null), h('p', {}, ...withCode(sentence(alert.cure)))),
             ),
           ),
     );
   }
 }
 
-/** The farm's disk, and whether it is paused. */
+/**
+ * Text whose parts between backticks are commands.
+ * @param {string} text
+ */
+const withCode = (text) => text.split('`').map((part, index) => (index % 2 === 1 ? h('code', {}, part) : part));
+
+/** The farm's disk. */
 export class Disk {
   /** @param {AbortSignal} signal */
   constructor(signal) {

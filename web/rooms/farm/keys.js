@@ -78,7 +78,7 @@ export class Keys {
   }
 
   async #create() {
-    const name = h('input', { type: 'text', id: 'key-name', required: true, maxlength: 64, pattern: '[A-Za-z0-9._\\-]+', autocomplete: 'off', spellcheck: 'false', placeholder: 'anna' });
+    const name = h('input', { type: 'text', id: 'key-name', required: true, maxlength: 64, pattern: '[A-Za-z0-9._\\-]+', autocomplete: 'off', spellcheck: 'false', placeholder: 'anna', title: 'Letters, digits, dots, dashes and underscores' });
     const boxes = SCOPES.map((scope) => h('input', { type: 'checkbox', value: scope.name, checked: this.#hasKeys ? scope.name === 'submit' : scope.name === 'admin' }));
     const expiry = h('select', { id: 'key-expiry' }, ...[['', 'Never'], [String(DAY), 'In a day'], [String(30 * DAY), 'In 30 days'], [String(90 * DAY), 'In 90 days'], [String(365 * DAY), 'In a year']].map(([value, label]) => h('option', { value }, label)));
     const message = h('p', { class: 'field-error', role: 'alert' });

@@ -22,6 +22,8 @@ const PREVIEW_MS = 900;
 const PROBE_MS = 90;
 const EXPOSURE_MS = 160;
 const CANDIDATES = 60;
+/** Channels of color, in their order. */
+const CHANNELS = ['R', 'G', 'B', 'A'];
 
 /** Shows one frame of a job. Tells by `compare` that another job was chosen to compare with, or none. */
 export class Picture extends EventTarget {
@@ -183,8 +185,8 @@ export class Picture extends EventTarget {
       this.setSize(layers.width, layers.height);
     } catch (error) {
       // Without the route, the picture is shown as it is.
-      if (!(error instanceof Problem)) throw error;
       if (this.signal.aborted) return;
+      if (!(error instanceof Problem)) throw error;
     }
     const layers = this.#layers?.layers ?? [];
     this.layerLabel.hidden = layers.length < 2;
@@ -212,7 +214,7 @@ export class Picture extends EventTarget {
 
   /**
    * @param {{x: number, y: number} | null} pixel
-   * @param {Record<string, number> | null} values
+   * @param {Record<string, number | null> | null} values By channel; null is infinite.
    */
   #showPixel(pixel, values) {
     const { values: output } = this.viewer;
@@ -226,7 +228,7 @@ export class Picture extends EventTarget {
     const text =
       values === null
         ? [red, green, blue].join(' ')
-        : Object.entries(values).map(([name, value]) => `${name} ${written(value)}`).join('  ');
+        : inOrder(Object.keys(values)).map((name) => `${name} ${written(values[name] ?? null)}`).join('  ');
     output.replaceChildren();
     append(output, [h('span', { class: 'mono' }, `${pixel.x}, ${pixel.y}`), swatch, h('span', { class: 'mono' }, text)]);
   }
@@ -299,8 +301,18 @@ function candidate(job) {
   return h('button', { type: 'submit', value: job.id, class: 'candidate' }, picture, h('span', { class: 'ellipsis' }, job.name), h('span', { class: 'muted small' }, ago(job.created_at)));
 }
 
-/** @param {number} value */
+/**
+ * Channels as people name them: red, green, blue, alpha, and then the layers.
+ * @param {string[]} names
+ */
+function inOrder(names) {
+  const place = (/** @type {string} */ name) => CHANNELS.indexOf(name) + 1 || CHANNELS.length + 1;
+  return names.sort((a, b) => place(a) - place(b) || (a < b ? -1 : 1));
+}
+
+/** @param {number | null} value */
 function written(value) {
+  if (value === null) return '∞';
   if (Number.isInteger(value) && Math.abs(value) < 1e6) return String(value);
   const size = Math.abs(value);
   return size >= 1e5 || (size > 0 && size < 1e-3) ? value.toExponential(2) : value.toPrecision(4);

@@ -3,7 +3,7 @@
 import { Problem, getJson, request } from '/ui/api.js';
 import { h } from '/ui/parts/dom.js';
 import { toastError } from '/ui/parts/toast.js';
-import { submitText } from '/ui/rooms/jobs/submit.js';
+import { submitJob } from '/ui/rooms/jobs/submit.js';
 import { session } from '/ui/session.js';
 
 /** @typedef {{name: string, title: string}} Scene */
@@ -48,7 +48,7 @@ export class Scenes {
     button.addEventListener('click', async () => {
       button.disabled = true;
       try {
-        const job = await submitText(scene.name, await this.#file(scene.name));
+        const job = await submitJob(scene.name, await this.#file(scene.name));
         if (job !== null) location.hash = `#/jobs/${job.id}`;
       } catch (error) {
         toastError(scene.name, error);

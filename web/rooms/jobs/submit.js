@@ -3,7 +3,7 @@
 import { Problem, messageOf, request } from '/ui/api.js';
 import { h } from '/ui/parts/dom.js';
 import { showDialog } from '/ui/parts/dialog.js';
-import { counted } from '/ui/parts/format.js';
+import { counted, size } from '/ui/parts/format.js';
 import { toast } from '/ui/parts/toast.js';
 import { session } from '/ui/session.js';
 
@@ -14,19 +14,26 @@ const CONTEXT = 2;
 const MOST_ERRORS = 20;
 const LINE_LETTERS = 160;
 
+/** Largest job file that a server takes. */
+const LARGEST_BYTES = 32 << 20;
+
 /**
- * Submits a job file's text; shows what is wrong with it.
+ * Submits a job file; shows what is wrong with it.
  * @param {string} name Name of the file, for messages.
- * @param {string} text
+ * @param {string | Blob} content A blob is sent as it is, so that the server sees bytes that are no text.
  * @returns {Promise<Job | null>}
  */
-export async function submitText(name, text) {
+export async function submitJob(name, content) {
+  if (content instanceof Blob && content.size > LARGEST_BYTES) {
+    toast(`${name} was not submitted: it has ${size(content.size)}, and a job file has at most 32 MiB.`, { kind: 'error' });
+    return null;
+  }
   try {
     const headers = { 'idempotency-key': crypto.randomUUID?.() ?? `page-${Date.now()}-${Math.random()}` };
-    const response = await request('/v1/jobs', { method: 'POST', body: text, headers });
+    const response = await request('/v1/jobs', { method: 'POST', body: content, headers });
     return await response.json();
   } catch (error) {
-    if (error instanceof Problem && error.errors.length > 0) await showErrors(name, text, error);
+    if (error instanceof Problem && error.errors.length > 0) await showErrors(name, typeof content === 'string' ? content : await content.text(), error);
     else toast(`${name} was not submitted: ${messageOf(error)}`, { kind: 'error' });
     return null;
   }
@@ -75,7 +82,7 @@ export function excerpt(lines, fault) {
  */
 export async function submitFiles(files, submitted) {
   for (const file of files) {
-    const job = await submitText(file.name, await file.text());
+    const job = await submitJob(file.name, file);
     if (job === null) continue;
     submitted(job);
     toast(`Submitted ${job.name}`, { action: { label: 'Open', run: () => (location.hash = `#/jobs/${job.id}`) } });

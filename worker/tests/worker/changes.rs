@@ -90,7 +90,7 @@ fn edit(document: &Value, random: &mut Random) -> Value {
         }
         2 => {
             edited["scene"]["objects"][random.below(objects)]["material"] =
-                json!({ "diffuse": { "kd": [0.1, 0.7, 0.3] } })
+                json!({ "diffuse": { "kd": [0.1, 0.7, 0.3] } });
         }
         _ => {
             let mut found = Vec::new();
@@ -138,10 +138,10 @@ fn check(renderer: &CpuRenderer, name: &str, document: &Value, edits: usize, ran
             counts.tiles += 1;
             counts.kept += usize::from(!can_change);
             counts.same += usize::from(is_same);
-            assert!(is_same || can_change, "{rect:?} of {} has changed: {edited}", name);
+            assert!(is_same || can_change, "{rect:?} of {name} has changed: {edited}");
         }
         if let Change::Anywhere(reason) = change {
-            eprintln!("{}: {reason}", name);
+            eprintln!("{name}: {reason}");
         }
     }
     counts

@@ -27,7 +27,7 @@ const SEQUENCES: usize = 40;
 /// unfinished job.
 const SMALL: [&str; 6] = ["meta", "server", "worker", "share", "strike", "speed"];
 /// Indexes that contain only unfinished work, or are read in order up to the first match.
-const SHORT: [&str; 9] = [
+const SHORT: [&str; 10] = [
     "job_to_clean_up",
     "tile_stitch",
     "tile_waiting",
@@ -35,6 +35,7 @@ const SHORT: [&str; 9] = [
     "lease_live_by_expiry",
     "lease_live_by_worker",
     "lease_live_by_tile",
+    "job_by_place",
     "job_by_share",
     "worker_present",
 ];
