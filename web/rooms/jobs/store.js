@@ -57,6 +57,12 @@ export class JobStore extends EventTarget {
   /** Whether something has been read. */
   isRead = false;
 
+  /**
+   * Jobs that changed while the list was read; null for those that were deleted.
+   * @type {Map<string, Job | null>}
+   */
+  #told = new Map();
+
   /** @param {AbortSignal} signal */
   constructor(signal) {
     super();
@@ -107,6 +113,13 @@ export class JobStore extends EventTarget {
       this.#cursor = cursor;
       this.error = null;
       this.isRead = true;
+      // Changes that were told meanwhile may be newer than the list.
+      const told = [...this.#told];
+      if (reading === this.#reading) this.#told.clear();
+      for (const [id, job] of told) {
+        if (job === null) this.#jobs.delete(id);
+        else this.#apply(job);
+      }
     } catch (error) {
       if (this.#signal.aborted) return;
       this.error = error;
@@ -179,6 +192,12 @@ export class JobStore extends EventTarget {
    * @param {Job} job
    */
   #take(job) {
+    if (this.isLoading) this.#told.set(job.id, job);
+    this.#apply(job);
+  }
+
+  /** @param {Job} job */
+  #apply(job) {
     const fits = this.state === null || job.state === this.state;
     if (!fits) {
       if (this.#jobs.delete(job.id)) this.#changed();
@@ -203,6 +222,7 @@ export class JobStore extends EventTarget {
 
   /** @param {string} id */
   remove(id) {
+    if (this.isLoading) this.#told.set(id, null);
     if (this.#jobs.delete(id)) this.#changed();
   }
 
