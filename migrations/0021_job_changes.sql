@@ -1,4 +1,4 @@
--- Changes of jobs that are no events of theirs: of the priority or the pause, and deletions. Who follows all jobs reads
+-- Changes of jobs that are no events of theirs: of the priority or the pause, and deletions. Streams of all jobs have
 -- them beside the outbox. A deleted job's row outlives the job, so it refers to none.
 
 CREATE TABLE job_change (

@@ -159,6 +159,10 @@ fn every_route_with_an_id_rejects_invalid_ids() {
             .filter(|method| path.contains("{id}") && *method != "parameters")
         {
             for id in ["x", "{nobody}", "%00", "%2e%2e", "0", "'%20or%201=1--"] {
+                // Clients resolve the dots: that is the stream of all jobs, which has no end.
+                if id == "%2e%2e" && path == "/v1/jobs/{id}/events" {
+                    continue;
+                }
                 let path = path.replace("{id}", &stage.fill(id)).replace("{frame}", "0");
                 let body =
                     if ["post", "put", "patch"].contains(&method.as_str()) { b"{}".to_vec() } else { Vec::new() };

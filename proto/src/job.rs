@@ -153,7 +153,7 @@ pub struct JobMove {
     /// Right after this job, with its priority.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub after: Option<JobId>,
-    /// Before all jobs of its own priority.
+    /// Before all others, with the highest priority among them.
     #[serde(default, skip_serializing_if = "is_false")]
     pub first: bool,
 }

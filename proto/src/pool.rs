@@ -43,20 +43,28 @@ pub struct WorkerView {
     /// Number of its leases.
     pub leases: u64,
     /// Whether the server runs it itself, on its own machine.
+    #[serde(default)]
     pub pool: bool,
     /// Time of its start, RFC 3339 in UTC.
+    #[serde(default)]
     pub registered_at: String,
     /// Time of its last request, RFC 3339 in UTC; a worker that waits for work is silent for up to 30 s.
+    #[serde(default)]
     pub last_seen_at: String,
     /// Whether it gets no work until it is released.
+    #[serde(default)]
     pub quarantined: bool,
     /// Whether it gets no more work, and exits when it has finished what it holds.
+    #[serde(default)]
     pub draining: bool,
     /// Number of tiles that failed on it since its start.
+    #[serde(default)]
     pub errors: u64,
     /// Message of its last error.
+    #[serde(default)]
     pub last_error: Option<String>,
     /// Tiles that it holds, by job and frame.
+    #[serde(default)]
     pub holds: Vec<WorkerHold>,
 }
 

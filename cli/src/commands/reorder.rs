@@ -29,7 +29,7 @@ struct Place {
     /// Right after this job, with its priority.
     #[arg(long, value_name = "JOB", env = "SDFARM_AFTER")]
     after: Option<JobName>,
-    /// Before all jobs of its own priority.
+    /// Before all others, with the highest priority among them.
     #[arg(long, env = "SDFARM_FIRST", value_parser = clap::builder::FalseyValueParser::new(), action = clap::ArgAction::SetTrue)]
     first: bool,
 }

@@ -126,7 +126,7 @@ mod tests {
 
     #[test]
     fn a_worker_is_one_line() {
-        let wanted = "099a8057  pool-1               cpu      ready        2.0 Mrays/s  1 error  \
+        let wanted = "099a8057  pool-1               cpu      ready          2.0 Mrays/s  1 error  \
                       8 tiles of fjord (099a8058), frame 3  last error: out of\\nmemory";
         assert_eq!(line(&worker()), wanted);
     }

@@ -66,7 +66,7 @@ impl FarmSubscriber {
                 Err(_) => return Some(Bytes::from_static(KEEP_ALIVE_COMMENT)),
                 Ok(Ok(batch)) => self.current = Some((batch, 0)),
                 Ok(Err(RecvError::Lagged(_))) => {
-                    // What it has missed is in its list; older views of jobs must not follow that.
+                    // The views that it has missed are in its list; older views of jobs must not follow that.
                     self.batches = self.batches.resubscribe();
                     self.current = Some((Arc::new(Batch::Resync), 0));
                 }

@@ -102,8 +102,8 @@ pub(super) async fn patch(
 
 /// Move a job in the queue.
 ///
-/// The job gets a place before or after another one, and takes its priority, or comes before all jobs of its own priority. Jobs
-/// of one submitter and priority are rendered in this order; submitters of equal priority take turns.
+/// The job gets a place before or after another one, and takes its priority, or comes before all others, with the highest priority
+/// among them. Jobs of one submitter and priority are rendered in this order; submitters of equal priority take turns.
 #[utoipa::path(
     post, path = "/v1/jobs/{id}/move", tag = "jobs", operation_id = "move_job",
     params(("id" = String, Path, description = "The job")),
@@ -135,14 +135,14 @@ pub(super) async fn move_job(
             return Err(body::invalid_body("", message));
         }
     };
+    let own = queue.job(job).await?.ok_or_else(|| ApiError::UnknownJob(id))?.priority;
     let priority = match other {
-        None => 0,
-        Some(other) => {
-            let beside = queue.job(other).await?.ok_or_else(|| ApiError::UnknownJob(other.to_string()))?;
-            quota::check_priority(&caller, beside.priority)?;
-            beside.priority
-        }
+        None => queue.highest_priority().await?.unwrap_or(own).max(own),
+        Some(other) => queue.job(other).await?.ok_or_else(|| ApiError::UnknownJob(other.to_string()))?.priority,
     };
+    if priority != own {
+        quota::check_priority(&caller, priority)?;
+    }
     match queue.move_job(job, place, priority).await? {
         MoveOutcome::Done => view(&queue, job).await,
         MoveOutcome::Finished(job, state) => Err(ApiError::Finished { job, state }),

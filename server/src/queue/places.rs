@@ -15,7 +15,7 @@ const STEP: i64 = 1 << 20;
 /// Place that a job is moved to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Place {
-    /// Before all jobs of its priority.
+    /// Before all other jobs of the priority.
     First,
     /// Right before another job.
     Before(JobId),
@@ -37,12 +37,18 @@ pub(crate) enum MoveOutcome {
 /// A job in the queue.
 struct Queued {
     number: i64,
-    priority: i32,
     key: i64,
 }
 
 impl Queue {
-    /// Moves a job in the queue; beside another job it takes this priority, which is the other one's.
+    /// Highest priority of the jobs in the queue.
+    pub(crate) async fn highest_priority(&self) -> Result<Option<i32>> {
+        db::query_scalar("SELECT max(priority) FROM job WHERE finished_at_ms IS NULL AND paused = 0")
+            .fetch_one(self.readers())
+            .await
+    }
+
+    /// Moves a job in the queue, to this priority.
     pub(crate) async fn move_job(&self, job: JobId, place: Place, priority: i32) -> Result<MoveOutcome> {
         let moved = self
             .database
@@ -70,7 +76,6 @@ async fn move_job(connection: &mut Connection, id: JobId, place: Place, priority
     if other.as_ref().is_some_and(|other| other.number == job.number) {
         return Ok(MoveOutcome::Done);
     }
-    let priority = if place == Place::First { job.priority } else { priority };
     let mut key = free_key(connection, &job, place, other.as_ref(), priority).await?;
     if let (None, Place::Before(id) | Place::After(id)) = (key, place) {
         spread(connection, priority).await?;
@@ -160,7 +165,7 @@ async fn spread(connection: &mut Connection, priority: i32) -> Result<()> {
 /// A job that has not finished.
 async fn queued(connection: &mut Connection, id: JobId) -> Result<std::result::Result<Queued, MoveOutcome>> {
     let row = db::query(
-        "SELECT number, priority, state, finished_at_ms IS NULL AS is_open, coalesce(place, number * 1048576) AS sort_key
+        "SELECT number, state, finished_at_ms IS NULL AS is_open, coalesce(place, number * 1048576) AS sort_key
          FROM job WHERE id = ?",
     )
     .bind(id.to_string())
@@ -170,5 +175,5 @@ async fn queued(connection: &mut Connection, id: JobId) -> Result<std::result::R
     if !row.get::<bool>("is_open")? {
         return Ok(Err(MoveOutcome::Finished(id, finish::job_state(&row.get::<String>("state")?)?)));
     }
-    Ok(Ok(Queued { number: row.get("number")?, priority: row.get("priority")?, key: row.get("sort_key")? }))
+    Ok(Ok(Queued { number: row.get("number")?, key: row.get("sort_key")? }))
 }

@@ -57,7 +57,7 @@ export async function hostile_job_files_are_refused_and_the_page_goes_on() {
 
 export async function hostile_texts_in_the_studio_are_marked_and_a_valid_one_is_drawn_again() {
   const page = await studio({ expected: [/413/] });
-  // What is in an editor is a text already; large ones are checked when typing pauses.
+  // Texts of an editor are read already; large ones are checked when typing pauses.
   for (const [name, buffer] of FILES.filter(([name, { length }]) => name !== 'not utf-8' && length > 0 && length < 1_000_000)) {
     await page.evaluate((text) => document.querySelector('room-studio').studio.openText(text), buffer.toString('utf8'));
     await page.locator('.has-errors').waitFor();
@@ -75,7 +75,7 @@ export async function names_that_are_long_or_change_the_direction_of_text_stay_i
   const names = [`\u202egnp.${'x'.repeat(20)}\u202d`, 'w'.repeat(200), 'Z\u0351\u036b\u0343'.repeat(40), '\u{1f468}\u200d\u{1f469}\u200d\u{1f467}'.repeat(20), "'; DROP TABLE jobs; --", '${7*7}{{7*7}}'];
   const taken = [];
   for (const name of names) {
-    // What the server does not accept is refused with a reason.
+    // A file that the server does not accept is refused with a reason.
     const job = await farm.submit(smallJob(name)).catch((error) => assert.match(String(error), /422/) ?? null);
     if (job) taken.push([job.id, name]);
   }

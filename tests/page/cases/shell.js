@@ -95,7 +95,7 @@ export async function every_room_is_accessible_and_fits_light_and_dark_wide_and_
       for (const [hash, title] of [...ROOMS, [`jobs/${job.id}`, job.name]]) {
         await page.goto(`${farm.address}/#/${hash}`);
         await inRoom(page, title);
-        // What is loaded after the heading.
+        // Parts that are loaded after the heading.
         await page.locator(':is(.job-row, .workers tbody tr, .kind, .code-line, .empty-line):visible').first().waitFor();
         // The language is checked as a whole once, and in part in the other themes and widths.
         if (hash === 'help' && (theme === 'dark' || size === PHONE)) await page.getByRole('searchbox').fill('sphere');

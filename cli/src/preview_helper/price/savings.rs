@@ -265,7 +265,7 @@ mod tests {
 
     const BULB: &str = r#"{ "scene": { "camera": { "position": [0, 0, 3], "look_at": [0, 0, 0] },
         "ambient_occlusion": { "distance": 0.5 }, "march": { "max_steps": 300 },
-        "objects": [{ "shape": { "mandelbulb": { "iterations": 16 } } }] },
+        "objects": [{ "shape": { "mandelbulb": { "power": 8, "iterations": 16 } } }] },
         "image": { "width": 192, "height": 192, "samples": 6 } }"#;
 
     #[test]
