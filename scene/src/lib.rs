@@ -48,7 +48,7 @@ mod warnings;
 
 pub use animation::{FrameError, JobAtFrame};
 pub use backgrounds::Background;
-pub use changes::{Change, change};
+pub use changes::reached;
 pub use error::{ParseError, ValidationError};
 pub use format::format;
 pub use formula::{FUNCTIONS, Function, NAMES as FORMULA_NAMES};

@@ -86,14 +86,9 @@ impl VisitGrid {
     }
 }
 
-/// Index of a cell.
-pub(crate) fn cell_index(grid: u32, [x, y, z]: [u32; 3]) -> u32 {
-    ((grid * EDGE + z) * EDGE + y) * EDGE + x
-}
-
-/// Edge of a grid, in cells.
-pub(crate) const fn edge() -> u32 {
-    EDGE
+/// Grid and place of a cell with this index.
+pub(crate) fn cell_place(index: u32) -> (u32, [u32; 3]) {
+    (index >> GRID_BITS, [index % EDGE, index / EDGE % EDGE, index / (EDGE * EDGE) % EDGE])
 }
 
 /// A record that formulas write.

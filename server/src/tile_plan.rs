@@ -3,6 +3,9 @@
 use proto::Rect;
 use proto::tile::Tiling;
 
+/// Edge of the tiles of a recorded job.
+const RECORDED_EDGE_PX: u32 = 128;
+
 /// How every frame of a job is cut into tiles.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct TilePlan {
@@ -31,6 +34,11 @@ impl TilePlan {
             edge_px,
             frames: job.frames.count,
         }
+    }
+
+    /// The plan with tiles that are small enough for an edit to leave some as they are, unless the operator chose an edge.
+    pub(crate) fn recorded(self) -> Self {
+        Self { edge_px: self.edge_px.or(Some(RECORDED_EDGE_PX)), ..self }
     }
 
     /// Tiles of one frame, row by row; all frames have the same.

@@ -146,8 +146,11 @@ impl Submission {
         let limits = quota::limits(&intake.gate.config, &caller);
         let wish = submit_options::read(&uri, &headers, &text, &intake.webhook_addresses, limits)?;
         let (dry_run, edge_px) = (query.dry_run, intake.gate.config.tile_edge_px);
+        let recorded = query.record || based_on.is_some();
         let read = move |job: scene::Job| {
-            let (plan, priority, warnings) = (TilePlan::new(&job, edge_px), job.priority, job.warnings());
+            let plan = TilePlan::new(&job, edge_px);
+            let plan = if recorded { plan.recorded() } else { plan };
+            let (priority, warnings) = (job.priority, job.warnings());
             // A large job takes hundreds of megabytes: a dry run drops it here, before another one is parsed.
             // Cutting it into leaves takes as long as parsing it.
             (plan, priority, warnings, (!dry_run).then(|| (job.compiled_nodes(), job)))
@@ -175,7 +178,7 @@ impl Submission {
             no_cache: submit_options::has_no_cache(&headers),
             retention: keep,
             tile_seconds,
-            recorded: query.record || based_on.is_some(),
+            recorded,
             based_on,
             file_text: into_utf8(text)?,
         };

@@ -2,15 +2,13 @@
 //!
 //! All of this may fail without harm: a tile without a record is rendered.
 
-use std::collections::VecDeque;
 use std::sync::Arc;
 
 use bytes::Bytes;
 use proto::JobId;
-use proto::worker_protocol::{EarlierFrame, EarlierTile, TileRecord};
-use scene::visits::{VisitGrid, Visited};
-use scene::{Change, Job, change};
-use tokio::sync::Mutex;
+use proto::worker_protocol::{EarlierTile, TileRecord};
+use scene::visits::Visited;
+use scene::{Job, reached};
 use tokio::task::spawn_blocking;
 
 use super::executor::{BatchEvent, BatchExecutor, FrameTask, LeaseHandle, all_dropped};
@@ -18,9 +16,6 @@ use super::rendering::{Rendered, TileTask};
 use super::stitching::is_intact;
 use crate::blob;
 use crate::renderer::TilePixels;
-
-/// Number of differences between frames that are kept.
-const MAX_CHANGES: usize = 8;
 
 /// A rendered tile, with what its rays asked for.
 #[derive(Debug)]
@@ -50,36 +45,11 @@ impl Record {
     }
 }
 
-/// Frame of two jobs, and the cells of the first one's record.
-#[derive(Clone, Copy, Debug, PartialEq)]
-struct Edit {
-    before: JobId,
-    after: JobId,
-    frame: u32,
-    grid: VisitGrid,
-}
-
-/// The differences between frames that were found last, the newest first.
-#[derive(Debug, Default)]
-pub(super) struct ChangeCache(Mutex<VecDeque<(Edit, Arc<Change>)>>);
-
-impl ChangeCache {
-    /// Difference between two frames; `None` if it can't be found. Each is found once, also by batches at the same time.
-    async fn get(&self, edit: Edit, before: &Arc<Job>, after: &Arc<Job>) -> Option<Arc<Change>> {
-        let mut known = self.0.lock().await;
-        if let Some((_, change)) = known.iter().find(|(other, _)| *other == edit) {
-            return Some(change.clone());
-        }
-        let (before, after) = (before.clone(), after.clone());
-        let find = move || Some(change(&before.at(edit.frame).ok()?, &after.at(edit.frame).ok()?, &edit.grid));
-        let found = Arc::new(spawn_blocking(find).await.ok().flatten()?);
-        if let Change::Anywhere(reason) = &*found {
-            tracing::info!(job = %edit.after, earlier = %edit.before, frame = edit.frame, reason, "no tile is kept");
-        }
-        known.push_front((edit, found.clone()));
-        known.truncate(MAX_CHANGES);
-        Some(found)
-    }
+/// An earlier tile with its record.
+struct RecordedTile<'a> {
+    tile: &'a EarlierTile,
+    bytes: Bytes,
+    visited: Visited,
 }
 
 impl BatchExecutor {
@@ -101,15 +71,24 @@ impl BatchExecutor {
             }
         };
         let mut changed = Vec::with_capacity(places.len());
+        let mut recorded = Vec::with_capacity(places.len());
         for place in places {
-            if place.hold.dropped.is_cancelled() {
+            let tile = earlier.tiles.iter().find(|tile| tile.pixels.rect == place.rect);
+            match self.record_of(tile).await {
+                Some(record) => recorded.push((place, record)),
+                None => changed.push(place),
+            }
+        }
+        let mut kept = self.unchanged(frame, earlier.job, &before, &recorded).await.into_iter();
+        for (place, record) in recorded {
+            if !kept.next().unwrap_or(false) {
+                changed.push(place);
                 continue;
             }
-            let tile = earlier.tiles.iter().find(|tile| tile.pixels.rect == place.rect);
-            match self.unchanged(frame, earlier, &before, tile).await {
-                Some((pixels, record)) => {
-                    let kept = Rendered { pixels, hold: place.hold, record: Some(record) };
-                    self.clone().upload_blob(kept).await;
+            match self.pixels_of(frame, record.tile).await {
+                Some(pixels) => {
+                    let record = Some(Record { bytes: record.bytes, kept: true });
+                    self.clone().upload_blob(Rendered { pixels, hold: place.hold, record }).await;
                 }
                 None => changed.push(place),
             }
@@ -117,25 +96,47 @@ impl BatchExecutor {
         changed
     }
 
-    /// Pixels and record of an earlier tile, if the later one has the same.
+    /// The record of an earlier tile.
+    async fn record_of<'a>(&self, tile: Option<&'a EarlierTile>) -> Option<RecordedTile<'a>> {
+        let tile = tile?;
+        let bytes = self.store.blob(&tile.record, tile.record_bytes).await.ok().flatten()?;
+        let visited = Visited::from_bytes(&bytes).filter(|_| blob::hash(&bytes) == tile.record)?;
+        Some(RecordedTile { tile, bytes: bytes.into(), visited })
+    }
+
+    /// Whether each of some earlier tiles has the same pixels in the later job; nothing if that is not known.
     async fn unchanged(
         &self,
         frame: &FrameTask,
-        earlier: &EarlierFrame,
+        earlier: JobId,
         before: &Arc<Job>,
-        tile: Option<&EarlierTile>,
-    ) -> Option<(TilePixels, Record)> {
-        let EarlierTile { pixels, record, record_bytes } = tile?;
-        let bytes = self.store.blob(record, *record_bytes).await.ok().flatten()?;
-        let visited = Visited::from_bytes(&bytes).filter(|_| blob::hash(&bytes) == *record)?;
-        let edit = Edit { before: earlier.job, after: frame.id, frame: frame.number, grid: *visited.grid() };
-        if self.changes.get(edit, before, &frame.job).await?.can_reach(&visited) {
-            return None;
+        recorded: &[(TileTask, RecordedTile<'_>)],
+    ) -> Vec<bool> {
+        let (before, after, number) = (before.clone(), frame.job.clone(), frame.number);
+        let visited: Vec<Visited> = recorded.iter().map(|(_, record)| record.visited.clone()).collect();
+        let comparing = spawn_blocking(move || {
+            let (before, after) = (before.at(number).ok()?, after.at(number).ok()?);
+            Some(reached(&before, &after, &visited.iter().collect::<Vec<_>>()))
+        });
+        match comparing.await {
+            Ok(Some(Ok(reached))) => reached.into_iter().map(|is_reached| !is_reached).collect(),
+            Ok(Some(Err(reason))) => {
+                tracing::info!(job = %frame.id, %earlier, frame = number, reason, "no tile is kept");
+                Vec::new()
+            }
+            Ok(None) => Vec::new(),
+            Err(error) => {
+                tracing::error!(job = %frame.id, %earlier, frame = number, %error, "comparing frames panicked");
+                Vec::new()
+            }
         }
+    }
+
+    /// The pixels of an earlier tile.
+    async fn pixels_of(&self, frame: &FrameTask, EarlierTile { pixels, .. }: &EarlierTile) -> Option<TilePixels> {
         let planes = frame.job.image.channels().len();
-        let found = self.store.blob(&pixels.hash, pixels.size_bytes).await.ok().flatten()?;
-        let pixels = is_intact(&found, pixels, planes).then(|| blob::decode(&found).ok()).flatten()?;
-        Some((pixels, Record { bytes: bytes.into(), kept: true }))
+        let bytes = self.store.blob(&pixels.hash, pixels.size_bytes).await.ok().flatten()?;
+        is_intact(&bytes, pixels, planes).then(|| blob::decode(&bytes).ok()).flatten()
     }
 
     /// Stores the record of a tile, and reports it before the tile.

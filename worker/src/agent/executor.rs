@@ -15,7 +15,6 @@ use tokio::task::JoinError;
 use tokio_util::sync::CancellationToken;
 
 use super::back_off::BackOff;
-use super::changes::ChangeCache;
 use super::device_use::DeviceSlots;
 use super::job_cache::{JobCache, JobFetchError};
 use super::rendering::TileTask;
@@ -121,7 +120,6 @@ pub(super) struct BatchExecutor {
     /// Permits, each for one KiB of pixels.
     pub(super) memory: Semaphore,
     jobs: JobCache,
-    pub(super) changes: ChangeCache,
     events: UnboundedSender<BatchEvent>,
 }
 
@@ -135,18 +133,7 @@ impl BatchExecutor {
         events: UnboundedSender<BatchEvent>,
     ) -> Self {
         let (device, memory) = (DeviceSlots::new(renderer.overlapping()), Semaphore::new(MEMORY_KIB as usize));
-        Self {
-            link,
-            store,
-            scratch,
-            renderer,
-            encoders,
-            device,
-            memory,
-            jobs: JobCache::default(),
-            changes: ChangeCache::default(),
-            events,
-        }
+        Self { link, store, scratch, renderer, encoders, device, memory, jobs: JobCache::default(), events }
     }
 
     /// Number of batches, or tiles of a batch, delivered concurrently: one for each thread that encodes, and a few that
