@@ -29,6 +29,9 @@ const LINES: &[(&str, &[&str])] = &[
     ("curl -s $farm/v1/jobs/$id/file -o job.json", &[]),
     ("curl -s $farm/v1/jobs/$id/resubmit -X POST", &["\"id\":\"", "\"state\":\""]),
     ("sdfarm resubmit latest --patch", &["-"]),
+    ("first=$(sdfarm submit job.json --record --wait", &[]),
+    ("sdfarm submit job.json --set 'scene.materials.clay", &[" of 2 tiles are those of "]),
+    ("curl -s --json @job.json \"$farm/v1/jobs?based_on=$first\"", &["\"recorded\":true"]),
     ("curl -sN \"$farm/v1/jobs/$id/events\"", &["event: state", "event: frame", "\"state\":\"succeeded\""]),
     ("curl -sN --max-time 1 \"$farm/v1/events\"", &["event: hello", "event: farm"]),
     (

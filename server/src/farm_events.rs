@@ -38,7 +38,7 @@ const MAX_GAP: Duration = Duration::from_mins(1);
 
 /// An event, and who may see it.
 #[derive(Clone, Debug, PartialEq, Eq)]
-struct Told {
+struct VisibleEvent {
     /// Submitter of the job; `None` if it is an event of the farm, for those who may read it.
     submitter: Option<String>,
     text: Bytes,
@@ -47,7 +47,7 @@ struct Told {
 /// Events that are told together.
 #[derive(Clone, Debug, PartialEq, Eq)]
 enum Batch {
-    Events(Vec<Told>),
+    Events(Vec<VisibleEvent>),
     /// Changes that cannot be told.
     Resync,
 }
@@ -162,13 +162,14 @@ impl FarmEvents {
     }
 
     /// Events of changes.
-    async fn events(&self, changes: &FarmChanges) -> Result<Vec<Told>, DatabaseError> {
+    async fn events(&self, changes: &FarmChanges) -> Result<Vec<VisibleEvent>, DatabaseError> {
         let jobs = self.queue.jobs_numbered(&changes.jobs).await?;
-        let jobs =
-            jobs.iter().map(|job| Told { submitter: Some(job.submitter.clone()), text: encode_event("job", job) });
+        let jobs = jobs
+            .iter()
+            .map(|job| VisibleEvent { submitter: Some(job.submitter.clone()), text: encode_event("job", job) });
         let deleted = changes.deleted.iter().map(|job| {
             let event = DeletedEvent { id: job.id.clone() };
-            Told { submitter: Some(job.submitter.clone()), text: encode_event("deleted", &event) }
+            VisibleEvent { submitter: Some(job.submitter.clone()), text: encode_event("deleted", &event) }
         });
         Ok(jobs.chain(deleted).collect())
     }
@@ -188,7 +189,7 @@ impl FarmEvents {
         if before == Some(counts) {
             return Ok(());
         }
-        let told = Told { submitter: None, text: encode_event("farm", &counts) };
+        let told = VisibleEvent { submitter: None, text: encode_event("farm", &counts) };
         let _ = self.batches.send(Arc::new(Batch::Events(vec![told])));
         if before.is_some_and(|before| before.paused != counts.paused) {
             let _ = self.batches.send(Arc::new(Batch::Resync));

@@ -239,7 +239,7 @@ mod tests {
             "1 min 15 s",
             "pool-1",
             "2.0 Mrays/s",
-            "2 tiles were rendered differently by two workers",
+            "the farm is paused: `sdfarm resume` continues it",
             "q ends",
         ] {
             assert!(text.contains(words), "{words}:\n{text}");

@@ -9,7 +9,7 @@ use tokio::sync::broadcast::Receiver;
 use tokio::sync::broadcast::error::RecvError;
 use tokio_util::sync::CancellationToken;
 
-use super::{Batch, FarmEvents, Told, encode_event};
+use super::{Batch, FarmEvents, VisibleEvent, encode_event};
 use crate::clock::rfc3339;
 use crate::db::DatabaseError;
 
@@ -95,7 +95,7 @@ impl FarmSubscriber {
         (!piece.is_empty()).then(|| piece.freeze())
     }
 
-    fn may_see(&self, told: &Told) -> bool {
+    fn may_see(&self, told: &VisibleEvent) -> bool {
         self.submitter.is_none() || self.submitter == told.submitter
     }
 }

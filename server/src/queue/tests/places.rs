@@ -1,4 +1,4 @@
-//! Moved jobs: each is rendered at its place, also after so many moves that no place is left between two.
+//! Moved jobs: each is rendered at its place, also after more moves than places fit between two.
 
 use proto::JobId;
 use proto::job::JobState;
