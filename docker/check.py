@@ -187,7 +187,9 @@ def faults():
         yield from faults_of_image(path)
     ignored = (ROOT / ".dockerignore").read_text().split()
     members = re.search(r"members = \[(.*?)\]", (ROOT / "Cargo.toml").read_text()).group(1)
-    for folder in [*re.findall(r'"(\w+)"', members), "migrations", "scenes", "tests", "Cargo.lock"]:
+    sources = [path.read_text() for path in (ROOT / "server/src").rglob("*.rs")]
+    embedded = {name for text in sources for name in re.findall(r'#\[folder = "\.\./(\w+)"\]', text)}
+    for folder in [*re.findall(r'"(\w+)"', members), "migrations", "tests", "Cargo.lock", *sorted(embedded)]:
         if f"!{folder}" not in ignored:
             yield f".dockerignore: {folder} is not included in the build"
 
