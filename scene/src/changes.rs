@@ -10,6 +10,7 @@ use std::collections::{HashMap, HashSet};
 use crate::animation::JobAtFrame;
 use crate::cells::{ContentIds, Contents, SLAB_CELLS};
 use crate::integrator::Integrator;
+use crate::job::Layer;
 use crate::visits::{OUTSIDE, VisitGrid, Visited, cell_place};
 
 /// For each tile that was recorded in the first of two frames, whether its pixels can differ in the second; or the reason
@@ -32,7 +33,7 @@ pub fn reached(before: &JobAtFrame<'_>, after: &JobAtFrame<'_>, tiles: &[&Visite
     let differs = |slot: &u32| materials[*slot as usize] != others[*slot as usize];
     let has_material = |tile: &&Visited| tile.materials.iter().any(differs);
     let mut are_reached: Vec<bool> = tiles.iter().map(has_material).collect();
-    let mut ids = ContentIds::default();
+    let mut ids = ContentIds::new(before.image().layers.contains(&Layer::Object));
     let old = Contents::new(&old_program, before.scene(), &mut ids);
     let new = Contents::new(&new_program, after.scene(), &mut ids);
     if old.all() == new.all() {

@@ -46,7 +46,7 @@ impl<'a> Integrator<'a> {
     pub fn recording(still: &'a JobAtFrame<'_>) -> Option<Self> {
         let own = Self::new(still);
         let program = own.recordable(still)?;
-        let bounds = Contents::new(&program, own.scene, &mut ContentIds::default()).bounds();
+        let bounds = Contents::new(&program, own.scene, &mut ContentIds::new(false)).bounds();
         let grid = VisitGrid::around(bounds.unwrap_or(Bounds::symmetric(1.0, 1.0, 1.0)));
         let visits = Visits::new(grid, own.scene.used_materials().len());
         Some(Self { visits: Some(visits), ..own })

@@ -9,17 +9,26 @@ use crate::real::list::{NO_LEAF, ROW_MASK, function_of};
 use crate::real::vec3;
 use crate::scene::Scene;
 
-/// Numbers of formulas with their numbers: equal ones have one, in all programs that share these.
-#[derive(Default)]
-pub(crate) struct ContentIds(HashMap<Content, u32>);
+/// Numbers of contents: equal ones have one, in all programs that share these.
+pub(crate) struct ContentIds {
+    known: HashMap<Content, u32>,
+    /// Whether pictures show the indices of objects.
+    has_indices: bool,
+}
 
-/// A formula, its numbers, and the slot of its object's material if that is its own.
-type Content = (Vec<u32>, Vec<u32>, Option<u32>);
+/// A formula, its numbers, the slot of its object's material if that is its own, and the object's index if pictures show that.
+type Content = (Vec<u32>, Vec<u32>, Option<u32>, Option<usize>);
 
 impl ContentIds {
-    fn of(&mut self, text: &[u32], numbers: &[u32], material: Option<u32>) -> u32 {
-        let next = self.0.len() as u32;
-        *self.0.entry((text.to_vec(), numbers.to_vec(), material)).or_insert(next)
+    /// Numbers for pictures that show the indices of objects, or do not.
+    pub(crate) fn new(has_indices: bool) -> Self {
+        Self { known: HashMap::new(), has_indices }
+    }
+
+    fn of(&mut self, text: &[u32], numbers: &[u32], material: Option<u32>, object: Option<usize>) -> u32 {
+        let next = self.known.len() as u32;
+        let object = object.filter(|_| self.has_indices);
+        *self.known.entry((text.to_vec(), numbers.to_vec(), material, object)).or_insert(next)
     }
 }
 
@@ -63,12 +72,12 @@ impl<'a, 'b> Contents<'a, 'b> {
         let mut of_leaf = |leaf: usize| {
             let own = scene.objects[program.leaves()[leaf].object].material.slot();
             let (text, numbers, material) = program.leaf_content(leaf, own);
-            ids.of(text, numbers, material)
+            ids.of(text, numbers, material, Some(program.leaves()[leaf].object))
         };
         let leaf_ids = (0..program.leaf_count()).map(&mut of_leaf).collect();
         let mut of_join = |join: usize| {
             let (text, numbers) = program.join_content(join);
-            ids.of(text, numbers, None)
+            ids.of(text, numbers, None, None)
         };
         let join_ids = (0..program.joins().count()).map(&mut of_join).collect();
         let leaves = (0..program.leaf_count() as u32).collect();
