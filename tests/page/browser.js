@@ -108,3 +108,13 @@ export async function checkWidth(page, what) {
   });
   assert.ok(scroll <= client, `${what}: the page is ${scroll} pixels wide, and the screen ${client}: ${wide.join(', ')}`);
 }
+
+/**
+ * Checks a time, if `SDFARM_CHECK_TIMES` is set: that needs an idle machine.
+ * @param {boolean} isMet
+ * @param {string} message
+ */
+export function checkTime(isMet, message) {
+  if (process.env.SDFARM_CHECK_TIMES) assert.ok(isMet, message);
+  else if (!isMet) console.log(`        not checked without SDFARM_CHECK_TIMES: ${message}`);
+}
