@@ -124,6 +124,36 @@ fn tiles_are_kept_with_their_job_and_deleted_with_it() {
 }
 
 #[test]
+fn a_job_is_based_on_jobs_that_its_submitter_may_see() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let data = folder.path().join("data");
+    let [ops, anna, bert] = [("ops", "admin"), ("anna", "submit"), ("bert", "submit")].map(|(name, scope)| {
+        let told = succeed(&["key", "new", name, "--scope", scope, "--data", data.to_str().expect("plain")]);
+        let start = told.find("sdf_").expect("a key");
+        format!("Bearer {}", told[start..].split_whitespace().next().expect("a word"))
+    });
+    let farm = Farm::start_on(folder.path(), &["--workers", "0"]);
+    let job = balls(2, "png").to_string();
+    let post = |key: &str, path: &str, body: &str| {
+        farm.send(
+            "POST",
+            path,
+            &[("content-type", "application/json"), ("authorization", key)],
+            body.as_bytes().to_vec(),
+        )
+    };
+    let first = post(&anna, "/v1/jobs?record=true", &job).json()["id"].as_str().expect("an id").to_owned();
+    let own = post(&bert, "/v1/jobs", &job).json()["id"].as_str().expect("an id").to_owned();
+    post(&bert, &format!("/v1/jobs?based_on={first}"), &job).problem(404, "unknown_job");
+    let beside = format!(r#"{{ "before": "{first}" }}"#);
+    post(&bert, &format!("/v1/jobs/{own}/move"), &beside).problem(404, "unknown_job");
+    for key in [&anna, &ops] {
+        assert_eq!(post(key, &format!("/v1/jobs?based_on={first}"), &job).status, 201);
+    }
+    assert_eq!(post(&ops, &format!("/v1/jobs/{own}/move"), &beside).status, 200);
+}
+
+#[test]
 fn the_command_line_submits_edits() {
     let farm = Farm::start(&["--workers", "1", "--device", "cpu"]);
     let scene = root().join("scenes/csg.json");

@@ -11,7 +11,7 @@
  */
 /** @typedef {Omit<Draft, 'text'> & {size: number}} DraftInfo */
 
-const DATABASE = 'sdfarm-studio';
+const DATABASE = 'sdfarm.studio';
 const STORE = 'drafts';
 const JOURNAL = 'sdfarm.studio.journal.';
 const CURRENT = 'sdfarm.studio.current';

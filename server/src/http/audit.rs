@@ -169,9 +169,6 @@ struct PageQuery {
 )]
 pub(super) async fn list(State(audit): State<Arc<AuditLog>>, uri: Uri) -> Result<Json<AuditPage>, ApiError> {
     let query: PageQuery = body::read_query(&uri)?;
-    let limit = query.limit.unwrap_or(DEFAULT_PAGE_SIZE);
-    if !(1..=MAX_PAGE).contains(&limit) {
-        return Err(ApiError::WrongQuery(format!("limit is {limit}, but must be from 1 to {MAX_PAGE}")));
-    }
+    let limit = body::page_length(query.limit, DEFAULT_PAGE_SIZE, MAX_PAGE)?;
     Ok(Json(audit.page(query.cursor, limit).await?))
 }

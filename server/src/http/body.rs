@@ -237,6 +237,20 @@ pub(super) fn read_query<T: DeserializeOwned>(uri: &Uri) -> Result<T, ApiError> 
     }
 }
 
+/// Length of a page: `asked`, or the default.
+pub(super) fn page_length(asked: Option<u32>, default: u32, max: u32) -> Result<u32, ApiError> {
+    let limit = asked.unwrap_or(default);
+    if (1..=max).contains(&limit) {
+        return Ok(limit);
+    }
+    Err(ApiError::WrongQuery(format!("limit is {limit}, but must be from 1 to {max}")))
+}
+
+/// Error for a cursor that no page has.
+pub(super) fn wrong_cursor(cursor: &str) -> ApiError {
+    ApiError::WrongQuery(format!("{cursor:?} is not a cursor: pass the next_cursor of the page before"))
+}
+
 #[cfg(test)]
 mod tests {
     use std::io::Write;

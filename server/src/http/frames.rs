@@ -78,15 +78,10 @@ pub(super) async fn list(
 ) -> Result<Json<FramePage>, ApiError> {
     let job = job_id(&id)?;
     let query: ListQuery = body::read_query(&uri)?;
-    let limit = query.limit.unwrap_or(DEFAULT_PAGE_SIZE);
-    if !(1..=MAX_PAGE).contains(&limit) {
-        return Err(ApiError::WrongQuery(format!("limit is {limit}, but must be from 1 to {MAX_PAGE}")));
-    }
+    let limit = body::page_length(query.limit, DEFAULT_PAGE_SIZE, MAX_PAGE)?;
     let from = match query.cursor {
         None => 0,
-        Some(cursor) => cursor.parse().map_err(|_| {
-            ApiError::WrongQuery(format!("{cursor:?} is not a cursor: pass the next_cursor of the page before"))
-        })?,
+        Some(cursor) => cursor.parse().map_err(|_| body::wrong_cursor(&cursor))?,
     };
     let found = queue.frames(job).await?.ok_or(ApiError::UnknownJob(id))?;
     let frames = queue.frame_page(job, &found, from, limit).await?;

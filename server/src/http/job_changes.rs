@@ -14,7 +14,7 @@ use super::auth::Caller;
 use super::body::RequestBody;
 use super::error::ApiError;
 use super::jobs::{job_id, view};
-use super::{body, quota};
+use super::{body, jobs, quota};
 use crate::config::Config;
 use crate::orphans::Orphans;
 use crate::queue::{ChangeOutcome, DeleteOutcome, MoveOutcome, Place, Queue, RetryOutcome};
@@ -138,7 +138,7 @@ pub(super) async fn move_job(
     let own = queue.job(job).await?.ok_or_else(|| ApiError::UnknownJob(id))?.priority;
     let priority = match other {
         None => queue.highest_priority().await?.unwrap_or(own).max(own),
-        Some(other) => queue.job(other).await?.ok_or_else(|| ApiError::UnknownJob(other.to_string()))?.priority,
+        Some(other) => jobs::visible(&queue, &caller, other).await?.priority,
     };
     if priority != own {
         quota::check_priority(&caller, priority)?;

@@ -89,6 +89,13 @@ pub(super) async fn submit(
     submission.finish(&intake, text, room).await
 }
 
+/// A job that the caller may see; another one is unknown to it.
+pub(super) async fn visible(queue: &Queue, caller: &Caller, id: JobId) -> Result<JobView, ApiError> {
+    let job = queue.job(id).await?;
+    job.filter(|job| caller.visible_submitter().is_none_or(|submitter| submitter == job.submitter))
+        .ok_or_else(|| ApiError::UnknownJob(id.to_string()))
+}
+
 /// List jobs, newest first.
 ///
 /// With `match`, lists only jobs with that name or that part of an id; with `picture` or `scene`, those that have this
@@ -111,10 +118,7 @@ pub(super) async fn submit(
 )]
 pub(super) async fn list(State(queue): State<Queue>, caller: Caller, uri: Uri) -> Result<Json<JobPage>, ApiError> {
     let query: ListQuery = body::read_query(&uri)?;
-    let limit = query.limit.unwrap_or(DEFAULT_PAGE_SIZE);
-    if !(1..=MAX_PAGE).contains(&limit) {
-        return Err(ApiError::WrongQuery(format!("limit is {limit}, but must be from 1 to {MAX_PAGE}")));
-    }
+    let limit = body::page_length(query.limit, DEFAULT_PAGE_SIZE, MAX_PAGE)?;
     let mark = match (&query.picture, &query.scene) {
         (None, None) => None,
         (Some(hash), None) => Some((hash, PictureMark::Bytes(hash))),
@@ -142,9 +146,7 @@ pub(super) async fn list(State(queue): State<Queue>, caller: Caller, uri: Uri) -
     }
     let before = match query.cursor {
         None => None,
-        Some(cursor) => Some(cursor.parse().map_err(|_| {
-            ApiError::WrongQuery(format!("{cursor:?} is not a cursor: pass the next_cursor of the page before"))
-        })?),
+        Some(cursor) => Some(cursor.parse().map_err(|_| body::wrong_cursor(&cursor))?),
     };
     Ok(Json(queue.jobs(caller.visible_submitter(), query.state, limit, before).await?))
 }

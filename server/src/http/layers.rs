@@ -37,15 +37,20 @@ struct PixelQuery {
 }
 
 /// Picture of a frame that is stored.
-struct StoredFrame {
-    job: JobId,
-    frame: u32,
-    hash: String,
-    size_bytes: u64,
+pub(super) struct StoredFrame {
+    /// The job.
+    pub(super) job: JobId,
+    /// The frame.
+    pub(super) frame: u32,
+    /// BLAKE3 of the picture, in hex.
+    pub(super) hash: String,
+    /// Its size.
+    pub(super) size_bytes: u64,
 }
 
 impl StoredFrame {
-    async fn find(previews: &Previews, id: &str, frame: &str) -> Result<Self, ApiError> {
+    /// The picture of a request's frame.
+    pub(super) async fn find(previews: &Previews, id: &str, frame: &str) -> Result<Self, ApiError> {
         let (job, frame) = images::frame_of(&previews.queue, id, frame).await?;
         match previews.queue.frame_contents(job, frame).await? {
             FrameContents::Stored { hash, size_bytes } => Ok(Self { job, frame, hash, size_bytes }),

@@ -13,6 +13,7 @@ use serde::Deserialize;
 
 use super::auth::Caller;
 use super::error::ApiError;
+use super::layers::StoredFrame;
 use super::state::handle_group;
 use super::{body, images, range};
 use crate::blobs::{BlobStore, ContentError, ContentKind, LocalCopies};
@@ -122,16 +123,9 @@ pub(super) async fn thumbnail(
     headers: HeaderMap,
 ) -> Result<Response, ApiError> {
     let width_px = WidthQuery::read(&uri)?.unwrap_or(THUMBNAIL_PX);
-    let (job, frame) = images::frame_of(&previews.queue, &id, &frame).await?;
+    let stored = StoredFrame::find(&previews, &id, &frame).await?;
     let reader = Reader { name: caller.name(), headers: &headers };
-    match previews.queue.frame_contents(job, frame).await? {
-        FrameContents::Stored { hash, size_bytes } => {
-            previews.scaled(reader, &hash, size_bytes, width_px, images::IMMUTABLE).await
-        }
-        FrameContents::Unfinished { state, .. } => Err(ApiError::NotStored { job, frame, state }),
-        FrameContents::NoFrame(frames) => Err(ApiError::UnknownFrame { job, frame: frame.to_string(), frames }),
-        FrameContents::NoJob => Err(ApiError::UnknownJob(job.to_string())),
-    }
+    previews.scaled(reader, &stored.hash, stored.size_bytes, width_px, images::IMMUTABLE).await
 }
 
 /// Client that asks for a preview.

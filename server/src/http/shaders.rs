@@ -7,14 +7,14 @@ use axum::extract::State;
 use axum::http::{HeaderMap, HeaderValue, Uri, header};
 use axum::response::{IntoResponse, Response};
 use proto::preview_helper::HelperRequest;
-use scene::limits::{MAX_BODY_BYTES, MAX_SAMPLES};
+use scene::limits::MAX_SAMPLES;
 use serde::Deserialize;
 
 use super::body::{self, RequestBody};
-use super::content_encoding::ContentEncoding;
 use super::error::ApiError;
+use super::job_body::{self, JobBody};
 use super::state::handle_group;
-use crate::job_cache::{JobCache, Reader};
+use crate::job_cache::JobCache;
 use crate::preview_helper::PreviewHelper;
 
 /// Maximum width of a picture.
@@ -80,17 +80,9 @@ pub(super) async fn shader(
     let ShaderQuery { frame, width, samples, program } = body::read_query(&uri)?;
     let width_px = width.map(|width| check("width", width, MAX_WIDTH_PX)).transpose()?;
     let samples = check("samples", samples.unwrap_or(1), MAX_SAMPLES)?;
-    body::expect_json(&headers)?;
-    let encoding = ContentEncoding::of(&headers)?;
     let submitter = request.holder().name.clone();
-    let (text, _room) = body::read_encoded(request, encoding, MAX_BODY_BYTES).await?.into_parts();
-    let reader = Reader::Submitter(&submitter);
-    let frames = shaders.jobs.parse(reader, text.clone(), |parsed| parsed.map(|job| job.frames.count)).await??;
-    if frame >= frames {
-        return Err(ApiError::WrongQuery(format!("frame is {frame}, but must be from 0 to {}", frames - 1)));
-    }
-    let job = String::from_utf8(text.into()).map_err(|error| ApiError::Internal(Box::new(error)))?;
-    let request = HelperRequest::Shader { job, frame, width_px, samples, program };
+    let JobBody { text, _room } = job_body::read(&shaders.jobs, &headers, request, frame).await?;
+    let request = HelperRequest::Shader { job: text, frame, width_px, samples, program };
     let json = shaders.preview_helper.shader(&submitter, &request).await?;
     let mut response = Body::from(json).into_response();
     response.headers_mut().insert(header::CONTENT_TYPE, HeaderValue::from_static("application/json"));

@@ -18,7 +18,7 @@ use super::body::{self, Room};
 use super::error::ApiError;
 use super::prefer::JobWaiter;
 use super::state::handle_group;
-use super::{quota, submit_options, trace_context};
+use super::{jobs, quota, submit_options, trace_context};
 use crate::admission::Holder;
 use crate::audit_log;
 use crate::config::Config;
@@ -122,7 +122,7 @@ impl Submission {
             Err(error) => return Err(ApiError::WrongQuery(format!("keep: {error}"))),
         };
         let based_on = match &query.based_on {
-            Some(id) => Some(recorded_job(&gate.queue, id).await?),
+            Some(id) => Some(recorded_job(&gate.queue, &caller, id).await?),
             None => None,
         };
         Ok(Self { caller, uri, headers, submitter: holder.name.clone(), query, keep, tile_seconds, based_on })
@@ -202,16 +202,15 @@ impl Submission {
 }
 
 /// A job that another may be based on.
-async fn recorded_job(queue: &Queue, id: &str) -> Result<JobId, ApiError> {
-    let id = super::jobs::job_id(id)?;
-    match queue.job(id).await? {
-        Some(job) if job.recorded => Ok(id),
-        Some(_) => Err(ApiError::WrongQuery(format!(
-            "based_on: the job {id} is not recorded, so that it isn't known which of its tiles can change: submit it again \
-             with record=true, or leave based_on out"
-        ))),
-        None => Err(ApiError::UnknownJob(id.to_string())),
+async fn recorded_job(queue: &Queue, caller: &Caller, id: &str) -> Result<JobId, ApiError> {
+    let id = jobs::job_id(id)?;
+    if jobs::visible(queue, caller, id).await?.recorded {
+        return Ok(id);
     }
+    Err(ApiError::WrongQuery(format!(
+        "based_on: the job {id} is not recorded, so that it isn't known which of its tiles can change: submit it again \
+         with record=true, or leave based_on out"
+    )))
 }
 
 /// Body of a submission.

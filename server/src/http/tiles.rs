@@ -50,15 +50,10 @@ pub(super) async fn list(
 ) -> Result<Json<TilePage>, ApiError> {
     let job = job_id(&id)?;
     let query: TileQuery = body::read_query(&uri)?;
-    let limit = query.limit.unwrap_or(DEFAULT_PAGE_SIZE);
-    if !(1..=MAX_PAGE).contains(&limit) {
-        return Err(ApiError::WrongQuery(format!("limit is {limit}, but must be from 1 to {MAX_PAGE}")));
-    }
+    let limit = body::page_length(query.limit, DEFAULT_PAGE_SIZE, MAX_PAGE)?;
     let after = match query.cursor {
         None => None,
-        Some(cursor) => Some(TileCursor::parse(&cursor).ok_or_else(|| {
-            ApiError::WrongQuery(format!("{cursor:?} is not a cursor: pass the next_cursor of the page before"))
-        })?),
+        Some(cursor) => Some(TileCursor::parse(&cursor).ok_or_else(|| body::wrong_cursor(&cursor))?),
     };
     queue.tiles(job, query.frame, after, limit).await?.map(Json).ok_or(ApiError::UnknownJob(id))
 }

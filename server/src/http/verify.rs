@@ -10,11 +10,11 @@ use serde::Deserialize;
 
 use super::auth::Caller;
 use super::error::ApiError;
+use super::layers::StoredFrame;
 use super::previews::Previews;
 use super::{body, images};
 use crate::blobs::ContentKind;
 use crate::preview_helper::HelperError;
-use crate::queue::StoredImage;
 
 /// Default number of tiles.
 const DEFAULT_TILES: u32 = 8;
@@ -59,13 +59,7 @@ pub(super) async fn verify(
     if tiles > MAX_TILES {
         return Err(ApiError::WrongQuery(format!("tiles is {tiles}, but must be from 0 to {MAX_TILES}")));
     }
-    let (job, frame) = images::frame_of(&previews.queue, &id, &frame).await?;
-    let (hash, size_bytes) = match previews.queue.image(job, frame).await? {
-        StoredImage::Stored { hash, size_bytes, .. } => (hash, size_bytes),
-        StoredImage::NotYet(state) => return Err(ApiError::NotStored { job, frame, state }),
-        StoredImage::NoFrame(frames) => return Err(ApiError::UnknownFrame { job, frame: frame.to_string(), frames }),
-        StoredImage::NoJob => return Err(ApiError::UnknownJob(id)),
-    };
+    let StoredFrame { job, frame, hash, size_bytes } = StoredFrame::find(&previews, &id, &frame).await?;
     let made_by = previews.queue.makers(job, frame).await?;
     let compared = if tiles == 0 {
         not_compared(&previews, job, frame).await?

@@ -5,7 +5,7 @@
 use super::deliver::{DeliverResult, record_durations};
 use super::effects::FramePicture;
 use super::worker_state::UsedLease;
-use super::{Connection, Result, TransitionContext, job_transitions, lease_ends, recorded, tile_results};
+use super::{Connection, Result, TransitionContext, job_transitions, lease_ends, tile_results};
 use crate::db;
 use crate::db::DatabaseError;
 
@@ -57,18 +57,18 @@ pub(super) async fn store(
     if progressed.is_complete {
         job_transitions::succeed(connection, picture.job, moment).await?;
     }
-    if picture.stitched && !recorded::is_recorded(connection, picture.job).await? {
-        let blobs = db::query("SELECT DISTINCT blob FROM tile WHERE job = ? AND frame = ? AND blob IS NOT NULL")
-            .bind(picture.job)
-            .bind(picture.frame)
-            .fetch_all(connection)
-            .await?;
+    if picture.stitched {
+        let blobs = db::query(BLOBS_SQL).bind(picture.job).bind(picture.frame).fetch_all(connection).await?;
         for row in blobs {
             delivered.leftovers.push(row.get("blob")?);
         }
     }
     Ok(())
 }
+
+/// Blobs of a frame that nothing needs once its picture is stored: none of a recorded job.
+const BLOBS_SQL: &str = "SELECT DISTINCT blob FROM tile WHERE job = ?1 AND frame = ?2 AND blob IS NOT NULL
+     AND (SELECT recorded = 0 FROM job WHERE number = ?1)";
 
 /// Adds a picture to the cache, which had `first` under its key. The first one of a cache key is kept, unless the job was to bypass it: its
 /// picture replaces the first. Returns the number of pictures that differ from it.

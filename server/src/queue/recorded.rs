@@ -9,6 +9,7 @@ use proto::worker_protocol::{BatchWork, EarlierFrame, EarlierTile, Recording, Ti
 
 use super::claim::{self, ClaimableJob};
 use super::{Connection, Result, parse_column};
+use crate::blobs::ContentHash;
 use crate::db;
 
 /// Number of jobs, each based on the next, among which recorded tiles are looked for.
@@ -76,7 +77,7 @@ pub(super) async fn store(connection: &mut Connection, records: &[TileRecord], e
     let listed: Vec<_> = records
         .iter()
         .map(|record| (record.lease.to_string(), &record.hash, record.size_bytes, i64::from(record.kept)))
-        .filter(|(lease, ..)| ended.contains(lease))
+        .filter(|(lease, hash, ..)| ended.contains(lease) && ContentHash::parse(hash).is_some())
         .collect();
     if listed.is_empty() {
         return Ok(());
@@ -92,9 +93,4 @@ pub(super) async fn store(connection: &mut Connection, records: &[TileRecord], e
     .execute(connection)
     .await?;
     Ok(())
-}
-
-/// Whether a job's tiles keep their blobs when its pictures are stored.
-pub(super) async fn is_recorded(connection: &mut Connection, job: i64) -> Result<bool> {
-    db::query_scalar("SELECT recorded FROM job WHERE number = ?").bind(job).fetch_one(connection).await
 }

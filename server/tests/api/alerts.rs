@@ -8,7 +8,7 @@ use proto::pool::WorkerView;
 use proto::worker_protocol::{LeaseOutcome, LeaseReport};
 use reqwest::StatusCode;
 
-use super::harness::{Farm, job, leases, read, small_job};
+use super::harness::{Farm, leases, read, small_job};
 
 /// Alerts but those of the machine that tests run on.
 async fn alerts(farm: &Farm) -> Vec<AlertView> {
@@ -69,12 +69,7 @@ async fn jobs_without_a_worker_are_critical_unless_they_are_paused() {
 async fn workers_on_which_tiles_fail_and_those_without_work_are_named() {
     let farm = Farm::start().await;
     let (bad, _good) = (farm.worker("bad").await, farm.worker("good").await);
-    for seed in 0..3 {
-        let mut large = job(4096, 4096, 4);
-        large["image"]["seed"] = seed.into();
-        large["priority"] = (-seed).into();
-        farm.submit(&large).await;
-    }
+    farm.submit_three_large().await;
     for errors in 1..=9 {
         let run = bad.claim().await.expect("work");
         let outcome = LeaseOutcome::Failed { message: "the device is hot".to_owned() };

@@ -93,6 +93,16 @@ impl Farm {
         in_time(self.client.post(self.url(path)).body(body).send()).await.expect("the server responds")
     }
 
+    /// Submits three jobs of many tiles, one after another by their priorities.
+    pub(crate) async fn submit_three_large(&self) {
+        for seed in 0..3 {
+            let mut large = job(4096, 4096, 4);
+            large["image"]["seed"] = seed.into();
+            large["priority"] = (-seed).into();
+            self.submit(&large).await;
+        }
+    }
+
     pub(crate) async fn submit(&self, job: &Value) -> JobView {
         let response = self.post("/v1/jobs", job.to_string()).await;
         read(response, StatusCode::CREATED).await

@@ -221,12 +221,7 @@ async fn the_last_worker_is_never_excluded() {
 async fn a_worker_excluded_from_many_jobs_is_quarantined() {
     let farm = Farm::start().await;
     let (bad, good) = (farm.worker("bad").await, farm.worker("good").await);
-    for seed in 0..3 {
-        let mut large = job(4096, 4096, 4);
-        large["image"]["seed"] = seed.into();
-        large["priority"] = (-seed).into();
-        farm.submit(&large).await;
-    }
+    farm.submit_three_large().await;
     for _ in 0..9 {
         let run = bad.claim().await.expect("work");
         bad.report(failed(leases(&run)[0])).await;

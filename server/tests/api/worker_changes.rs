@@ -76,12 +76,7 @@ async fn a_quarantined_worker_gets_no_work_until_it_is_released() {
 async fn a_released_worker_is_not_excluded_for_its_old_errors() {
     let farm = Farm::start().await;
     let (bad, _good) = (farm.worker("bad").await, farm.worker("good").await);
-    for seed in 0..3 {
-        let mut large = job(4096, 4096, 4);
-        large["image"]["seed"] = seed.into();
-        large["priority"] = (-seed).into();
-        farm.submit(&large).await;
-    }
+    farm.submit_three_large().await;
     for _ in 0..9 {
         let run = bad.claim().await.expect("work");
         let outcome = LeaseOutcome::Failed { message: "the device is hot".to_owned() };

@@ -9,7 +9,7 @@ import { csg, cursorAfter, ownBrowser, ready, setText, settled, startFarm, studi
 
 /** Folder of files to open. */
 let files;
-const folder = () => (files ??= mkdtempSync(join(tmpdir(), 'sdfarm-studio-')));
+const folder = () => (files ??= mkdtempSync(join(tmpdir(), 'sdfarm-files-')));
 export function after() {
   stopFarm();
   if (files) rmSync(files, { recursive: true });
