@@ -9,6 +9,7 @@ mod model;
 mod owners;
 mod places;
 mod plans;
+mod recorded;
 mod sequences;
 mod servers;
 mod several_batches;
