@@ -63,8 +63,11 @@ impl SeaweedFs {
 
     /// Starts it again after [`SeaweedFs::stop`], on the same ports.
     pub(crate) fn start_again(&mut self) {
-        self.child = spawn(&self.program, self.folder.path(), &self.ports);
-        assert!(self.wait_until_ready(), "it starts again");
+        let is_ready = (0..MAX_STARTS).any(|_| {
+            self.child = spawn(&self.program, self.folder.path(), &self.ports);
+            self.wait_until_ready()
+        });
+        assert!(is_ready, "it starts again");
     }
 
     /// Returns false if it exits first.
