@@ -20,7 +20,7 @@ use crate::limits::MAX_SAMPLES;
 use crate::march::{Approach, MarchRange, MarchResult, RELAXATION, Tolerance, find_root, march_to_root};
 use crate::materials::{Material, Shade, ShadingPoint};
 use crate::real::{MaskValue, Real, Vec3, bundle, vec3};
-use crate::sampling::{PixelJitter, Sampler, frame_key};
+use crate::sampling::{PixelSampler, Sampler, frame_key};
 use crate::scene::Scene;
 use crate::visible::RayKind;
 use crate::visits::Visits;
@@ -212,15 +212,15 @@ impl<'a> Integrator<'a> {
         };
         let [x, y] = self.in_whole_picture(x, y);
         let zero = x.constant(0.0);
-        let dice = Sampler { x, y, sample: zero, bounce: zero, frame_key: self.frame_key };
+        let dice = PixelSampler::new(x, y, self.samples, self.frame_key);
         if self.samples == 1 {
-            return add(sum, self.radiance(x + 0.5, y + 0.5, &dice));
+            return add(sum, self.radiance(x + 0.5, y + 0.5, &dice.sample(zero)));
         }
-        let jitter = PixelJitter::new(x, y, self.frame_key);
         let (_, sum) = R::repeat(MAX_SAMPLES, (first, sum), |(sample, sum)| {
-            let (jx, jy) = jitter.offset(sample);
+            let dice = dice.sample(sample);
+            let (jx, jy) = dice.get_2d(lighting::IN_PIXEL);
             let next = sample + 1.0;
-            let seen = self.radiance(x + jx, y + jy, &Sampler { sample, ..dice });
+            let seen = self.radiance(x + jx, y + jy, &dice);
             (next.lt(end), (next, add(sum, seen)))
         });
         sum

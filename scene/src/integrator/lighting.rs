@@ -12,10 +12,12 @@ use crate::materials::{IncidentLight, Shade};
 use crate::real::{Real, Vec3};
 use crate::sampling::Sampler;
 
-/// Sampler dimensions, see [`Sampler::get_2d`]: the light with index i uses `DIM_LIGHTS` + i.
-pub(super) const DIM_BSDF: u32 = 0;
-pub(super) const DIM_LOBE: u32 = 1;
-const DIM_LIGHTS: u32 = 2;
+/// Purposes of random numbers, see [`Sampler::get_2d`]: the light with index i uses `OF_LIGHTS` + i.
+pub(super) const IN_PIXEL: u32 = 0;
+pub(super) const OF_DIRECTION: u32 = 1;
+pub(super) const OF_LOBE: u32 = 2;
+pub(super) const IN_MEDIA: u32 = 3;
+const OF_LIGHTS: u32 = 16;
 /// Distance evaluations of one normal.
 const NORMAL_EVALUATIONS: f32 = 4.0;
 
@@ -47,7 +49,7 @@ impl Integrator<'_> {
         let farthest = zero.uniform(self.scene.march.max_distance.get());
         let mut caught = CaughtLight { all: zero, arriving: zero };
         for (index, source) in self.scene.lights.iter().enumerate() {
-            let pair = || dice.get_2d(DIM_LIGHTS + index as u32);
+            let pair = || dice.get_2d(OF_LIGHTS + index as u32);
             let environment = self.scene.environment();
             if let Some((mut incoming, distance)) = source.sample_at(hit.position, farthest, environment.day(), pair) {
                 let unoccluded = incoming.radiance;
@@ -177,7 +179,7 @@ pub(super) fn sample_lights<'a, R: Real>(
     let farthest = p.x.uniform(program.scene.march.max_distance.get());
     program.scene.lights.iter().enumerate().filter_map(move |(index, source)| {
         let day = program.scene.environment().day();
-        let (incoming, distance) = source.sample_at(p, farthest, day, || dice.get_2d(DIM_LIGHTS + index as u32))?;
+        let (incoming, distance) = source.sample_at(p, farthest, day, || dice.get_2d(OF_LIGHTS + index as u32))?;
         Some((source, incoming, distance))
     })
 }

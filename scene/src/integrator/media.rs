@@ -98,7 +98,7 @@ impl Integrator<'_> {
         let nothing = MediumSegment { color: vec3(zero, zero, zero), transmittance: one, evaluations: zero };
         let (near, far) = media.bounds.intersect_ray(ray, farthest);
         R::when(near.lt(far), nothing, || {
-            let (_, jitter) = dice.get_2d(super::lighting::DIM_LOBE);
+            let (_, jitter) = dice.get_2d(super::lighting::IN_MEDIA);
             let (_, crossed) = R::repeat(media.max_steps + MAX_EMPTY_STEPS, (near, nothing), |(t, crossed)| {
                 let (step, crossed) = self.media_step(media, ray, t, jitter, &crossed, dice);
                 let next = t + step;

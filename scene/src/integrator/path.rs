@@ -1,6 +1,6 @@
 //! Path tracing: follows a ray through reflections and transmissions at surfaces.
 
-use super::lighting::{DIM_BSDF, DIM_LOBE};
+use super::lighting::{OF_DIRECTION, OF_LOBE};
 use super::{Hit, Integrator, Radiance};
 use crate::backgrounds::Backdrop;
 use crate::camera::Ray;
@@ -50,7 +50,7 @@ const MIN_THROUGHPUT: f32 = 1.0 / 512.0;
 impl Integrator<'_> {
     /// Radiance along a ray from the camera.
     pub(super) fn path<R: Real>(&self, ray: &Ray<R>, dice: &Sampler<R>) -> Radiance<R> {
-        let (zero, one) = (dice.x.constant(0.0), dice.x.constant(1.0));
+        let (zero, one) = (ray.direction.x.constant(0.0), ray.direction.x.constant(1.0));
         let start = PathState {
             ray: *ray,
             epsilon: zero.uniform(self.tolerance.floor),
@@ -89,7 +89,7 @@ impl Integrator<'_> {
 
     /// Traces a path to its next surface, and samples the bounce there.
     fn trace_segment<R: Real>(&self, path: PathState<R>, dice: &Sampler<R>) -> PathState<R> {
-        let dice = Sampler { bounce: path.bounce, ..*dice };
+        let dice = dice.after(path.bounce);
         let marched = self.march_from(&path.ray, path.epsilon);
         let mut path = path;
         path.evaluations = path.evaluations + marched.evaluations;
@@ -196,7 +196,7 @@ impl Integrator<'_> {
         let viewer = frame.local(to_viewer);
         let viewer = vec3(viewer.x, viewer.y, viewer.z.at_least(1e-3));
         let alpha = alpha_from_roughness(finish.roughness);
-        let (u, v) = dice.get_2d(DIM_BSDF);
+        let (u, v) = dice.get_2d(OF_DIRECTION);
         let facet = sample_visible_normal(viewer, alpha, u, v);
         let cosine = facet.dot(viewer).at_least(1e-4);
         let mirrored = facet.mul_add(cosine + cosine, -viewer);
@@ -221,7 +221,7 @@ impl Integrator<'_> {
         let likely = of_mirror / (of_mirror + of_passage).at_least(1e-6);
         // Rarely chosen directions would be noise.
         let likely = R::select(likely.below(0.01), zero, likely);
-        let (choice, _) = dice.get_2d(DIM_LOBE);
+        let (choice, _) = dice.get_2d(OF_LOBE);
         let mirrors = choice.lt(likely) | of_passage.below(1e-6);
         let refracted = facet.mul_add(ratio.mul_add(cosine, -cosine_beyond), viewer * -ratio);
         let through = passed * (one / (one - likely).at_least(1e-3));
