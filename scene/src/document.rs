@@ -21,6 +21,7 @@ use crate::materials::{Material, MaterialRef, MaterialSlots};
 use crate::nodes::{Node, material_pointer};
 use crate::scene::{March, Object, Scene, child_pointers};
 use crate::shapes::WrittenNodes;
+use crate::transport::Transport;
 use crate::values::NamedNumber;
 
 /// Body of a job submission.
@@ -89,6 +90,10 @@ pub(crate) struct SceneDocument {
     /// Limits of ray marching.
     #[serde(default)]
     pub march: March,
+    /// How light travels: `direct` or `path`.
+    #[serde(default, skip_serializing_if = "Transport::is_default")]
+    #[schemars(extend("default" = "direct"))]
+    pub integrator: Transport,
 }
 
 /// The named shapes of a document, after each `use` in its objects has been replaced.
@@ -135,6 +140,7 @@ impl SceneDocument {
             groups: _,
             mut objects,
             march,
+            integrator,
         } = self;
         camera.fill_defaults();
         let mut slots = MaterialResolver::new(&named, shapes.written.as_ref());
@@ -150,8 +156,18 @@ impl SceneDocument {
         unknown.extend(in_unused.unknown);
         let MaterialSlots { used: materials, count: material_count, by_name, .. } = slots;
         let unused = named.keys().filter(|name| !by_name.contains_key(*name)).cloned().collect();
-        let scene =
-            Scene { camera, background, environment, lights, fog, ambient_occlusion, materials, objects, march };
+        let scene = Scene {
+            camera,
+            background,
+            environment,
+            lights,
+            fog,
+            ambient_occlusion,
+            materials,
+            objects,
+            march,
+            integrator,
+        };
         Resolved { scene, material_count, material_pointers: places, unused_names: unused, unknown }
     }
 }

@@ -2,6 +2,8 @@
 //! devices.
 
 mod by_cells;
+mod emitters;
+mod light_path;
 mod lighting;
 mod media;
 mod path;
@@ -22,8 +24,10 @@ use crate::materials::{Material, Shade, ShadingPoint};
 use crate::real::{MaskValue, Real, Vec3, bundle, vec3};
 use crate::sampling::{PixelSampler, Sampler, frame_key};
 use crate::scene::Scene;
+use crate::transport::{PathSettings, Transport};
 use crate::visible::RayKind;
 use crate::visits::Visits;
+use emitters::Emitters;
 use media::Media;
 use ray_kinds::CallNames;
 use scene_distance::AlongRay;
@@ -42,6 +46,8 @@ pub struct Integrator<'a> {
     surfaces: Vec<usize>,
     materials: MaterialTable,
     media: Option<Media<'a>>,
+    /// The lights, and the objects that shine.
+    emitters: Emitters,
     /// Whether some surface reflects or transmits rays.
     sends_on: bool,
     /// Whether some surface transmits rays.
@@ -179,6 +185,7 @@ impl<'a> Integrator<'a> {
             bounds,
             step_scales,
             media: Media::new(scene, rays, view.origin()),
+            emitters: Emitters::new(scene, &surfaces),
             sends_on,
             lets_through,
             materials: clothes,
@@ -261,6 +268,9 @@ impl<'a> Integrator<'a> {
     /// Radiance along the ray through a point of the picture, in pixels from its top left.
     fn radiance<R: Real>(&self, x: R, y: R, dice: &Sampler<R>) -> Radiance<R> {
         let ray = self.view.ray(x, y);
+        if let Transport::Path(PathSettings { max_bounces }) = self.scene.integrator {
+            return self.light_path(&ray, max_bounces, dice);
+        }
         if self.sends_on || self.materials.catches_shadows || self.media.is_some() || self.scene.fog.is_some() {
             return self.path(&ray, dice);
         }

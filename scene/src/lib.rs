@@ -41,6 +41,7 @@ pub mod scene;
 pub mod schema;
 mod seek;
 mod shapes;
+pub mod transport;
 pub mod values;
 mod visible;
 pub mod visits;

@@ -6,7 +6,9 @@
 
 #[cfg(test)]
 mod added;
+mod body;
 mod directional;
+mod flat;
 mod local;
 mod placed;
 mod point;
@@ -18,7 +20,9 @@ use serde::{Deserialize, Serialize};
 
 #[cfg(test)]
 pub use added::AddedLight;
+pub use body::{LightBody, LightShape, NEVER};
 pub use directional::Directional;
+pub use flat::{DiscLight, RectangleLight};
 pub use local::{SphereLight, SpotLight};
 pub use placed::PlacedLight;
 pub use point::PointLight;
@@ -31,7 +35,7 @@ use crate::materials::microfacet::orthonormal_basis;
 use crate::nodes::{NodeError, snake_case};
 use crate::real::{Real, Vec3, bundle};
 use crate::seek::Seek;
-use crate::values::{Color, FullAngle, Strength};
+use crate::values::{Color, FullAngle, Point, Strength};
 
 /// Light that arrives at a point from one direction.
 #[derive(Clone, Copy, Debug)]
@@ -74,6 +78,14 @@ pub trait LightSource {
 
     /// Whether objects cast shadows in this light.
     fn casts_shadows(&self) -> bool;
+
+    /// Its shape and radiance, if it is seen.
+    fn body(&self) -> Option<LightBody> {
+        None
+    }
+
+    /// About how much light arrives at `p` unoccluded, never 0 where some does: a light is chosen by it.
+    fn strength<R: Real>(&self, p: Vec3<R>, day: Option<&Day>) -> R;
 
     /// Whether it is light of the environment, which has no place of its own.
     fn is_of_environment(&self) -> bool {
@@ -122,6 +134,14 @@ macro_rules! lights {
                 match self { $($(#[$attribute])* Self::$Kind(light) => light.casts_shadows()),* }
             }
 
+            fn body(&self) -> Option<LightBody> {
+                match self { $($(#[$attribute])* Self::$Kind(light) => light.body()),* }
+            }
+
+            fn strength<R: Real>(&self, p: Vec3<R>, day: Option<&Day>) -> R {
+                match self { $($(#[$attribute])* Self::$Kind(light) => light.strength(p, day)),* }
+            }
+
             fn is_of_environment(&self) -> bool {
                 match self { $($(#[$attribute])* Self::$Kind(light) => light.is_of_environment()),* }
             }
@@ -163,6 +183,8 @@ lights![
     Point: PointLight,
     Spot: SpotLight,
     Sphere: SphereLight,
+    Rectangle: RectangleLight,
+    Disc: DiscLight,
     Sun: Sun,
     Sky: SkyLight,
     #[cfg(test)]
@@ -190,6 +212,12 @@ pub(crate) fn direction_around<R: Real>(axis: Vec3<R>, right: Vec3<R>, up: Vec3<
     up.mul_add(away * sine, along)
 }
 
+/// Strength at `p` of a light of some color and size around a point.
+fn strength_of_point<R: Real>(p: Vec3<R>, position: &Point, color: &Color, size: f32) -> R {
+    let square = (Vec3::uniform(p.x, position.get()) - p).length_squared();
+    p.x.uniform(color.get().mean()) / square.at_least(1e-12).max(p.x.uniform(size * size))
+}
+
 /// The lights of a scene without a `lights` member.
 pub(crate) fn default_lights() -> Vec<Light> {
     let direction = serde_json::from_str("[0.6, 0.7, 0.5]").expect("a direction");
@@ -198,6 +226,11 @@ pub(crate) fn default_lights() -> Vec<Light> {
 
 pub(crate) fn default_color() -> Color {
     Color::new(1.0, 1.0, 1.0)
+}
+
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde passes a reference")]
+fn is_false(value: &bool) -> bool {
+    !value
 }
 
 pub(crate) fn default_shadow() -> bool {

@@ -4,6 +4,7 @@
 
 #[cfg(test)]
 mod added;
+pub mod bsdf;
 mod diffuse;
 mod material_ref;
 pub mod microfacet;
@@ -30,6 +31,8 @@ pub use unlit::{Flat, Normals};
 pub use volume::{Clouds, MediumMaterial, Volume};
 
 pub use crate::kinds::{Example, HasExamples};
+use bsdf::{Bsdf, Lobes};
+
 use crate::lights::LightSample;
 use crate::real::{MaskValue, Real, Vec3, bundle};
 use crate::seek::Seek;
@@ -105,6 +108,19 @@ pub trait Shade {
 
     /// Albedo: the surface's own color, without light.
     fn albedo<R: Real>(&self, place: &ShadingPoint<R>) -> Vec3<R>;
+
+    /// Scattering and emission, for paths of light.
+    fn bsdf<R: Real>(&self, place: &ShadingPoint<R>) -> Bsdf<R>;
+
+    /// Terms of `bsdf` that it may have besides the diffuse one.
+    fn lobes(&self) -> Lobes {
+        Lobes::default()
+    }
+
+    /// Emitted radiance, if it is the same in all directions and everywhere on the surface, and not always black.
+    fn uniform_emission(&self) -> Option<Vec3<f32>> {
+        None
+    }
 
     /// Whether `shade` or `transparency` uses the lights.
     fn is_lit(&self) -> bool;
@@ -193,6 +209,18 @@ macro_rules! materials {
 
             fn albedo<R: Real>(&self, place: &ShadingPoint<R>) -> Vec3<R> {
                 match self { $($(#[$attribute])* Self::$Kind(material) => material.albedo(place)),* }
+            }
+
+            fn bsdf<R: Real>(&self, place: &ShadingPoint<R>) -> Bsdf<R> {
+                match self { $($(#[$attribute])* Self::$Kind(material) => material.bsdf(place)),* }
+            }
+
+            fn lobes(&self) -> Lobes {
+                match self { $($(#[$attribute])* Self::$Kind(material) => material.lobes()),* }
+            }
+
+            fn uniform_emission(&self) -> Option<Vec3<f32>> {
+                match self { $($(#[$attribute])* Self::$Kind(material) => material.uniform_emission()),* }
             }
 
             fn is_lit(&self) -> bool {

@@ -15,6 +15,7 @@ use crate::materials::{Material, MaterialRef, Shade};
 use crate::nodes::{Node, NodeError, material_pointer};
 use crate::seek::Seek;
 use crate::values::{Length, integer_in_range};
+use crate::transport::Transport;
 use crate::visible::Visible;
 
 /// The scene to render: materials are in slots, and every number is evaluated at one time.
@@ -44,6 +45,9 @@ pub struct Scene {
     pub objects: Vec<Object>,
     /// Limits of ray marching.
     pub march: March,
+    /// How light travels.
+    #[serde(skip_serializing_if = "Transport::is_default")]
+    pub integrator: Transport,
 }
 
 /// A shape and its material.

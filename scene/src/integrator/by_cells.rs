@@ -94,6 +94,7 @@ impl<'a> Integrator<'a> {
             of_reflections: _,
             surfaces,
             materials,
+            emitters,
             sends_on,
             lets_through,
             bounds,
@@ -109,6 +110,7 @@ impl<'a> Integrator<'a> {
             && *sends_on == other.sends_on
             && *lets_through == other.lets_through
             && materials.is_alike(&other.materials)
+            && emitters.is_alike(&other.emitters)
             && is_lit(self) == is_lit(other)
     }
 }

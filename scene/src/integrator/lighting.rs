@@ -17,9 +17,14 @@ pub(super) const IN_PIXEL: u32 = 0;
 pub(super) const OF_DIRECTION: u32 = 1;
 pub(super) const OF_LOBE: u32 = 2;
 pub(super) const IN_MEDIA: u32 = 3;
+/// Which light, and where on it.
+pub(super) const OF_LIGHT: u32 = 4;
+pub(super) const ON_LIGHT: u32 = 5;
+/// Whether a path goes on.
+pub(super) const OF_ROULETTE: u32 = 6;
 const OF_LIGHTS: u32 = 16;
 /// Distance evaluations of one normal.
-const NORMAL_EVALUATIONS: f32 = 4.0;
+pub(super) const NORMAL_EVALUATIONS: f32 = 4.0;
 
 impl Integrator<'_> {
     /// Color of a surface, and its number of distance evaluations.

@@ -1,14 +1,16 @@
-//! Path tracing: follows a ray through reflections and transmissions at surfaces.
+//! Direct light: follows a ray through reflections and transmissions at surfaces, each lit by all lights.
 
 use super::lighting::{OF_DIRECTION, OF_LOBE};
+use super::media::MediumSegment;
 use super::{Hit, Integrator, Radiance};
 use crate::backgrounds::Backdrop;
 use crate::camera::Ray;
 use crate::fog::Fog;
 use crate::march::MarchResult;
 use crate::materials::SpecularBsdf;
+use crate::materials::bsdf::fresnel;
 use crate::materials::microfacet::{
-    alpha_from_roughness, orthonormal_basis, sample_visible_normal, schlick_weight, smith_g2_over_g1,
+    alpha_from_roughness, orthonormal_basis, sample_visible_normal, smith_g2_over_g1,
 };
 use crate::real::{MaskValue, Real, Vec3, bundle, vec3};
 use crate::sampling::Sampler;
@@ -93,7 +95,14 @@ impl Integrator<'_> {
         let marched = self.march_from(&path.ray, path.epsilon);
         let mut path = path;
         path.evaluations = path.evaluations + marched.evaluations;
-        self.apply_media(&mut path, &marched, &dice);
+        let farthest = path.epsilon.uniform(self.scene.march.max_distance.get());
+        let length = R::select(marched.hit.0, marched.t, farthest);
+        if let Some(crossed) = self.crossed_media(&path.ray, length, &dice) {
+            path.color = path.color + path.throughput.mul_elementwise(crossed.color);
+            path.throughput = path.throughput * crossed.transmittance;
+            path.background_weight = path.background_weight * crossed.transmittance;
+            path.evaluations = path.evaluations + crossed.evaluations;
+        }
         let behind = self.radiance_behind(path.ray.direction, path.background_weight);
         let missed = PathState {
             color: path.color + path.throughput.mul_elementwise(behind),
@@ -103,24 +112,21 @@ impl Integrator<'_> {
         R::when(marched.hit.0, missed, || self.scatter(path, &marched, &dice))
     }
 
-    /// Applies clouds, volumes and fog between the start of a ray and its end.
-    fn apply_media<R: Real>(&self, path: &mut PathState<R>, marched: &MarchResult<R>, dice: &Sampler<R>) {
-        let farthest = path.epsilon.uniform(self.scene.march.max_distance.get());
-        let length = R::select(marched.hit.0, marched.t, farthest);
-        if let Some(media) = &self.media {
-            let crossed = self.integrate_media(media, &path.ray, length, dice);
-            path.color = path.color + path.throughput.mul_elementwise(crossed.color);
-            path.throughput = path.throughput * crossed.transmittance;
-            path.background_weight = path.background_weight * crossed.transmittance;
-            path.evaluations = path.evaluations + crossed.evaluations;
-        }
-        if let Some(fog) = &self.scene.fog {
-            let clear = fog.transmittance(&path.ray, length);
-            let color = self.fog_color(fog, path.ray.direction);
-            path.color = path.color + path.throughput.mul_elementwise(color) * (clear.constant(1.0) - clear);
-            path.throughput = path.throughput * clear;
-            path.background_weight = path.background_weight * clear;
-        }
+    /// Clouds, volumes and fog along a part of a ray; `None` if the scene has none.
+    pub(super) fn crossed_media<R: Real>(
+        &self,
+        ray: &Ray<R>,
+        length: R,
+        dice: &Sampler<R>,
+    ) -> Option<MediumSegment<R>> {
+        let crossed = self.media.as_ref().map(|media| self.integrate_media(media, ray, length, dice));
+        let Some(fog) = &self.scene.fog else { return crossed };
+        let (zero, one) = (length.constant(0.0), length.constant(1.0));
+        let nothing = MediumSegment { color: vec3(zero, zero, zero), transmittance: one, evaluations: zero };
+        let MediumSegment { color, transmittance, evaluations } = crossed.unwrap_or(nothing);
+        let clear = fog.transmittance(ray, length);
+        let veil = self.fog_color(fog, ray.direction) * (transmittance * (one - clear));
+        Some(MediumSegment { color: color + veil, transmittance: transmittance * clear, evaluations })
     }
 
     /// Color of the fog in a direction.
@@ -235,7 +241,7 @@ impl Integrator<'_> {
     }
 
     /// Marches from a surface, or from the camera. `near` is the tolerance at the start.
-    fn march_from<R: Real>(&self, ray: &Ray<R>, near: R) -> MarchResult<R> {
+    pub(super) fn march_from<R: Real>(&self, ray: &Ray<R>, near: R) -> MarchResult<R> {
         near.call(self.names.march_on, (*ray, near), |(ray, near)| {
             self.march_in_bounds(&ray, near.uniform(self.tolerance.slope), near, false)
         })
@@ -246,16 +252,6 @@ impl Integrator<'_> {
 fn clamp_indirect<R: Real>(color: Vec3<R>) -> Vec3<R> {
     let brightest = color.max_element().at_least(MAX_INDIRECT_RADIANCE);
     color * (brightest.constant(MAX_INDIRECT_RADIANCE) / brightest)
-}
-
-/// Schlick's approximation of Fresnel's equations; a material that reflects almost nothing does so at every angle.
-///
-/// Sébastien Lagarde, "Memo on Fresnel equations", 2013:
-/// <https://seblagarde.wordpress.com/2013/04/29/memo-on-fresnel-equations/>.
-fn fresnel<R: Real>(head_on: Vec3<R>, cosine: R) -> Vec3<R> {
-    let most = (head_on.max_element() * 50.0).at_most(1.0);
-    let rise = schlick_weight(cosine);
-    head_on.map(|channel| (most - channel).at_least(0.0).mul_add(rise, channel))
 }
 
 /// Orthonormal frame around a normal.

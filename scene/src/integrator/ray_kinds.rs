@@ -13,6 +13,7 @@ pub(super) struct CallNames {
     pub(super) march_to_depth: &'static str,
     pub(super) hit: &'static str,
     pub(super) visibility: &'static str,
+    pub(super) light_visibility: &'static str,
     pub(super) optical_depth: &'static str,
 }
 
@@ -26,6 +27,7 @@ macro_rules! call_names {
             march_to_depth: concat!("march_to_depth", $suffix),
             hit: concat!("hit", $suffix),
             visibility: concat!("visibility", $suffix),
+            light_visibility: concat!("light_visibility", $suffix),
             optical_depth: concat!("optical_depth", $suffix),
         }
     };

@@ -2,6 +2,7 @@
 
 use super::{Hit, Integrator};
 use crate::camera::Ray;
+use crate::materials::bsdf::{Bsdf, Lobes};
 use crate::materials::microfacet::orthonormal_basis;
 use crate::materials::{IncidentLight, Shade, ShadingPoint, SpecularBsdf};
 use crate::nodes::{DistanceWithMaterials, MaterialWeight, SdfValue};
@@ -23,6 +24,8 @@ pub(super) struct MaterialTable {
     needs_footprint: bool,
     /// Whether some surface shows the shadows on it and nothing else.
     pub(super) catches_shadows: bool,
+    /// Terms that the BSDF of some surface has.
+    pub(super) lobes: Lobes,
 }
 
 /// A material at a hit.
@@ -47,8 +50,10 @@ impl MaterialTable {
         let needs_own_normal = worn.iter().any(|&slot| slots[slot].needs_local_normal());
         let needs_footprint = worn.iter().any(|&slot| slots[slot].needs_footprint());
         let catches_shadows = worn.iter().any(|&slot| slots[slot].is_shadow_catcher());
+        let lobes = worn.iter().fold(Lobes::default(), |lobes, &slot| lobes.or(slots[slot].lobes()));
         Self {
             catches_shadows,
+            lobes,
             has_own_materials: painted,
             surface_slots: worn,
             single_slot: only,
@@ -67,12 +72,14 @@ impl MaterialTable {
             needs_own_normal,
             needs_footprint,
             catches_shadows,
+            lobes,
         } = self;
         *surface_slots == other.surface_slots
             && *single_slot == other.single_slot
             && *needs_own_normal == other.needs_own_normal
             && *needs_footprint == other.needs_footprint
             && *catches_shadows == other.catches_shadows
+            && *lobes == other.lobes
     }
 
     /// Index of a slot among those of surfaces.
@@ -179,6 +186,31 @@ impl Integrator<'_> {
                 (color.mul_add(share, sum), finish)
             },
         )
+    }
+
+    /// Index of the nearest object at a hit; 0 if nothing depends on it.
+    pub(super) fn object_at<R: Real>(&self, hit: &Hit<R>) -> R {
+        if self.materials.single_slot.is_some() && !self.emitters.has_objects() {
+            return hit.t.constant(0.0);
+        }
+        self.nearest_object(hit.position).1
+    }
+
+    /// Evaluations of the scene's distance in one call of `object_at` and `bsdf`.
+    pub(super) fn object_evaluations(&self) -> f32 {
+        if self.emitters.has_objects() { 1.0 } else { self.shade_evaluations() }
+    }
+
+    /// BSDF at a hit of an object.
+    pub(super) fn bsdf<R: Real>(&self, hit: &Hit<R>, ray: &Ray<R>, object: R) -> Bsdf<R> {
+        let materials = self.scene.used_materials();
+        if let Some(only) = self.materials.single_slot {
+            let place = ShadingPoint::new(hit, ray, self.footprint(hit, ray));
+            let bsdf = materials[only].bsdf(&place);
+            return Bsdf { emission: bsdf.emission.map(|c| self.asked_for(only, c)), ..bsdf };
+        }
+        let of_slot = |slot: usize, place: &ShadingPoint<R>| materials[slot].bsdf(place);
+        self.blend(hit, ray, self.footprint(hit, ray), object, Bsdf::nothing(object), of_slot, Bsdf::plus)
     }
 
     /// A number of a material, which is recorded as asked for.

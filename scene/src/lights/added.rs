@@ -40,6 +40,10 @@ impl LightSource for AddedLight {
         false
     }
 
+    fn strength<R: Real>(&self, p: Vec3<R>, _: Option<&Day>) -> R {
+        p.x.uniform(self.color.get().mean()) / (p.y.square() + 1.0)
+    }
+
     fn is_dark(&self) -> bool {
         self.color.is_black()
     }

@@ -49,6 +49,10 @@ impl LightSource for Directional {
         self.shadow
     }
 
+    fn strength<R: Real>(&self, p: Vec3<R>, _: Option<&Day>) -> R {
+        p.x.uniform(self.color.get().mean())
+    }
+
     fn is_dark(&self) -> bool {
         self.color.is_black()
     }

@@ -3,9 +3,9 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{HasExamples, LightSample, LightSource, default_color, default_shadow, direction_around};
+use super::body::{LightBody, LightShape, PointOfLight};
+use super::{HasExamples, LightSample, LightSource, default_color, default_shadow, is_false, strength_of_point};
 use crate::backgrounds::Day;
-use crate::materials::microfacet::orthonormal_basis;
 use crate::real::{Real, Vec3};
 use crate::seek::Seek;
 use crate::values::{Color, Direction, Fraction, FullAngle, Length, Point};
@@ -33,10 +33,7 @@ pub struct SpotLight {
 }
 
 /// Light from a ball. It lights distant surfaces like a point light of the same color, and its shadows have soft
-/// edges. The ball itself is not visible.
-///
-/// Peter Shirley, Changyaw Wang, Kurt Zimmerman, "Monte Carlo techniques for direct lighting
-/// calculations", ACM Transactions on Graphics 15(1), 1996: directions are sampled in the cone that it subtends.
+/// edges.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct SphereLight {
@@ -50,6 +47,9 @@ pub struct SphereLight {
     /// Whether objects cast shadows in this light.
     #[serde(default = "default_shadow")]
     pub shadow: bool,
+    /// Whether the ball itself is seen.
+    #[serde(default, skip_serializing_if = "is_false")]
+    pub visible: bool,
 }
 
 impl HasExamples for SpotLight {
@@ -82,6 +82,13 @@ impl LightSource for SpotLight {
         Some((LightSample { direction, radiance }, distance))
     }
 
+    fn strength<R: Real>(&self, p: Vec3<R>, _: Option<&Day>) -> R {
+        let strength = strength_of_point(p, &self.position, &self.color, 0.0);
+        let toward = (Vec3::uniform(p.x, self.position.get()) - p).normalize();
+        let edge = p.x.uniform(Real::cos(self.angle.get() * (std::f32::consts::PI / 360.0)));
+        R::select(edge.lt(-toward.dot_uniform(self.direction.unit())), strength, p.x.constant(0.0))
+    }
+
     fn casts_shadows(&self) -> bool {
         self.shadow
     }
@@ -93,6 +100,8 @@ impl LightSource for SpotLight {
 
 impl HasExamples for SphereLight {
     const EXAMPLE: &'static str = r#"{ "position": [-1.3, 1.5, 1.5], "radius": 0.5, "color": [4.6, 4.2, 3.6] }"#;
+    const MORE_EXAMPLES: &'static [&'static str] =
+        &[r#"{ "position": [-1.3, 1.5, 1.5], "radius": 0.5, "color": [4.6, 4.2, 3.6], "visible": true }"#];
 }
 
 impl LightSource for SphereLight {
@@ -103,24 +112,9 @@ impl LightSource for SphereLight {
         _: Option<&Day>,
         pair: impl FnOnce() -> (R, R),
     ) -> Option<(LightSample<R>, R)> {
-        let (u, v) = pair();
-        let one = p.x.constant(1.0);
-        let radius = p.x.uniform(self.radius.get());
-        let toward = Vec3::uniform(p.x, self.position.get()) - p;
-        // Inside the ball, light comes from a full half-space.
-        let distance = toward.length().max(radius);
-        let per_distance = one / distance;
-        let axis = (toward * per_distance).normalize();
-        let sine = (radius * per_distance).at_most(1.0);
-        let versine_of_edge = sine.square() / (one + (one - sine.square()).sqrt());
-        let (right, up) = orthonormal_basis(axis);
-        let direction = direction_around(axis, right, up, u * versine_of_edge, v);
-        let along = direction.dot(toward);
-        let to_surface = along - (radius.square() - (distance.square() - along.square())).sqrt();
-        // Its radiance is color/r², over 2π·versine of solid angle, and π is left out of lights.
-        let strength = versine_of_edge * 2.0 * p.x.uniform(1.0 / (self.radius.get() * self.radius.get()).max(1e-20));
-        let radiance = Vec3::uniform(p.x, self.color.get()) * strength;
-        Some((LightSample { direction, radiance }, to_surface.at_least(1e-6)))
+        let body = self.shape_and_radiance();
+        let PointOfLight { direction, distance, solid_angle } = body.shape.sample(p, pair());
+        Some((LightSample { direction, radiance: body.arriving(solid_angle) }, distance))
     }
 
     fn casts_shadows(&self) -> bool {
@@ -129,6 +123,23 @@ impl LightSource for SphereLight {
 
     fn is_dark(&self) -> bool {
         self.color.is_black()
+    }
+
+    fn body(&self) -> Option<LightBody> {
+        self.visible.then(|| self.shape_and_radiance())
+    }
+
+    fn strength<R: Real>(&self, p: Vec3<R>, _: Option<&Day>) -> R {
+        let Self { position, radius, color, .. } = self;
+        strength_of_point(p, position, color, radius.get())
+    }
+}
+
+impl SphereLight {
+    fn shape_and_radiance(&self) -> LightBody {
+        let (center, radius, color) = (self.position.get(), self.radius.get(), self.color.get());
+        let per_square = 1.0 / (radius * radius).max(1e-20);
+        LightBody { shape: LightShape::Sphere { center, radius }, radiance: color.map(|c| c * per_square) }
     }
 }
 

@@ -4,7 +4,7 @@ use std::ops::Deref;
 
 use serde::{Serialize, Serializer};
 
-use super::{Light, LightSample, LightSource};
+use super::{Light, LightBody, LightSample, LightShape, LightSource};
 use crate::backgrounds::Day;
 use crate::groups::Placement;
 use crate::real::{Real, Vec3};
@@ -31,6 +31,29 @@ impl PlacedLight {
         let outward = self.placements.iter().rev();
         let direction = outward.fold(sample.direction, |direction, placement| placement.direction_to_scene(direction));
         Some((LightSample { direction, ..sample }, distance))
+    }
+
+    /// Its shape in the scene and its radiance, if it is seen.
+    pub(crate) fn body_in_scene(&self) -> Option<LightBody> {
+        let LightBody { shape, radiance } = self.light.body()?;
+        let outward = || self.placements.iter().rev();
+        let point = |p| outward().fold(p, |p, placement| placement.to_scene(p));
+        let direction = |d| outward().fold(d, |d, placement| placement.direction_to_scene(d));
+        let shape = match shape {
+            LightShape::Sphere { center, radius } => LightShape::Sphere { center: point(center), radius },
+            LightShape::Flat { center, normal, sides, outline } => LightShape::Flat {
+                center: point(center),
+                normal: direction(normal),
+                sides: sides.map(direction),
+                outline,
+            },
+        };
+        Some(LightBody { shape, radiance })
+    }
+
+    /// About how much light arrives at `p` unoccluded, see [`LightSource::strength`].
+    pub(crate) fn strength_at<R: Real>(&self, p: Vec3<R>, day: Option<&Day>) -> R {
+        self.light.strength(self.placements.iter().fold(p, |p, placement| placement.to_group(p)), day)
     }
 
     /// Precomputes values that all points use.

@@ -3,7 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{HasExamples, LightSample, LightSource, default_color, default_shadow};
+use super::{HasExamples, LightSample, LightSource, default_color, default_shadow, strength_of_point};
 use crate::backgrounds::Day;
 use crate::real::{Real, Vec3};
 use crate::seek::Seek;
@@ -44,6 +44,10 @@ impl LightSource for PointLight {
 
     fn casts_shadows(&self) -> bool {
         self.shadow
+    }
+
+    fn strength<R: Real>(&self, p: Vec3<R>, _: Option<&Day>) -> R {
+        strength_of_point(p, &self.position, &self.color, 0.0)
     }
 
     fn is_dark(&self) -> bool {

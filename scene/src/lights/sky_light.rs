@@ -59,6 +59,11 @@ impl LightSource for SkyLight {
         true
     }
 
+    /// It is met by rays that meet nothing else.
+    fn strength<R: Real>(&self, p: Vec3<R>, _: Option<&Day>) -> R {
+        p.x.constant(0.0)
+    }
+
     fn is_dark(&self) -> bool {
         self.strength.is_zero()
     }

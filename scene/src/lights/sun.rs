@@ -53,6 +53,10 @@ impl LightSource for Sun {
         true
     }
 
+    fn strength<R: Real>(&self, p: Vec3<R>, day: Option<&Day>) -> R {
+        day.map_or(p.x.constant(0.0), |day| p.x.uniform(day.sun_color().mean() * self.strength.get()))
+    }
+
     fn is_dark(&self) -> bool {
         self.strength.is_zero()
     }

@@ -3,6 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use super::bsdf::Bsdf;
 use super::{HasExamples, IncidentLight, Shade, ShadingPoint};
 use crate::real::{Real, Vec3};
 use crate::seek::Seek;
@@ -31,6 +32,10 @@ impl Shade for AddedMaterial {
 
     fn albedo<R: Real>(&self, place: &ShadingPoint<R>) -> Vec3<R> {
         Vec3::uniform(place.camera_t, self.color.get())
+    }
+
+    fn bsdf<R: Real>(&self, place: &ShadingPoint<R>) -> Bsdf<R> {
+        Bsdf { diffuse: self.albedo(place), ..Bsdf::black(place.camera_t) }
     }
 
     fn is_lit(&self) -> bool {

@@ -3,6 +3,8 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use super::bsdf::{Bsdf, Lobes};
+use super::microfacet::MIN_ALPHA;
 use super::{ColorParam, HasExamples, IncidentLight, ScalarParam, Shade, ShadingPoint, Texture};
 use crate::real::{Real, Vec3, vec3};
 use crate::seek::Seek;
@@ -90,6 +92,24 @@ impl Shade for Diffuse {
 
     fn albedo<R: Real>(&self, place: &ShadingPoint<R>) -> Vec3<R> {
         self.kd.at(place)
+    }
+
+    /// Light that travels takes the place of the ambient light. A highlight becomes one of microfacets that is as wide
+    /// and, where it is brightest, as bright.
+    ///
+    /// Bruce Walter et al., "Microfacet models for refraction through rough surfaces", EGSR 2007: α² = 2/(n + 2).
+    fn bsdf<R: Real>(&self, place: &ShadingPoint<R>) -> Bsdf<R> {
+        let matte = Bsdf { diffuse: self.kd.at(place), ..Bsdf::black(place.camera_t) };
+        if self.ks.is_black() {
+            return matte;
+        }
+        let square = place.camera_t.constant(2.0) / (self.shininess.at(place) + 2.0);
+        let f0 = self.ks.at(place) * (square * 4.0).at_most(1.0);
+        Bsdf { f0, alpha: square.sqrt().at_least(MIN_ALPHA), ..matte }
+    }
+
+    fn lobes(&self) -> Lobes {
+        Lobes { reflection: !self.ks.is_black(), ..Lobes::default() }
     }
 
     fn is_lit(&self) -> bool {

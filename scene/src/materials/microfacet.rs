@@ -6,7 +6,7 @@
 //! function in microfacet-based BRDFs", JCGT 3(2), 2014, <https://jcgt.org/published/0003/02/03/>.
 //! Cosines are those of angles to the normal, 0 to 1. In a local frame the normal is +z.
 
-use std::f32::consts::TAU;
+use std::f32::consts::{PI, TAU};
 
 use crate::real::{Real, Vec3, vec3};
 
@@ -39,6 +39,12 @@ pub fn smith_visibility<R: Real>(alpha: R, to_light: R, to_viewer: R) -> R {
     let square = alpha.square();
     let (to_light, to_viewer) = (to_light.at_least(MIN_COSINE), to_viewer.at_least(MIN_COSINE));
     to_light.constant(0.5) / to_light.mul_add(smith_root(square, to_viewer), to_viewer * smith_root(square, to_light))
+}
+
+/// Density of light reflected by a normal of [`sample_visible_normal`], over [`ggx_distribution`]: G₁(viewer)/(4π·(N·V)).
+pub fn visible_normal_density<R: Real>(alpha: R, to_viewer: R) -> R {
+    let to_viewer = to_viewer.at_least(MIN_COSINE);
+    to_viewer.constant(0.5 / PI) / (to_viewer + smith_root(alpha.square(), to_viewer))
 }
 
 /// Minimum cosine in divisors.

@@ -3,6 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use super::bsdf::Bsdf;
 use super::{HasExamples, IncidentLight, Shade, ShadingPoint};
 use crate::real::{Real, Vec3, vec3};
 use crate::seek::Seek;
@@ -34,6 +35,10 @@ impl Shade for ShadowCatcher {
     fn albedo<R: Real>(&self, place: &ShadingPoint<R>) -> Vec3<R> {
         let zero = place.camera_t.constant(0.0);
         vec3(zero, zero, zero)
+    }
+
+    fn bsdf<R: Real>(&self, place: &ShadingPoint<R>) -> Bsdf<R> {
+        Bsdf::black(place.camera_t)
     }
 
     fn is_lit(&self) -> bool {

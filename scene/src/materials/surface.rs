@@ -3,6 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use super::bsdf::{Bsdf, CLEARCOAT_F0, Lobes};
 use super::microfacet::{alpha_from_roughness, f0_from_ior, ggx_distribution, schlick_weight, smith_visibility};
 use super::param::lerp;
 use super::{ColorParam, HasExamples, IncidentLight, ScalarParam, Shade, ShadingPoint, SpecularBsdf, Texture};
@@ -48,9 +49,6 @@ pub struct Surface {
     #[serde(default = "default_fraction")]
     pub transmission: ScalarParam<Fraction>,
 }
-
-/// F0 of a clear coat.
-const CLEARCOAT_F0: f32 = 0.04;
 
 /// A clear coat at a shading point.
 #[derive(Clone, Copy)]
@@ -124,6 +122,16 @@ impl Surface {
         }
         let through = body * self.transmission.at(place);
         (body - through, through)
+    }
+
+    /// Fraction of the light that enters and is transmitted, by channel.
+    fn transmitted<R: Real>(&self, place: &ShadingPoint<R>, base: Vec3<R>) -> Vec3<R> {
+        let zero = base.x.constant(0.0);
+        if self.transmission.is_zero() {
+            return vec3(zero, zero, zero);
+        }
+        let (_, through) = self.diffuse_and_transmitted(place);
+        base.map(|c| c.sqrt() * through)
     }
 
     fn clearcoat<R: Real>(&self, place: &ShadingPoint<R>) -> Option<Clearcoat<R>> {
@@ -267,6 +275,45 @@ impl Shade for Surface {
         self.base(place)
     }
 
+    fn bsdf<R: Real>(&self, place: &ShadingPoint<R>) -> Bsdf<R> {
+        let terms = self.layers(place);
+        let like = terms.n_dot_v;
+        let zero = like.constant(0.0);
+        let mut emission = self.emission.at(place);
+        if let Some(coat) = terms.clearcoat {
+            emission = emission * coat.transmitted(terms.viewer_schlick);
+        }
+        // Without a boundary, the body scatters as Lambert's does: the light that a boundary sends back is not made up for.
+        let (border, diffuse) = match terms.clearcoat {
+            None => {
+                let border = (terms.f0.max_element() * 50.0).at_most(1.0);
+                (border, terms.diffuse_color * (like.constant(1.0) - (like.constant(1.0) - border) * (1.0 / 21.0)))
+            }
+            Some(_) => (like.constant(1.0), terms.diffuse_color),
+        };
+        let coat = terms.clearcoat.unwrap_or(Clearcoat { amount: zero, alpha: like.constant(1.0) });
+        Bsdf {
+            emission,
+            diffuse,
+            border,
+            f0: terms.f0,
+            alpha: terms.alpha,
+            coat: coat.amount,
+            coat_alpha: coat.alpha,
+            transmission: self.transmitted(place, self.base(place)),
+            ior: self.ior.at(place),
+        }
+    }
+
+    fn lobes(&self) -> Lobes {
+        Lobes { reflection: true, coat: !self.clearcoat.is_zero(), transmission: !self.transmission.is_zero() }
+    }
+
+    fn uniform_emission(&self) -> Option<Vec3<f32>> {
+        let emission = self.emission.as_constant().filter(|color| !color.is_black())?;
+        self.clearcoat.is_zero().then(|| emission.get())
+    }
+
     fn is_lit(&self) -> bool {
         true
     }
@@ -280,13 +327,7 @@ impl Shade for Surface {
         let (_, at_normal) = self.f0(place, base);
         let roughness = self.roughness.at(place);
         let ior = self.ior.at(place);
-        let zero = ior.constant(0.0);
-        let passed = if self.transmission.is_zero() {
-            vec3(zero, zero, zero)
-        } else {
-            let (_, through) = self.diffuse_and_transmitted(place);
-            base.map(|c| c.sqrt() * through)
-        };
+        let passed = self.transmitted(place, base);
         let (mirrored, roughness) = if self.clearcoat.is_zero() {
             (at_normal, roughness)
         } else {

@@ -3,9 +3,11 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use super::bsdf::Bsdf;
 use super::{ColorParam, HasExamples, IncidentLight, Shade, ShadingPoint, Texture};
 use crate::real::{Real, Vec3};
 use crate::seek::Seek;
+use crate::values::Color;
 
 /// One color, independent of light.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
@@ -32,8 +34,17 @@ impl Shade for Flat {
         self.color.at(place)
     }
 
+    /// It emits its color.
+    fn bsdf<R: Real>(&self, place: &ShadingPoint<R>) -> Bsdf<R> {
+        Bsdf { emission: self.albedo(place), ..Bsdf::black(place.camera_t) }
+    }
+
     fn is_lit(&self) -> bool {
         false
+    }
+
+    fn uniform_emission(&self) -> Option<Vec3<f32>> {
+        self.color.as_constant().filter(|color| !color.is_black()).map(Color::get)
     }
 
     fn textures(&self) -> Vec<&Texture> {
@@ -57,6 +68,11 @@ impl Shade for Normals {
 
     fn albedo<R: Real>(&self, place: &ShadingPoint<R>) -> Vec3<R> {
         place.normal.map(|c| c.mul_add(c.constant(0.5), c.constant(0.5)))
+    }
+
+    /// It emits its color.
+    fn bsdf<R: Real>(&self, place: &ShadingPoint<R>) -> Bsdf<R> {
+        Bsdf { emission: self.albedo(place), ..Bsdf::black(place.camera_t) }
     }
 
     fn is_lit(&self) -> bool {

@@ -3,6 +3,8 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Deserializer, Serialize};
 
+use super::bsdf::{Bsdf, Lobes};
+use super::microfacet::MIN_ALPHA;
 use super::{HasExamples, IncidentLight, Shade, ShadingPoint, SpecularBsdf};
 use crate::limits::{MAX_LIGHT_STEPS, MAX_MEDIUM_STEPS};
 use crate::noise::Noise;
@@ -206,6 +208,22 @@ impl Shade for Clouds {
         Vec3::uniform(place.camera_t, self.color.get())
     }
 
+    /// Lit like a surface after Lambert where it is covered, and clear elsewhere.
+    fn bsdf<R: Real>(&self, place: &ShadingPoint<R>) -> Bsdf<R> {
+        let (one, covered) = (place.camera_t.constant(1.0), self.coverage_at(place));
+        let passed = one - covered;
+        Bsdf {
+            diffuse: self.albedo(place) * covered,
+            transmission: vec3(passed, passed, passed),
+            alpha: one.constant(MIN_ALPHA),
+            ..Bsdf::black(one)
+        }
+    }
+
+    fn lobes(&self) -> Lobes {
+        Lobes { reflection: true, transmission: true, ..Lobes::default() }
+    }
+
     fn is_lit(&self) -> bool {
         true
     }
@@ -294,6 +312,10 @@ impl Shade for Volume {
 
     fn albedo<R: Real>(&self, place: &ShadingPoint<R>) -> Vec3<R> {
         Vec3::uniform(place.camera_t, self.albedo.get())
+    }
+
+    fn bsdf<R: Real>(&self, place: &ShadingPoint<R>) -> Bsdf<R> {
+        Bsdf::black(place.camera_t)
     }
 
     fn is_lit(&self) -> bool {

@@ -11,6 +11,7 @@ mod formulas;
 mod fractals;
 mod kinds;
 mod large;
+mod light;
 mod materials;
 mod noise;
 mod old_jobs;

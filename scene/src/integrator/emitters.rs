@@ -1,0 +1,349 @@
+//! Lights of path tracing: one of them is chosen at each surface, by its strength there.
+
+use std::f32::consts::PI;
+
+use super::lighting::{OF_LIGHT, ON_LIGHT};
+use super::{Hit, Integrator};
+use crate::backgrounds::Backdrop;
+use crate::camera::Ray;
+use crate::lights::{LightBody, LightSource, NEVER, PlacedLight, direction_around};
+use crate::materials::Shade;
+use crate::materials::microfacet::orthonormal_basis;
+use crate::real::{Real, Vec3, bundle, vec3};
+use crate::sampling::Sampler;
+use crate::scene::Scene;
+
+
+/// Maximum number of emitting objects that are sampled as lights; others light surfaces where a path meets them.
+const MAX_EMITTING_OBJECTS: usize = 32;
+
+/// Something that shines on surfaces.
+#[derive(Clone, Debug)]
+enum Emitter {
+    /// A light of the scene, and its shape if rays meet it.
+    Light { index: usize, body: Option<LightBody> },
+    /// An object of one radiance: its directions are sampled in the cone of a ball around it.
+    Object(EmittingObject),
+}
+
+#[derive(Clone, Debug)]
+struct EmittingObject {
+    index: usize,
+    center: Vec3<f32>,
+    radius: f32,
+    radiance: Vec3<f32>,
+}
+
+/// What shines in a scene.
+#[derive(Clone, Debug)]
+pub(super) struct Emitters {
+    all: Vec<Emitter>,
+}
+
+/// A direction that was sampled toward a light.
+#[derive(Clone, Copy)]
+struct LightRay<R> {
+    direction: Vec3<R>,
+    /// Distance of the light.
+    distance: R,
+    /// Radiance over π and over the density of the direction, without occlusion.
+    arriving: Vec3<R>,
+    /// Density of the direction, if a scattered ray may meet the light there; else 0.
+    density: R,
+    /// Index of the emitter.
+    emitter: R,
+    /// 0 if the light casts no shadows.
+    casts_shadows: R,
+}
+
+bundle!(LightRay { direction, distance, arriving, density, emitter, casts_shadows });
+
+/// A light that a ray meets.
+#[derive(Clone, Copy)]
+pub(super) struct MetLight<R> {
+    /// [`NEVER`] if there is none.
+    pub(super) distance: R,
+    pub(super) radiance: Vec3<R>,
+    /// Density with which next-event estimation would have chosen the direction.
+    pub(super) density: R,
+}
+
+bundle!(MetLight { distance, radiance, density });
+
+/// Light that arrives at a surface from the chosen light.
+pub(super) struct NextEvent<R> {
+    pub(super) direction: Vec3<R>,
+    /// Radiance over π and over the density of the direction, with occlusion.
+    pub(super) arriving: Vec3<R>,
+    /// Density of the direction, if a scattered ray may meet the light there; else 0.
+    pub(super) density: R,
+    pub(super) evaluations: R,
+}
+
+/// The vertex that a ray comes from, as the lights saw it.
+#[derive(Clone, Copy)]
+pub(super) struct Vertex<R> {
+    pub(super) position: Vec3<R>,
+    /// Sum of the strengths of all lights there.
+    pub(super) strength: R,
+}
+
+bundle!(Vertex { position, strength });
+
+impl Emitters {
+    /// The lights of a scene, and those of its objects that shine and that `surfaces` has.
+    pub(super) fn new(scene: &Scene, surfaces: &[usize]) -> Self {
+        // Light of the sky is met by rays that meet nothing else.
+        let day = scene.environment().day();
+        let has_direction = |light: &PlacedLight| light.sample_at(vec3(0.0, 0.0, 0.0), 1.0, day, || (0.5, 0.5)).is_some();
+        let lights = scene.lights.iter().enumerate().filter(|(_, light)| !light.is_dark() && has_direction(light));
+        let lights = lights.map(|(index, light)| Emitter::Light { index, body: light.body_in_scene() });
+        let objects = surfaces.iter().filter_map(|&index| {
+            let object = &scene.objects[index];
+            let radiance = scene.material_of(index).uniform_emission()?;
+            let bounds = object.shape.bounds(0.0);
+            if object.shape.has_own_materials() || !bounds.is_finite() {
+                return None;
+            }
+            let center = (bounds.min + bounds.max) * 0.5;
+            Some(Emitter::Object(EmittingObject { index, center, radius: bounds.diagonal() * 0.5005, radiance }))
+        });
+        Self { all: lights.chain(objects.take(MAX_EMITTING_OBJECTS)).collect() }
+    }
+
+    /// The lights that rays meet, with their indices and shapes.
+    fn bodies(&self) -> impl Iterator<Item = (usize, &Emitter, &LightBody)> {
+        self.all.iter().enumerate().filter_map(|(index, emitter)| match emitter {
+            Emitter::Light { body, .. } => body.as_ref().map(|body| (index, emitter, body)),
+            Emitter::Object(_) => None,
+        })
+    }
+
+    /// The objects that are sampled as lights, with their indices among the emitters.
+    fn objects(&self) -> impl Iterator<Item = (usize, &EmittingObject)> {
+        self.all.iter().enumerate().filter_map(|(index, emitter)| match emitter {
+            Emitter::Light { .. } => None,
+            Emitter::Object(object) => Some((index, object)),
+        })
+    }
+
+    /// Whether some object is sampled as a light.
+    pub(super) fn has_objects(&self) -> bool {
+        self.objects().next().is_some()
+    }
+
+    /// Whether the emitters of another scene are the same objects and lights.
+    pub(super) fn is_alike(&self, other: &Self) -> bool {
+        let key = |emitter: &Emitter| match emitter {
+            // Lights are compared by the frames' keys.
+            Emitter::Light { .. } => None,
+            Emitter::Object(EmittingObject { index, center, radius, radiance }) => {
+                Some((*index, *center, *radius, *radiance))
+            }
+        };
+        self.all.iter().map(key).eq(other.all.iter().map(key))
+    }
+}
+
+impl EmittingObject {
+    /// 1 − the cosine of half the cone in which directions are sampled; 2 inside the ball, where all are.
+    fn versine<R: Real>(&self, p: Vec3<R>) -> R {
+        let one = p.x.constant(1.0);
+        let square = p.x.uniform(self.radius * self.radius);
+        let away = (Vec3::uniform(p.x, self.center) - p).length_squared();
+        let sine_squared = (square / away.max(square)).at_most(1.0);
+        let versine = sine_squared / (one + (one - sine_squared).sqrt());
+        R::select(square.lt(away), versine, p.x.constant(2.0))
+    }
+
+    fn density<R: Real>(&self, p: Vec3<R>) -> R {
+        p.x.constant(0.5 / PI) / self.versine(p).at_least(1e-12)
+    }
+
+    fn sample<R: Real>(&self, p: Vec3<R>, farthest: R, (u, v): (R, R)) -> LightRay<R> {
+        let axis = (Vec3::uniform(p.x, self.center) - p).normalize();
+        let versine = self.versine(p);
+        let (right, up) = orthonormal_basis(axis);
+        LightRay {
+            direction: direction_around(axis, right, up, u * versine, v).normalize(),
+            distance: farthest,
+            arriving: Vec3::uniform(p.x, self.radiance) * (versine * 2.0),
+            density: self.density(p),
+            emitter: p.x.constant(-1.0),
+            casts_shadows: p.x.constant(1.0),
+        }
+    }
+}
+
+impl Integrator<'_> {
+    /// About how much light arrives at `p` from an emitter.
+    fn strength_of<R: Real>(&self, emitter: &Emitter, p: Vec3<R>) -> R {
+        match emitter {
+            Emitter::Light { index, .. } => {
+                self.scene.lights[*index].strength_at(p, self.scene.environment().day())
+            }
+            Emitter::Object(EmittingObject { center, radius, radiance, .. }) => {
+                let square = radius * radius;
+                let away = (Vec3::uniform(p.x, *center) - p).length_squared();
+                p.x.uniform(radiance.mean() * square) / away.max(p.x.uniform(square))
+            }
+        }
+    }
+
+    /// A point, and the sum of the strengths of all lights there.
+    pub(super) fn vertex<R: Real>(&self, position: Vec3<R>) -> Vertex<R> {
+        let zero = position.x.constant(0.0);
+        let strengths = self.emitters.all.iter().map(|emitter| self.strength_of(emitter, position));
+        Vertex { position, strength: strengths.fold(zero, |sum, strength| sum + strength) }
+    }
+
+    /// The first visible light on a ray from a vertex.
+    pub(super) fn met_light<R: Real>(&self, ray: &Ray<R>, from: &Vertex<R>) -> MetLight<R> {
+        let zero = ray.direction.x.constant(0.0);
+        let nothing =
+            MetLight { distance: zero.constant(NEVER), radiance: vec3(zero, zero, zero), density: zero };
+        self.emitters.bodies().fold(nothing, |first, (_, emitter, LightBody { shape, radiance })| {
+            let distance = shape.distance_along(ray);
+            R::when(distance.lt(first.distance), first, || {
+                let shines = shape.shines_against(ray.direction);
+                let radiance = Vec3::select(shines, Vec3::uniform(zero, *radiance), vec3(zero, zero, zero));
+                let share = self.strength_of(emitter, from.position) / from.strength.at_least(1e-30);
+                let density = shape.density(from.position, ray.direction, distance) * share;
+                MetLight { distance, radiance, density }
+            })
+        })
+    }
+
+    /// Density with which next-event estimation at a vertex would have chosen the direction to a point of an object.
+    pub(super) fn density_of_object<R: Real>(&self, object: R, from: &Vertex<R>) -> R {
+        let zero = object.constant(0.0);
+        self.emitters.all.iter().fold(zero, |density, emitter| {
+            let Emitter::Object(own) = emitter else { return density };
+            let is_own = (object - own.index as f32).abs().below(0.5);
+            R::when(is_own, density, || {
+                let share = self.strength_of(emitter, from.position) / from.strength.at_least(1e-30);
+                own.density(from.position) * share
+            })
+        })
+    }
+
+    /// Light at a point off a surface from one light, chosen by strength.
+    pub(super) fn next_event<R: Real>(&self, hit: &Hit<R>, here: &Vertex<R>, dice: &Sampler<R>) -> NextEvent<R> {
+        let p = here.position;
+        let zero = p.x.constant(0.0);
+        let farthest = zero.uniform(self.scene.march.max_distance.get());
+        let (choice, _) = dice.get_2d(OF_LIGHT);
+        let pair = dice.get_2d(ON_LIGHT);
+        let black = vec3(zero, zero, zero);
+        let mut chosen = LightRay {
+            direction: hit.normal,
+            distance: farthest,
+            arriving: black,
+            density: zero,
+            emitter: zero.constant(-1.0),
+            casts_shadows: zero,
+        };
+        let (target, mut before) = (choice * here.strength, zero);
+        for (index, emitter) in self.emitters.all.iter().enumerate() {
+            let strength = self.strength_of(emitter, p);
+            let after = before + strength;
+            let is_chosen = !target.lt(before) & target.lt(after);
+            chosen = R::when(is_chosen, chosen, || {
+                let ray = self.sample_emitter(emitter, p, farthest, pair);
+                let share = strength / here.strength.at_least(1e-30);
+                LightRay {
+                    arriving: ray.arriving * (zero.constant(1.0) / share),
+                    density: ray.density * share,
+                    emitter: zero.constant(index as f32),
+                    ..ray
+                }
+            });
+            before = after;
+        }
+        let faces = hit.normal.dot(chosen.direction).above(0.0) & chosen.arriving.max_element().above(0.0);
+        let (arriving, evaluations) = R::when(faces, (black, zero), || {
+            let lit = chosen.casts_shadows.below(0.5);
+            let (visible, evaluations) = R::when(!lit, (zero.constant(1.0), zero), || {
+                self.light_visibility(hit, here.position, &chosen)
+            });
+            (chosen.arriving * visible, evaluations)
+        });
+        NextEvent { direction: chosen.direction, arriving, density: chosen.density, evaluations }
+    }
+
+    fn sample_emitter<R: Real>(&self, emitter: &Emitter, p: Vec3<R>, farthest: R, pair: (R, R)) -> LightRay<R> {
+        let zero = p.x.constant(0.0);
+        match emitter {
+            Emitter::Object(object) => object.sample(p, farthest, pair),
+            Emitter::Light { index, body } => {
+                let light = &self.scene.lights[*index];
+                let day = self.scene.environment().day();
+                let Some((sample, distance)) = light.sample_at(p, farthest, day, || pair) else {
+                    unreachable!("emitters have a direction");
+                };
+                let density = body.map_or(zero, |body| body.shape.density(p, sample.direction, distance));
+                let casts_shadows = zero.constant(if light.casts_shadows() { 1.0 } else { 0.0 });
+                LightRay {
+                    direction: sample.direction,
+                    distance,
+                    arriving: sample.radiance,
+                    density,
+                    emitter: zero.constant(-1.0),
+                    casts_shadows,
+                }
+            }
+        }
+    }
+
+    /// Fraction of the light of an emitter that reaches a point off a surface, and the number of distance evaluations.
+    fn light_visibility<R: Real>(&self, hit: &Hit<R>, origin: Vec3<R>, light: &LightRay<R>) -> (R, R) {
+        let shadows = self.of_shadow_rays();
+        let arguments = ((hit.t, origin), (light.direction, light.distance), light.emitter);
+        hit.t.call(shadows.names.light_visibility, arguments, |((t, origin), (direction, distance), emitter)| {
+            let zero = t.constant(0.0);
+            let near = self.start_tolerance(t);
+            let ray = Ray { origin, direction };
+            let is = |index: usize| (emitter - index as f32).abs().below(0.5);
+            // Other lights are in the way, too.
+            let is_blocked = self.emitters.bodies().fold(zero.above(0.0), |is_blocked, (index, _, body)| {
+                is_blocked | (body.shape.distance_along(&ray).lt(distance) & !is(index))
+            });
+            R::when(!is_blocked, (zero, zero), || {
+                let objects = self.emitters.objects();
+                let object = objects.fold(zero.constant(-1.0), |object, (index, own)| {
+                    R::select(is(index), zero.constant(own.index as f32), object)
+                });
+                let (length, visible, evaluations) = if self.emitters.has_objects() {
+                    let of_light = object.below(-0.5);
+                    let lit = R::when(of_light, (distance, zero, zero), || shadows.is_clear(&ray, near, distance));
+                    R::when(!of_light, lit, || shadows.meets_object(&ray, near, object))
+                } else {
+                    shadows.is_clear(&ray, near, distance)
+                };
+                match &shadows.media {
+                    None => (visible, evaluations),
+                    Some(media) => R::when(visible.above(0.0), (visible, evaluations), || {
+                        (shadows.transmittance(media, &ray, length), evaluations)
+                    }),
+                }
+            })
+        })
+    }
+
+    /// The distance of a light, 1 if no surface is nearer, else 0; and the number of distance evaluations.
+    fn is_clear<R: Real>(&self, ray: &Ray<R>, near: R, distance: R) -> (R, R, R) {
+        let (visible, evaluations) = self.is_unoccluded(ray, near, distance);
+        (distance, visible, evaluations)
+    }
+
+    /// The distance of the first surface, 1 if it is this object's, else 0; and the number of distance evaluations.
+    fn meets_object<R: Real>(&self, ray: &Ray<R>, near: R, object: R) -> (R, R, R) {
+        let (zero, one) = (near.constant(0.0), near.constant(1.0));
+        let marched = self.march_from(ray, near);
+        let visible = R::when(marched.hit.0, zero, || {
+            let met = self.nearest_object(ray.at(marched.t)).1;
+            R::select((met - object).abs().below(0.5), one, zero)
+        });
+        (marched.t, visible, marched.evaluations + 1.0)
+    }
+}

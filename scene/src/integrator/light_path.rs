@@ -1,0 +1,231 @@
+//! Path tracing: light travels from surface to surface.
+//!
+//! At each surface, one light is chosen by its strength, and a direction toward it is sampled (next-event estimation); the
+//! path goes on in a direction sampled by the BSDF. Lights that both can find are weighted by the balance heuristic: Eric
+//! Veach and Leonidas Guibas, "Optimally combining sampling techniques for Monte Carlo rendering", SIGGRAPH 1995.
+
+use super::emitters::{MetLight, NextEvent, Vertex};
+use super::lighting::{OF_DIRECTION, OF_LOBE, OF_ROULETTE};
+use super::{Hit, Integrator, Radiance};
+use crate::backgrounds::Backdrop;
+use crate::camera::Ray;
+use crate::lights::LightSource;
+use crate::march::{MarchResult, Tolerance};
+use crate::materials::bsdf::Geometry;
+use crate::real::{MaskValue, Real, Vec3, bundle, vec3};
+use crate::sampling::Sampler;
+
+/// Number of bounces from which on paths of little throughput end at random.
+const FIRST_ROULETTE: f32 = 3.0;
+/// Least probability of going on.
+const MIN_SURVIVAL: f32 = 0.05;
+/// Density of rays that next-event estimation does not find: from the camera, and after a transmission.
+const UNRIVALED: f32 = -1.0;
+
+/// State of a path after some bounces.
+#[derive(Clone, Copy)]
+struct LightPath<R: Real> {
+    ray: Ray<R>,
+    /// Tolerance at the start of the ray.
+    epsilon: R,
+    /// Distance from the camera along the path.
+    t: R,
+    /// Fraction of the light at the path's end that reaches the camera, over the densities of the path.
+    throughput: Vec3<R>,
+    color: Vec3<R>,
+    /// Fraction of the background straight behind that reaches the camera.
+    background_weight: R,
+    evaluations: R,
+    bounce: R,
+    /// Density of the ray's direction, or [`UNRIVALED`].
+    density: R,
+    /// Where the ray comes from.
+    from: Vertex<R>,
+    is_active: MaskValue<R>,
+}
+
+bundle!(LightPath {
+    ray,
+    epsilon,
+    t,
+    throughput,
+    color,
+    background_weight,
+    evaluations,
+    bounce,
+    density,
+    from,
+    is_active
+});
+
+impl<R: Real> LightPath<R> {
+    /// Weight of light that the ray meets, for the density with which next-event estimation would have found it.
+    fn weight(&self, rival: R) -> R {
+        let one = rival.constant(1.0);
+        R::select(self.density.below(0.0), one, self.density / (self.density + rival).at_least(1e-30))
+    }
+}
+
+impl Integrator<'_> {
+    /// Radiance along a ray from the camera.
+    pub(super) fn light_path<R: Real>(&self, ray: &Ray<R>, max_bounces: u32, dice: &Sampler<R>) -> Radiance<R> {
+        let (zero, one) = (ray.direction.x.constant(0.0), ray.direction.x.constant(1.0));
+        let start = LightPath {
+            ray: *ray,
+            epsilon: zero.uniform(self.tolerance.floor),
+            t: zero,
+            throughput: vec3(one, one, one),
+            color: vec3(zero, zero, zero),
+            background_weight: one,
+            evaluations: zero,
+            bounce: zero,
+            density: zero.constant(UNRIVALED),
+            from: Vertex { position: ray.origin, strength: zero },
+            is_active: MaskValue(zero.below(1.0)),
+        };
+        // The last surface is lit, and its last ray finds lights, emitting surfaces and the sky.
+        let segments = max_bounces + 2;
+        let follow = |all: &Self, limit: u32, path| {
+            R::repeat(limit, path, |path| {
+                let next = all.follow_segment(path, max_bounces, dice);
+                (next.is_active.0, next)
+            })
+        };
+        let end = match &self.of_reflections {
+            None => follow(self, segments, start),
+            Some(onward) => {
+                let first = self.follow_segment(start, max_bounces, dice);
+                R::when(first.is_active.0, first, || follow(onward, segments - 1, first))
+            }
+        };
+        let alpha = self.background(ray.direction).1;
+        let alpha = end.background_weight.mul_add(alpha - 1.0, one);
+        Radiance { color: end.color, alpha, evaluations: end.evaluations }
+    }
+
+    /// Follows a path to the next surface or light, and samples the bounce there.
+    fn follow_segment<R: Real>(&self, path: LightPath<R>, max_bounces: u32, dice: &Sampler<R>) -> LightPath<R> {
+        let dice = dice.after(path.bounce);
+        let marched = self.march_from(&path.ray, path.epsilon);
+        let zero = path.epsilon.constant(0.0);
+        let farthest = zero.uniform(self.scene.march.max_distance.get());
+        let surface = R::select(marched.hit.0, marched.t, farthest);
+        let MetLight { distance, radiance, density } = self.met_light(&path.ray, &path.from);
+        let meets_light = distance.lt(surface);
+        let length = distance.min(surface);
+        let mut path = path;
+        path.evaluations = path.evaluations + marched.evaluations;
+        if let Some(crossed) = self.crossed_media(&path.ray, length, &dice) {
+            path.color = path.color + path.throughput.mul_elementwise(crossed.color);
+            path.throughput = path.throughput * crossed.transmittance;
+            path.background_weight = path.background_weight * crossed.transmittance;
+            path.evaluations = path.evaluations + crossed.evaluations;
+        }
+        let behind = Vec3::select(
+            meets_light,
+            radiance * path.weight(density),
+            self.radiance_of_sky(path.ray.direction, path.background_weight),
+        );
+        let ended = LightPath {
+            color: path.color + path.throughput.mul_elementwise(behind),
+            background_weight: R::select(meets_light, zero, path.background_weight),
+            is_active: MaskValue(zero.above(0.0)),
+            ..path
+        };
+        R::when(marched.hit.0 & !meets_light, ended, || self.bounce(path, &marched, max_bounces, &dice))
+    }
+
+    /// Tolerance at the start of a ray from a surface that is at a distance along the path. Roots of smooth surfaces are
+    /// exact, and the ray starts as near to them as rounding allows, so that light from nearby does not shift.
+    pub(super) fn start_tolerance<R: Real>(&self, t: R) -> R {
+        let Tolerance { slope, floor } = self.tolerance;
+        let slope = if self.fine.is_empty() { (0.125 * slope).max(1.5e-6) } else { slope };
+        t.mul_add(t.uniform(slope), t.uniform(floor))
+    }
+
+    /// Radiance that a ray meets behind all surfaces: of the background straight behind, else of the light of the sky.
+    fn radiance_of_sky<R: Real>(&self, direction: Vec3<R>, background_weight: R) -> Vec3<R> {
+        let environment = self.scene.environment();
+        let skies = self.scene.lights.iter().filter_map(|light| light.ambient(environment));
+        let skies = skies.map(|sky| sky.from.radiance(direction) * direction.x.uniform(sky.strength));
+        let sky = skies.reduce(|sum, sky| sum + sky).unwrap_or_else(|| environment.radiance(direction));
+        Vec3::select(background_weight.above(0.0), self.scene.background.radiance(direction), sky)
+    }
+
+    /// Lights the surface that a path has met, and samples where the path goes on.
+    fn bounce<R: Real>(
+        &self,
+        path: LightPath<R>,
+        marched: &MarchResult<R>,
+        max_bounces: u32,
+        dice: &Sampler<R>,
+    ) -> LightPath<R> {
+        let zero = path.epsilon.constant(0.0);
+        let met = self.hit(&path.ray, marched);
+        let hit = Hit { t: met.t + path.t, ..met };
+        let object = self.object_at(&hit);
+        let bsdf = self.bsdf(&hit, &path.ray, object);
+        let rival = self.density_of_object(object, &path.from);
+        let mut path = path;
+        path.color = path.color + path.throughput.mul_elementwise(bsdf.emission) * path.weight(rival);
+        path.evaluations = path.evaluations + (super::lighting::NORMAL_EVALUATIONS + self.detail_evaluations());
+        path.evaluations = path.evaluations + self.object_evaluations();
+        let through = self.caught_shadow(&mut path, &hit, dice);
+        let ended = LightPath { background_weight: through, is_active: MaskValue(zero.above(0.0)), ..path };
+        let is_last = path.bounce.above(max_bounces as f32 + 0.5);
+        R::when(!is_last, ended, || {
+            let lobes = self.materials.lobes;
+            let seen = Geometry { normal: hit.normal, to_viewer: -path.ray.direction, is_inside: hit.is_inside };
+            let near = self.start_tolerance(hit.t);
+            // Where rays start that go on on this side of the surface: lights are sampled from there as well.
+            let here = self.vertex(hit.normal.mul_add(near * 4.0, hit.position));
+            let NextEvent { direction, arriving, density, evaluations } = self.next_event(&hit, &here, dice);
+            let lit = bsdf.evaluate(lobes, seen, direction);
+            let weight = R::select(density.above(0.0), density / (density + lit.density).at_least(1e-30), zero + 1.0);
+            let color = lit.value.mul_elementwise(arriving) * weight;
+            let color = path.color + path.throughput.mul_elementwise(color);
+
+            let onward = bsdf.sample(lobes, &seen, dice.get_2d(OF_DIRECTION), dice.get_2d(OF_LOBE).0);
+            let is_transmitted = onward.is_transmitted.0;
+            let beyond = hit.normal.mul_add(near * -4.0, hit.position);
+            let ray =
+                Ray { origin: Vec3::select(is_transmitted, beyond, here.position), direction: onward.direction };
+            let throughput = path.throughput.mul_elementwise(onward.weight);
+            // Straight transmission leaves the background visible.
+            let straight = is_transmitted & (bsdf.ior - 1.0).abs().below(1e-4);
+            let see_through = R::select(straight, path.background_weight * onward.weight.mean(), zero);
+            let brightest = throughput.max_element();
+            let survival = brightest.at_least(MIN_SURVIVAL).at_most(1.0);
+            let survival = R::select(path.bounce.below(FIRST_ROULETTE - 0.5), zero + 1.0, survival);
+            let goes_on = dice.get_2d(OF_ROULETTE).0.lt(survival) & brightest.above(0.0);
+            LightPath {
+                ray,
+                epsilon: near,
+                t: hit.t,
+                throughput: throughput * (survival.constant(1.0) / survival),
+                color,
+                background_weight: see_through + through,
+                evaluations: path.evaluations + evaluations,
+                bounce: path.bounce + 1.0,
+                density: R::select(is_transmitted, zero + UNRIVALED, onward.density),
+                from: here,
+                is_active: MaskValue(goes_on),
+            }
+        })
+    }
+
+    /// Adds what is seen of the background through a shadow catcher; returns the weight of the background then.
+    fn caught_shadow<R: Real>(&self, path: &mut LightPath<R>, hit: &Hit<R>, dice: &Sampler<R>) -> R {
+        let zero = path.epsilon.constant(0.0);
+        if !self.materials.catches_shadows {
+            return zero;
+        }
+        let (light, evaluations) = self.incident_light(hit, dice);
+        path.evaluations = path.evaluations + evaluations;
+        self.shadow_transparency(hit, &path.ray, &light).map_or(zero, |clear| {
+            let behind = self.radiance_of_sky(path.ray.direction, path.background_weight);
+            path.color = path.color + path.throughput.mul_elementwise(behind) * clear;
+            path.background_weight * clear
+        })
+    }
+}
