@@ -11,6 +11,7 @@ mod pick;
 mod ray_kinds;
 mod scene_distance;
 mod shading;
+mod sky_table;
 mod step_budget;
 
 use crate::animation::JobAtFrame;
@@ -280,6 +281,13 @@ impl<'a> Integrator<'a> {
             let (color, evaluations) = self.surface(&ray, &marched, dice);
             (color, x.constant(1.0), marched.evaluations + evaluations)
         });
+        let farthest = x.uniform(self.scene.march.max_distance.get());
+        let (color, alpha) = match self.seen_light(&ray, R::select(marched.hit.0, marched.t, farthest)) {
+            None => (color, alpha),
+            Some((is_seen, _, light)) => {
+                (Vec3::select(is_seen, light, color), R::select(is_seen, x.constant(1.0), alpha))
+            }
+        };
         Radiance { color, alpha, evaluations }
     }
 

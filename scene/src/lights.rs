@@ -79,6 +79,11 @@ pub trait LightSource {
     /// Whether objects cast shadows in this light.
     fn casts_shadows(&self) -> bool;
 
+    /// Where it is, if it has a place.
+    fn place(&self) -> Option<Vec3<f32>> {
+        None
+    }
+
     /// Its shape and radiance, if it is seen.
     fn body(&self) -> Option<LightBody> {
         None
@@ -132,6 +137,10 @@ macro_rules! lights {
 
             fn casts_shadows(&self) -> bool {
                 match self { $($(#[$attribute])* Self::$Kind(light) => light.casts_shadows()),* }
+            }
+
+            fn place(&self) -> Option<Vec3<f32>> {
+                match self { $($(#[$attribute])* Self::$Kind(light) => light.place()),* }
             }
 
             fn body(&self) -> Option<LightBody> {

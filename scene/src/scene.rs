@@ -9,13 +9,14 @@ use crate::ambient_occlusion::AmbientOcclusion;
 use crate::backgrounds::{Backdrop, Background};
 use crate::camera::Camera;
 use crate::fog::Fog;
-use crate::lights::{LightSource, PlacedLight};
+use crate::lights::{AmbientLight, LightSource, PlacedLight};
 use crate::limits::{MAX_BOUNCES, MAX_STEPS};
 use crate::materials::{Material, MaterialRef, Shade};
 use crate::nodes::{Node, NodeError, material_pointer};
+use crate::real::{Real, Vec3};
 use crate::seek::Seek;
-use crate::values::{Length, integer_in_range};
 use crate::transport::Transport;
+use crate::values::{Length, integer_in_range};
 use crate::visible::Visible;
 
 /// The scene to render: materials are in slots, and every number is evaluated at one time.
@@ -125,6 +126,20 @@ impl Scene {
     /// The environment that lights and deflected rays meet; the background, if the scene names none.
     pub(crate) fn environment(&self) -> &Background {
         self.environment.as_ref().unwrap_or(&self.background)
+    }
+
+    /// The skies that light the scene: of its sky lights, or of the environment if there are none.
+    pub(crate) fn skies(&self) -> impl Iterator<Item = AmbientLight<'_>> {
+        let environment = self.environment();
+        let lights = self.lights.iter().filter_map(|light| light.ambient(environment));
+        let has_none = lights.clone().next().is_none();
+        lights.chain(has_none.then_some(AmbientLight { from: environment, strength: 1.0 }))
+    }
+
+    /// Radiance of the light that comes from the skies in a direction.
+    pub(crate) fn light_of_sky<R: Real>(&self, direction: Vec3<R>) -> Vec3<R> {
+        let skies = self.skies().map(|sky| sky.from.radiance(direction) * direction.x.uniform(sky.strength));
+        skies.reduce(|sum, sky| sum + sky).expect("a scene has a sky")
     }
 
     /// Whether some pixel may be less than opaque.

@@ -36,6 +36,11 @@ impl Default for PathSettings {
 }
 
 impl Transport {
+    /// Whether paths of light are traced.
+    pub(crate) fn is_path(&self) -> bool {
+        matches!(self, Self::Path(_))
+    }
+
     /// Whether it is the default.
     pub(crate) fn is_default(&self) -> bool {
         *self == Self::default()

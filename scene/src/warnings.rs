@@ -31,6 +31,8 @@ enum WarningKind {
     HighCost,
     /// Lights without effect, or materials without light.
     Lighting,
+    /// A light is inside an opaque object.
+    EnclosedLight,
     /// A medium is too dense for its steps.
     DenseMedium,
     /// Rays end inside glass because of the bounce limit.
@@ -137,6 +139,7 @@ fn frame_warnings(still: &JobAtFrame<'_>) -> Vec<Warning> {
         (WarningKind::HighCost, scene::high_cost(scene)),
         (WarningKind::HighLipschitz, scene::high_lipschitz(still)),
         (WarningKind::Lighting, scene::light(scene)),
+        (WarningKind::EnclosedLight, scene::enclosed_lights(scene)),
         (WarningKind::DenseMedium, scene::dense_media(scene)),
         (WarningKind::TooFewBounces, scene::bounces(scene)),
         (WarningKind::Colors, numbers::colors_of_255(scene)),

@@ -3,6 +3,7 @@
 use std::f32::consts::PI;
 
 use super::lighting::{OF_LIGHT, ON_LIGHT};
+use super::sky_table::{SkyDirection, SkyTable};
 use super::{Hit, Integrator};
 use crate::backgrounds::Backdrop;
 use crate::camera::Ray;
@@ -12,7 +13,6 @@ use crate::materials::microfacet::orthonormal_basis;
 use crate::real::{Real, Vec3, bundle, vec3};
 use crate::sampling::Sampler;
 use crate::scene::Scene;
-
 
 /// Maximum number of emitting objects that are sampled as lights; others light surfaces where a path meets them.
 const MAX_EMITTING_OBJECTS: usize = 32;
@@ -24,6 +24,8 @@ enum Emitter {
     Light { index: usize, body: Option<LightBody> },
     /// An object of one radiance: its directions are sampled in the cone of a ball around it.
     Object(EmittingObject),
+    /// The sky, if it is brighter in some directions than in others.
+    Sky(SkyTable),
 }
 
 #[derive(Clone, Debug)]
@@ -95,7 +97,8 @@ impl Emitters {
     pub(super) fn new(scene: &Scene, surfaces: &[usize]) -> Self {
         // Light of the sky is met by rays that meet nothing else.
         let day = scene.environment().day();
-        let has_direction = |light: &PlacedLight| light.sample_at(vec3(0.0, 0.0, 0.0), 1.0, day, || (0.5, 0.5)).is_some();
+        let has_direction =
+            |light: &PlacedLight| light.sample_at(vec3(0.0, 0.0, 0.0), 1.0, day, || (0.5, 0.5)).is_some();
         let lights = scene.lights.iter().enumerate().filter(|(_, light)| !light.is_dark() && has_direction(light));
         let lights = lights.map(|(index, light)| Emitter::Light { index, body: light.body_in_scene() });
         let objects = surfaces.iter().filter_map(|&index| {
@@ -108,21 +111,23 @@ impl Emitters {
             let center = (bounds.min + bounds.max) * 0.5;
             Some(Emitter::Object(EmittingObject { index, center, radius: bounds.diagonal() * 0.5005, radiance }))
         });
-        Self { all: lights.chain(objects.take(MAX_EMITTING_OBJECTS)).collect() }
+        let has_table = scene.integrator.is_path() && scene.skies().any(|sky| sky.from.day().is_some());
+        let sky = has_table.then(|| Emitter::Sky(SkyTable::new(|direction| scene.light_of_sky(direction))));
+        Self { all: lights.chain(objects.take(MAX_EMITTING_OBJECTS)).chain(sky).collect() }
     }
 
     /// The lights that rays meet, with their indices and shapes.
     fn bodies(&self) -> impl Iterator<Item = (usize, &Emitter, &LightBody)> {
         self.all.iter().enumerate().filter_map(|(index, emitter)| match emitter {
             Emitter::Light { body, .. } => body.as_ref().map(|body| (index, emitter, body)),
-            Emitter::Object(_) => None,
+            Emitter::Object(_) | Emitter::Sky(_) => None,
         })
     }
 
     /// The objects that are sampled as lights, with their indices among the emitters.
     fn objects(&self) -> impl Iterator<Item = (usize, &EmittingObject)> {
         self.all.iter().enumerate().filter_map(|(index, emitter)| match emitter {
-            Emitter::Light { .. } => None,
+            Emitter::Light { .. } | Emitter::Sky(_) => None,
             Emitter::Object(object) => Some((index, object)),
         })
     }
@@ -135,8 +140,8 @@ impl Emitters {
     /// Whether the emitters of another scene are the same objects and lights.
     pub(super) fn is_alike(&self, other: &Self) -> bool {
         let key = |emitter: &Emitter| match emitter {
-            // Lights are compared by the frames' keys.
-            Emitter::Light { .. } => None,
+            // Lights and skies are compared by the frames' keys.
+            Emitter::Light { .. } | Emitter::Sky(_) => None,
             Emitter::Object(EmittingObject { index, center, radius, radiance }) => {
                 Some((*index, *center, *radius, *radiance))
             }
@@ -179,14 +184,13 @@ impl Integrator<'_> {
     /// About how much light arrives at `p` from an emitter.
     fn strength_of<R: Real>(&self, emitter: &Emitter, p: Vec3<R>) -> R {
         match emitter {
-            Emitter::Light { index, .. } => {
-                self.scene.lights[*index].strength_at(p, self.scene.environment().day())
-            }
+            Emitter::Light { index, .. } => self.scene.lights[*index].strength_at(p, self.scene.environment().day()),
             Emitter::Object(EmittingObject { center, radius, radiance, .. }) => {
                 let square = radius * radius;
                 let away = (Vec3::uniform(p.x, *center) - p).length_squared();
                 p.x.uniform(radiance.mean() * square) / away.max(p.x.uniform(square))
             }
+            Emitter::Sky(table) => p.x.uniform(table.mean),
         }
     }
 
@@ -200,8 +204,7 @@ impl Integrator<'_> {
     /// The first visible light on a ray from a vertex.
     pub(super) fn met_light<R: Real>(&self, ray: &Ray<R>, from: &Vertex<R>) -> MetLight<R> {
         let zero = ray.direction.x.constant(0.0);
-        let nothing =
-            MetLight { distance: zero.constant(NEVER), radiance: vec3(zero, zero, zero), density: zero };
+        let nothing = MetLight { distance: zero.constant(NEVER), radiance: vec3(zero, zero, zero), density: zero };
         self.emitters.bodies().fold(nothing, |first, (_, emitter, LightBody { shape, radiance })| {
             let distance = shape.distance_along(ray);
             R::when(distance.lt(first.distance), first, || {
@@ -212,6 +215,14 @@ impl Integrator<'_> {
                 MetLight { distance, radiance, density }
             })
         })
+    }
+
+    /// Whether a ray meets a visible light nearer than `length`, its distance and its radiance; `None` without such lights.
+    pub(super) fn seen_light<R: Real>(&self, ray: &Ray<R>, length: R) -> Option<(R::Mask, R, Vec3<R>)> {
+        self.emitters.bodies().next()?;
+        let from = Vertex { position: ray.origin, strength: length.constant(1.0) };
+        let MetLight { distance, radiance, density: _ } = self.met_light(ray, &from);
+        Some((distance.lt(length), distance, radiance))
     }
 
     /// Density with which next-event estimation at a vertex would have chosen the direction to a point of an object.
@@ -227,8 +238,24 @@ impl Integrator<'_> {
         })
     }
 
+    /// Density with which next-event estimation at a vertex would have chosen a direction to the sky.
+    pub(super) fn density_of_sky<R: Real>(&self, direction: Vec3<R>, from: &Vertex<R>) -> R {
+        let zero = direction.x.constant(0.0);
+        self.emitters.all.iter().fold(zero, |density, emitter| {
+            let Emitter::Sky(table) = emitter else { return density };
+            let share = self.strength_of(emitter, from.position) / from.strength.at_least(1e-30);
+            table.density(direction).mul_add(share, density)
+        })
+    }
+
     /// Light at a point off a surface from one light, chosen by strength.
-    pub(super) fn next_event<R: Real>(&self, hit: &Hit<R>, here: &Vertex<R>, dice: &Sampler<R>) -> NextEvent<R> {
+    pub(super) fn next_event<R: Real>(
+        &self,
+        hit: &Hit<R>,
+        here: &Vertex<R>,
+        near: R,
+        dice: &Sampler<R>,
+    ) -> NextEvent<R> {
         let p = here.position;
         let zero = p.x.constant(0.0);
         let farthest = zero.uniform(self.scene.march.max_distance.get());
@@ -263,9 +290,8 @@ impl Integrator<'_> {
         let faces = hit.normal.dot(chosen.direction).above(0.0) & chosen.arriving.max_element().above(0.0);
         let (arriving, evaluations) = R::when(faces, (black, zero), || {
             let lit = chosen.casts_shadows.below(0.5);
-            let (visible, evaluations) = R::when(!lit, (zero.constant(1.0), zero), || {
-                self.light_visibility(hit, here.position, &chosen)
-            });
+            let (visible, evaluations) =
+                R::when(!lit, (zero.constant(1.0), zero), || self.light_visibility(here.position, near, &chosen));
             (chosen.arriving * visible, evaluations)
         });
         NextEvent { direction: chosen.direction, arriving, density: chosen.density, evaluations }
@@ -275,6 +301,17 @@ impl Integrator<'_> {
         let zero = p.x.constant(0.0);
         match emitter {
             Emitter::Object(object) => object.sample(p, farthest, pair),
+            Emitter::Sky(table) => {
+                let SkyDirection { direction, density } = table.sample(pair);
+                LightRay {
+                    direction,
+                    distance: farthest,
+                    arriving: self.scene.light_of_sky(direction) * (zero.constant(1.0 / PI) / density),
+                    density,
+                    emitter: zero.constant(-1.0),
+                    casts_shadows: zero.constant(1.0),
+                }
+            }
             Emitter::Light { index, body } => {
                 let light = &self.scene.lights[*index];
                 let day = self.scene.environment().day();
@@ -295,13 +332,13 @@ impl Integrator<'_> {
         }
     }
 
-    /// Fraction of the light of an emitter that reaches a point off a surface, and the number of distance evaluations.
-    fn light_visibility<R: Real>(&self, hit: &Hit<R>, origin: Vec3<R>, light: &LightRay<R>) -> (R, R) {
+    /// Fraction of the light of an emitter that reaches a point off a surface by the tolerance `near`, and the number of
+    /// distance evaluations.
+    fn light_visibility<R: Real>(&self, origin: Vec3<R>, near: R, light: &LightRay<R>) -> (R, R) {
         let shadows = self.of_shadow_rays();
-        let arguments = ((hit.t, origin), (light.direction, light.distance), light.emitter);
-        hit.t.call(shadows.names.light_visibility, arguments, |((t, origin), (direction, distance), emitter)| {
-            let zero = t.constant(0.0);
-            let near = self.start_tolerance(t);
+        let arguments = ((near, origin), (light.direction, light.distance), light.emitter);
+        near.call(shadows.names.light_visibility, arguments, |((near, origin), (direction, distance), emitter)| {
+            let zero = near.constant(0.0);
             let ray = Ray { origin, direction };
             let is = |index: usize| (emitter - index as f32).abs().below(0.5);
             // Other lights are in the way, too.

@@ -9,7 +9,6 @@ use super::lighting::{OF_DIRECTION, OF_LOBE, OF_ROULETTE};
 use super::{Hit, Integrator, Radiance};
 use crate::backgrounds::Backdrop;
 use crate::camera::Ray;
-use crate::lights::LightSource;
 use crate::march::{MarchResult, Tolerance};
 use crate::materials::bsdf::Geometry;
 use crate::real::{MaskValue, Real, Vec3, bundle, vec3};
@@ -17,6 +16,8 @@ use crate::sampling::Sampler;
 
 /// Number of bounces from which on paths of little throughput end at random.
 const FIRST_ROULETTE: f32 = 3.0;
+/// Probability of going on, over the throughput, up to 1. Ending paths of more throughput costs more noise than it saves.
+const SURVIVAL_PER_THROUGHPUT: f32 = 4.0;
 /// Least probability of going on.
 const MIN_SURVIVAL: f32 = 0.05;
 /// Density of rays that next-event estimation does not find: from the camera, and after a transmission.
@@ -121,11 +122,9 @@ impl Integrator<'_> {
             path.background_weight = path.background_weight * crossed.transmittance;
             path.evaluations = path.evaluations + crossed.evaluations;
         }
-        let behind = Vec3::select(
-            meets_light,
-            radiance * path.weight(density),
-            self.radiance_of_sky(path.ray.direction, path.background_weight),
-        );
+        let rival = self.density_of_sky(path.ray.direction, &path.from);
+        let sky = self.radiance_of_sky(path.ray.direction, path.background_weight) * path.weight(rival);
+        let behind = Vec3::select(meets_light, radiance * path.weight(density), sky);
         let ended = LightPath {
             color: path.color + path.throughput.mul_elementwise(behind),
             background_weight: R::select(meets_light, zero, path.background_weight),
@@ -135,20 +134,22 @@ impl Integrator<'_> {
         R::when(marched.hit.0 & !meets_light, ended, || self.bounce(path, &marched, max_bounces, &dice))
     }
 
-    /// Tolerance at the start of a ray from a surface that is at a distance along the path. Roots of smooth surfaces are
-    /// exact, and the ray starts as near to them as rounding allows, so that light from nearby does not shift.
-    pub(super) fn start_tolerance<R: Real>(&self, t: R) -> R {
+    /// Tolerance at the start of a ray from a hit. Roots of smooth surfaces are exact, and the ray starts as near to them
+    /// as rounding and speed allow, so that light from nearby does not shift.
+    fn start_tolerance<R: Real>(&self, hit: &Hit<R>) -> R {
         let Tolerance { slope, floor } = self.tolerance;
-        let slope = if self.fine.is_empty() { (0.125 * slope).max(1.5e-6) } else { slope };
-        t.mul_add(t.uniform(slope), t.uniform(floor))
+        let t = hit.t;
+        if !self.fine.is_empty() {
+            return t.mul_add(t.uniform(slope), t.uniform(floor));
+        }
+        let size = hit.position.map(Real::abs).max_element();
+        let near = size.mul_add(t.constant(1e-6), t.uniform(floor));
+        t.mul_add(t.uniform((slope / 32.0).max(1e-6)), near)
     }
 
     /// Radiance that a ray meets behind all surfaces: of the background straight behind, else of the light of the sky.
     fn radiance_of_sky<R: Real>(&self, direction: Vec3<R>, background_weight: R) -> Vec3<R> {
-        let environment = self.scene.environment();
-        let skies = self.scene.lights.iter().filter_map(|light| light.ambient(environment));
-        let skies = skies.map(|sky| sky.from.radiance(direction) * direction.x.uniform(sky.strength));
-        let sky = skies.reduce(|sum, sky| sum + sky).unwrap_or_else(|| environment.radiance(direction));
+        let sky = self.scene.light_of_sky(direction);
         Vec3::select(background_weight.above(0.0), self.scene.background.radiance(direction), sky)
     }
 
@@ -176,10 +177,10 @@ impl Integrator<'_> {
         R::when(!is_last, ended, || {
             let lobes = self.materials.lobes;
             let seen = Geometry { normal: hit.normal, to_viewer: -path.ray.direction, is_inside: hit.is_inside };
-            let near = self.start_tolerance(hit.t);
+            let near = self.start_tolerance(&met);
             // Where rays start that go on on this side of the surface: lights are sampled from there as well.
             let here = self.vertex(hit.normal.mul_add(near * 4.0, hit.position));
-            let NextEvent { direction, arriving, density, evaluations } = self.next_event(&hit, &here, dice);
+            let NextEvent { direction, arriving, density, evaluations } = self.next_event(&hit, &here, near, dice);
             let lit = bsdf.evaluate(lobes, seen, direction);
             let weight = R::select(density.above(0.0), density / (density + lit.density).at_least(1e-30), zero + 1.0);
             let color = lit.value.mul_elementwise(arriving) * weight;
@@ -188,14 +189,13 @@ impl Integrator<'_> {
             let onward = bsdf.sample(lobes, &seen, dice.get_2d(OF_DIRECTION), dice.get_2d(OF_LOBE).0);
             let is_transmitted = onward.is_transmitted.0;
             let beyond = hit.normal.mul_add(near * -4.0, hit.position);
-            let ray =
-                Ray { origin: Vec3::select(is_transmitted, beyond, here.position), direction: onward.direction };
+            let ray = Ray { origin: Vec3::select(is_transmitted, beyond, here.position), direction: onward.direction };
             let throughput = path.throughput.mul_elementwise(onward.weight);
             // Straight transmission leaves the background visible.
             let straight = is_transmitted & (bsdf.ior - 1.0).abs().below(1e-4);
             let see_through = R::select(straight, path.background_weight * onward.weight.mean(), zero);
             let brightest = throughput.max_element();
-            let survival = brightest.at_least(MIN_SURVIVAL).at_most(1.0);
+            let survival = (brightest * SURVIVAL_PER_THROUGHPUT).at_least(MIN_SURVIVAL).at_most(1.0);
             let survival = R::select(path.bounce.below(FIRST_ROULETTE - 0.5), zero + 1.0, survival);
             let goes_on = dice.get_2d(OF_ROULETTE).0.lt(survival) & brightest.above(0.0);
             LightPath {

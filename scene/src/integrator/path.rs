@@ -9,9 +9,7 @@ use crate::fog::Fog;
 use crate::march::MarchResult;
 use crate::materials::SpecularBsdf;
 use crate::materials::bsdf::fresnel;
-use crate::materials::microfacet::{
-    alpha_from_roughness, orthonormal_basis, sample_visible_normal, smith_g2_over_g1,
-};
+use crate::materials::microfacet::{alpha_from_roughness, orthonormal_basis, sample_visible_normal, smith_g2_over_g1};
 use crate::real::{MaskValue, Real, Vec3, bundle, vec3};
 use crate::sampling::Sampler;
 
@@ -97,7 +95,11 @@ impl Integrator<'_> {
         path.evaluations = path.evaluations + marched.evaluations;
         let farthest = path.epsilon.uniform(self.scene.march.max_distance.get());
         let length = R::select(marched.hit.0, marched.t, farthest);
-        if let Some(crossed) = self.crossed_media(&path.ray, length, &dice) {
+        // Only rays straight from the camera see the lights: others have their highlights instead.
+        let seen = self.seen_light(&path.ray, length);
+        let seen = seen.map(|(is_seen, at, light)| (is_seen & path.background_weight.above(0.0), at, light));
+        let end = seen.map_or(length, |(is_seen, at, _)| R::select(is_seen, at, length));
+        if let Some(crossed) = self.crossed_media(&path.ray, end, &dice) {
             path.color = path.color + path.throughput.mul_elementwise(crossed.color);
             path.throughput = path.throughput * crossed.transmittance;
             path.background_weight = path.background_weight * crossed.transmittance;
@@ -109,7 +111,17 @@ impl Integrator<'_> {
             is_active: MaskValue(path.epsilon.below(0.0)),
             ..path
         };
-        R::when(marched.hit.0, missed, || self.scatter(path, &marched, &dice))
+        let Some((is_seen, _, light)) = seen else {
+            return R::when(marched.hit.0, missed, || self.scatter(path, &marched, &dice));
+        };
+        let zero = path.epsilon.constant(0.0);
+        let color = path.color + path.throughput.mul_elementwise(light);
+        let ended = PathState {
+            color: Vec3::select(is_seen, color, missed.color),
+            background_weight: R::select(is_seen, zero, missed.background_weight),
+            ..missed
+        };
+        R::when(marched.hit.0 & !is_seen, ended, || self.scatter(path, &marched, &dice))
     }
 
     /// Clouds, volumes and fog along a part of a ray; `None` if the scene has none.

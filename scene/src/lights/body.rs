@@ -14,13 +14,21 @@ pub const NEVER: f32 = 1e30;
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum LightShape {
     /// A ball.
-    Sphere { center: Vec3<f32>, radius: f32 },
+    Sphere {
+        /// Center.
+        center: Vec3<f32>,
+        /// Radius.
+        radius: f32,
+    },
     /// A flat shape, which shines to the side of its normal.
     Flat {
+        /// Center.
         center: Vec3<f32>,
+        /// Direction in which it shines, of length 1.
         normal: Vec3<f32>,
         /// Directions of length 1 in its plane: along the width and the height of a rectangle.
         sides: [Vec3<f32>; 2],
+        /// Outline in that plane.
         outline: Outline,
     },
 }
@@ -134,9 +142,7 @@ impl LightShape {
                 let from_center = ray.direction.mul_add(distance, -toward);
                 let (x, y) = (from_center.dot_uniform(right), from_center.dot_uniform(up));
                 let is_within = match outline {
-                    Outline::Rectangle([width, height]) => {
-                        x.abs().lt(x.uniform(width)) & y.abs().lt(x.uniform(height))
-                    }
+                    Outline::Rectangle([width, height]) => x.abs().lt(x.uniform(width)) & y.abs().lt(x.uniform(height)),
                     Outline::Disc(radius) => x.square_add(y.square()).lt(x.uniform(radius * radius)),
                 };
                 R::select(is_within & distance.above(1e-5) & !is_level, distance, never)

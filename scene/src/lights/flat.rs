@@ -120,14 +120,16 @@ impl DiscLight {
 impl HasExamples for RectangleLight {
     const EXAMPLE: &'static str = r#"{ "position": [-1.3, 1.7, 1.5], "direction": [1.3, -1.7, -1.5], "width": 1.6, "height": 0.8,
               "color": [4.6, 4.2, 3.6] }"#;
-    const MORE_EXAMPLES: &'static [&'static str] = &[r#"{ "position": [-1.3, 1.7, -1.2], "direction": [1.3, -1.4, 1.4],
+    const MORE_EXAMPLES: &'static [&'static str] =
+        &[r#"{ "position": [-1.3, 1.7, -1.2], "direction": [1.3, -1.4, 1.4],
               "up": [1, 1, 0], "width": 1.2, "height": 0.4, "color": [4.6, 4.2, 3.6], "visible": true }"#];
 }
 
 impl HasExamples for DiscLight {
     const EXAMPLE: &'static str =
         r#"{ "position": [-1.3, 1.7, 1.5], "direction": [1.3, -1.7, -1.5], "radius": 0.7, "color": [4.6, 4.2, 3.6] }"#;
-    const MORE_EXAMPLES: &'static [&'static str] = &[r#"{ "position": [-1.3, 1.7, -1.2], "direction": [1.3, -1.4, 1.4],
+    const MORE_EXAMPLES: &'static [&'static str] =
+        &[r#"{ "position": [-1.3, 1.7, -1.2], "direction": [1.3, -1.4, 1.4],
               "radius": 0.4, "color": [4.6, 4.2, 3.6], "visible": true }"#];
 }
 
@@ -150,6 +152,10 @@ macro_rules! flat_light {
 
             fn is_dark(&self) -> bool {
                 self.color.is_black()
+            }
+
+            fn place(&self) -> Option<Vec3<f32>> {
+                Some(self.position.get())
             }
 
             fn body(&self) -> Option<LightBody> {

@@ -82,6 +82,10 @@ impl LightSource for SpotLight {
         Some((LightSample { direction, radiance }, distance))
     }
 
+    fn place(&self) -> Option<Vec3<f32>> {
+        Some(self.position.get())
+    }
+
     fn strength<R: Real>(&self, p: Vec3<R>, _: Option<&Day>) -> R {
         let strength = strength_of_point(p, &self.position, &self.color, 0.0);
         let toward = (Vec3::uniform(p.x, self.position.get()) - p).normalize();
@@ -127,6 +131,10 @@ impl LightSource for SphereLight {
 
     fn body(&self) -> Option<LightBody> {
         self.visible.then(|| self.shape_and_radiance())
+    }
+
+    fn place(&self) -> Option<Vec3<f32>> {
+        Some(self.position.get())
     }
 
     fn strength<R: Real>(&self, p: Vec3<R>, _: Option<&Day>) -> R {

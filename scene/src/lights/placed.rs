@@ -33,6 +33,12 @@ impl PlacedLight {
         Some((LightSample { direction, ..sample }, distance))
     }
 
+    /// Where it is in the scene, if it has a place.
+    pub(crate) fn place_in_scene(&self) -> Option<Vec3<f32>> {
+        let place = self.light.place()?;
+        Some(self.placements.iter().rev().fold(place, |p, placement| placement.to_scene(p)))
+    }
+
     /// Its shape in the scene and its radiance, if it is seen.
     pub(crate) fn body_in_scene(&self) -> Option<LightBody> {
         let LightBody { shape, radiance } = self.light.body()?;

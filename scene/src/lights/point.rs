@@ -46,6 +46,10 @@ impl LightSource for PointLight {
         self.shadow
     }
 
+    fn place(&self) -> Option<Vec3<f32>> {
+        Some(self.position.get())
+    }
+
     fn strength<R: Real>(&self, p: Vec3<R>, _: Option<&Day>) -> R {
         strength_of_point(p, &self.position, &self.color, 0.0)
     }

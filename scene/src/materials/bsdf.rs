@@ -5,7 +5,8 @@
 use std::f32::consts::PI;
 
 use super::microfacet::{
-    orthonormal_basis, sample_visible_normal, schlick_weight, smith_g2_over_g1, smith_visibility, ggx_distribution, visible_normal_density,
+    ggx_distribution, orthonormal_basis, sample_visible_normal, schlick_weight, smith_g2_over_g1, smith_visibility,
+    visible_normal_density,
 };
 use crate::real::{MaskValue, Real, Vec3, bundle, vec3};
 
@@ -186,7 +187,8 @@ impl<R: Real> Bsdf<R> {
             let shares = self.shares(lobes, facing, seen.is_inside);
             let (rise_in, rise_out) = (schlick_weight(toward), schlick_weight(facing));
             let uncoated = |rise: R| rise.constant(1.0) - self.coat_reflectance(rise);
-            let body = (rise_in.constant(1.0) - self.border * rise_in) * (rise_out.constant(1.0) - self.border * rise_out);
+            let body =
+                (rise_in.constant(1.0) - self.border * rise_in) * (rise_out.constant(1.0) - self.border * rise_out);
             let mut value = self.diffuse * body;
             let mut density = shares.diffuse * toward * (1.0 / PI);
             if lobes.reflection || lobes.coat {

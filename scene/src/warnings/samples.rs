@@ -29,6 +29,7 @@ fn has_noise(scene: &Scene) -> bool {
         .iter()
         .any(|material| material.is_specular() || material.is_medium() || material.is_textured())
         || scene.fog.is_some()
+        || scene.integrator.is_path()
         || scene.lights.iter().any(|light| is_wide(light))
 }
 
@@ -37,7 +38,7 @@ fn is_wide(light: &Light) -> bool {
     let Ok(Value::Object(light)) = serde_json::to_value(light) else { return true };
     light.iter().any(|(name, light)| {
         name == "sky"
-            || light.get("radius").is_some()
+            || ["radius", "width"].into_iter().any(|size| light.get(size).is_some())
             || light.get("angle").is_some_and(|angle| angle.as_f64() != Some(0.0))
     })
 }

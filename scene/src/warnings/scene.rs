@@ -2,11 +2,15 @@
 
 use super::objects;
 use crate::animation::JobAtFrame;
+use crate::backgrounds::Backdrop;
 use crate::lights::{LightSource, PlacedLight, default_lights};
 use crate::limits::MAX_MEDIUM_STEPS;
 use crate::materials::{Material, Shade};
 use crate::nodes::Node;
+use crate::real::vec3;
 use crate::scene::{Scene, child_pointers};
+use crate::transport::Transport;
+use crate::visible::RayKind;
 
 /// Lipschitz factor above which a shape gets a warning.
 const STEEPEST: f32 = 20.0;
@@ -77,7 +81,8 @@ pub(super) fn light(scene: &Scene) -> Option<String> {
                 .to_owned(),
         );
     }
-    let shines = scene.lights.iter().any(|light| !light.is_dark());
+    let shines = scene.lights.iter().any(|light| !light.is_dark())
+        || (scene.integrator.is_path() && (shines_itself(scene) || is_sky_bright(scene)));
     if !shines && used.iter().any(Shade::is_black_without_light) {
         let lack = if scene.lights.is_empty() { "there is no light" } else { "all lights are black" };
         return Some(format!(
@@ -85,6 +90,35 @@ pub(super) fn light(scene: &Scene) -> Option<String> {
         ));
     }
     None
+}
+
+/// Whether a material emits light.
+fn shines_itself(scene: &Scene) -> bool {
+    scene.used_materials().iter().any(|material| !material.is_black_without_light())
+}
+
+/// Whether light comes from the environment: paths of light meet it.
+fn is_sky_bright(scene: &Scene) -> bool {
+    let directions = [[0.0, 1.0, 0.0], [0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [-0.6, 0.0, 0.8]];
+    directions.into_iter().any(|[x, y, z]| scene.environment().radiance(vec3(x, y, z)).max_element() > 0.0)
+}
+
+/// Lights with a place inside an opaque object, which keeps their light.
+pub(super) fn enclosed_lights(scene: &Scene) -> Option<String> {
+    /// Objects with a higher evaluation cost are not tested.
+    const MAX_EVALUATIONS: f32 = 1e4;
+    scene.lights.iter().enumerate().find_map(|(index, light)| {
+        let place = light.place_in_scene().filter(|_| light.casts_shadows() && !light.is_dark())?;
+        let within = (0..scene.objects.len()).find(|&index| {
+            let (material, object) = (scene.material_of(index), &scene.objects[index]);
+            let is_opaque = !material.is_medium() && !material.is_transmissive() && object.visible.to(RayKind::Shadow);
+            is_opaque && object.shape.evaluation_cost() <= MAX_EVALUATIONS && object.shape.distance(place) < -1e-4
+        })?;
+        Some(format!(
+            "/scene/lights/{index} is inside {}, which keeps its light: move it, or give the object a `material` that shines",
+            objects(scene, &[within])
+        ))
+    })
 }
 
 /// Clouds and volumes that are too dense for their steps.
@@ -116,10 +150,11 @@ pub(super) fn dense_media(scene: &Scene) -> Option<String> {
 pub(super) fn bounces(scene: &Scene) -> Option<String> {
     let lets_through = |material: &&Material| material.is_transmissive() && !material.is_medium();
     scene.used_materials().iter().find(lets_through)?;
-    let most = scene.march.max_bounces;
+    let (most, name) = match &scene.integrator {
+        Transport::Direct => (scene.march.max_bounces, "march.max_bounces"),
+        Transport::Path(path) => (path.max_bounces, "integrator.path.max_bounces"),
+    };
     (most < MIN_GLASS_BOUNCES).then(|| {
-        format!(
-            "rays end inside glass, because march.max_bounces is {most} and glass needs {MIN_GLASS_BOUNCES}: raise it"
-        )
+        format!("rays end inside glass, because {name} is {most} and glass needs {MIN_GLASS_BOUNCES}: raise it")
     })
 }

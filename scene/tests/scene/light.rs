@@ -60,7 +60,8 @@ fn job(max_bounces: u32, rest: Value) -> Value {
 }
 
 fn closed_box(material: Value) -> Value {
-    let shell = json!({ "difference": { "of": [{ "box": { "size": [4, 3, 5] } }, { "box": { "size": [3.8, 2.8, 4.8] } }] } });
+    let shell =
+        json!({ "difference": { "of": [{ "box": { "size": [4, 3, 5] } }, { "box": { "size": [3.8, 2.8, 4.8] } }] } });
     json!([{ "material": material, "shape": shell }])
 }
 
@@ -108,7 +109,8 @@ fn lights_agree_however_they_are_found() {
     let radiance = 5.0;
     let radius = 0.4;
     let color = radiance * radius * radius;
-    let floor = |material: &Value| json!({ "material": material, "shape": { "plane": { "normal": [0, 1, 0], "offset": 0 } } });
+    let floor =
+        |material: &Value| json!({ "material": material, "shape": { "plane": { "normal": [0, 1, 0], "offset": 0 } } });
     let ball = |emission: Value| {
         json!({
             "material": { "surface": { "base_color": [0, 0, 0], "ior": 1, "emission": emission } },
@@ -120,7 +122,8 @@ fn lights_agree_however_they_are_found() {
             "position": [0.5, 1.1, 0.2], "radius": radius, "color": [color, color, color], "visible": visible
         } }])
     };
-    let even = json!({ "checker": { "cell": 1, "colors": [[radiance, radiance, radiance], [radiance, radiance, radiance]] } });
+    let even =
+        json!({ "checker": { "cell": 1, "colors": [[radiance, radiance, radiance], [radiance, radiance, radiance]] } });
     for material in [
         json!({ "diffuse": { "kd": [0.8, 0.5, 0.2] } }),
         json!({ "surface": { "base_color": [0.8, 0.5, 0.2], "roughness": 0.6 } }),
@@ -197,6 +200,34 @@ fn lights_add_up() {
     let (all, deviation) = scene(&lights);
     for channel in 0..3 {
         let sum: f64 = lights.iter().map(|light| scene(std::slice::from_ref(light)).0[channel]).sum();
-        assert!((all[channel] - sum).abs() < 3.5 * deviation[channel] + 2e-3 * sum, "{all:?} ± {deviation:?}, not {sum}");
+        assert!(
+            (all[channel] - sum).abs() < 3.5 * deviation[channel] + 2e-3 * sum,
+            "{all:?} ± {deviation:?}, not {sum}"
+        );
+    }
+}
+
+/// Without bounces and with matte surfaces, light is that of the default integrator: from lights and a day's sky.
+#[test]
+fn without_bounces_light_is_direct() {
+    let matte = json!({ "diffuse": { "kd": [0.9, 0.6, 0.3], "ambient": [0, 0, 0] } });
+    let objects = json!([
+        { "material": matte, "shape": { "plane": { "normal": [0, 1, 0], "offset": 0 } } },
+        { "material": matte, "shape": { "translate": { "by": [0.6, 0.5, 0], "child": { "sphere": { "radius": 0.5 } } } } }
+    ]);
+    for background in [
+        json!({ "day": { "sun": [0.8, 0.5, 0.4] } }),
+        json!({ "day": { "sun": [-0.5, 0.1, 0.8], "turbidity": 6, "strength": 2 } }),
+        json!({ "gradient": { "bottom": [0.2, 0.1, 0.3], "top": [0.9, 1, 2] } }),
+    ] {
+        let is_day = background.get("day").is_some();
+        let mut lights = vec![json!({ "sky": { "strength": 1.5 } })];
+        lights.extend(is_day.then(|| json!({ "sun": { "angle": 3 } })));
+        let camera = json!({ "position": [0, 1, 2.5], "look_at": [0.1, 0, 0], "fov": 8 });
+        let of_paths =
+            job(0, json!({ "camera": camera, "background": background, "lights": lights, "objects": objects }));
+        let mut direct = of_paths.clone();
+        direct["scene"]["integrator"] = json!("direct");
+        assert_equal(&[("direct", direct), ("path", of_paths)]);
     }
 }

@@ -9,6 +9,7 @@ use scene::kinds::Example;
 use scene::lights::Light;
 use scene::materials::{Material, Shade, Texture};
 use scene::nodes::Node;
+use scene::transport::{PathSettings, Transport};
 use scene::{Image, Integrator, Job, Layer, effects};
 use serde_json::{Value, json};
 use worker::{CancelFlag, CpuRenderer, Renderer, Simd, TileRequest};
@@ -87,6 +88,15 @@ fn compare(name: &str, job: &Job) {
     }
 }
 
+/// Compares a job, and the same with path tracing.
+fn compare_with_paths(name: &str, job: &Job) {
+    compare(name, job);
+    let mut paths = job.clone();
+    paths.scene.integrator = Transport::Path(PathSettings { max_bounces: 3 });
+    (paths.image.width, paths.image.height) = (19, 13);
+    compare(&format!("{name} with paths"), &paths);
+}
+
 #[test]
 fn every_width_gives_the_reference_bits_for_every_node() {
     for example in Node::examples() {
@@ -124,7 +134,7 @@ fn every_width_gives_the_reference_bits_for_every_material() {
         } else {
             job(&melting(&example.json))
         };
-        compare(example.kind, &job);
+        compare_with_paths(example.kind, &job);
     }
 }
 
@@ -154,7 +164,7 @@ fn compare_each(examples: &[Example], keys: impl Fn(Value) -> Value) {
         let image = json!({ "width": 37, "height": 19, "samples": 2, "format": "exr", "precision": "float",
             "layers": ["depth", "normal", "position", "albedo", "object", "steps"] });
         let text = json!({ "scene": scene_with(&keys(value)), "image": image }).to_string();
-        compare(example.kind, &scene::parse(text.as_bytes()).unwrap());
+        compare_with_paths(example.kind, &scene::parse(text.as_bytes()).unwrap());
     }
 }
 
@@ -164,6 +174,20 @@ fn every_width_gives_the_reference_bits_for_every_light() {
         &Light::examples(),
         |light| json!({ "lights": [light], "background": { "day": { "sun": [0.6, 0.5, 0.4] } } }),
     );
+}
+
+#[test]
+fn every_width_gives_the_reference_bits_for_objects_that_shine() {
+    let shines = json!({ "material": { "surface": { "base_color": [0.2, 0.3, 0.4], "emission": [3, 2, 1] } },
+        "shape": { "translate": { "by": [1.6, 0.4, 0.3], "child": { "box": { "size": [0.4, 1, 0.3] } } } } });
+    let mut objects = scene_with(&json!({}))["objects"].clone();
+    objects.as_array_mut().expect("objects").push(shines);
+    let lights = json!([{ "sphere": { "position": [-1, 2, 1], "radius": 0.3, "visible": true } },
+        { "rectangle": { "position": [0, 2, -1], "direction": [0.2, -1, 0.3], "width": 1, "height": 0.5, "visible": true } }]);
+    let scene = scene_with(&json!({ "objects": objects, "lights": lights }));
+    let image = json!({ "width": 37, "height": 19, "samples": 3 });
+    let job = scene::parse(json!({ "scene": scene, "image": image }).to_string().as_bytes()).unwrap();
+    compare_with_paths("objects that shine", &job);
 }
 
 #[test]
