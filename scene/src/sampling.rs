@@ -167,6 +167,7 @@ fn interleaved<R: Real>(word: R::Bits) -> R::Bits {
 }
 
 #[cfg(test)]
+#[expect(clippy::disallowed_methods, reason = "expected values are computed by std's functions")]
 mod tests {
     use std::f32::consts::PI;
 

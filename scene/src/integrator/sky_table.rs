@@ -48,7 +48,9 @@ impl SkyTable {
         };
         let mut weights: Vec<f32> = (0..CELLS).map(luminance).collect();
         let mean = weights.iter().sum::<f32>() / CELLS as f32;
-        weights.iter_mut().for_each(|weight| *weight += (FLOOR * mean).max(1e-9));
+        for weight in &mut weights {
+            *weight += (FLOOR * mean).max(1e-9);
+        }
         let sum: f32 = weights.iter().sum();
         let densities = weights.iter().map(|weight| weight / sum * (CELLS as f32 / (4.0 * PI))).collect();
         let mut upper = Vec::new();
@@ -130,7 +132,7 @@ mod tests {
     use super::*;
 
     fn glow(direction: Vec3<f32>) -> Vec3<f32> {
-        let bright = 0.2 + 5.0 * direction.dot(vec3(0.6, 0.64, -0.48)).max(0.0).powi(8);
+        let bright = 0.2 + 5.0 * direction.dot(vec3(0.6, 0.64, -0.48)).max(0.0).square().square().square();
         vec3(bright, 0.5 * bright, 2.0 * bright)
     }
 
