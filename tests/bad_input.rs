@@ -135,6 +135,20 @@ fn wrong_form() -> Vec<Case> {
         changed("unknown format", r#""height": 32"#, r#""height": 32, "format": ¤"jpg""#, "/image/format", "png"),
         changed("fov of 0", LOOK_AT, r#""look_at": [0, 0, 0], "fov": ¤0"#, "/scene/camera/fov", "179 degrees"),
         changed("fov of 180", LOOK_AT, r#""look_at": [0, 0, 0], "fov": ¤180"#, "/scene/camera/fov", "179 degrees"),
+        changed(
+            "f-number of 0",
+            LOOK_AT,
+            r#""look_at": [0, 0, 0], "lens": { "f_stop": ¤0, "focal_length": 1, "focus": 4 }"#,
+            "/scene/camera/lens/f_stop",
+            "from 0.1 to 1000",
+        ),
+        changed(
+            "aperture of three blades",
+            LOOK_AT,
+            r#""look_at": [0, 0, 0], "lens": { "aperture": 1, "focus": 4, "blades": ¤3 }"#,
+            "/scene/camera/lens/blades",
+            "5 to 16",
+        ),
         changed("priority beyond its range", r#""image""#, r#""priority": ¤101, "image""#, "/priority", "100"),
         changed(
             "coordinate beyond a million",
@@ -165,6 +179,20 @@ fn wrong_meaning() -> Vec<Case> {
         changed("look_at is the position", LOOK_AT, r#""look_at": ¤[0, 0, 5]"#, "/scene/camera/look_at", "position"),
         changed("up along the view", LOOK_AT, r#""look_at": [0, 0, 0], "up": ¤[0, 0, 2]"#, "/scene/camera/up", "view"),
         changed("up of no length", LOOK_AT, r#""look_at": [0, 0, 0], "up": ¤[0, 0, 0]"#, "/scene/camera/up", "length"),
+        changed(
+            "lens focused behind the camera",
+            LOOK_AT,
+            r#""look_at": [0, 0, 0], "lens": { "aperture": 1, "focus": ¤[0, 0, 6] }"#,
+            "/scene/camera/lens/focus",
+            "farther along the view",
+        ),
+        changed(
+            "f-number without a focal length",
+            LOOK_AT,
+            r#""look_at": [0, 0, 0], "lens": { "f_stop": ¤2.8, "focus": 4 }"#,
+            "/scene/camera/lens/f_stop",
+            "focal_length",
+        ),
         changed(
             "unknown material",
             r#""material": "clay""#,

@@ -97,7 +97,7 @@ impl Job {
         scene.seek(clock).map_err(|misfit| error(self.pointer_in_scene(&misfit), misfit.message))?;
         image.seek(clock).map_err(|misfit| error(format!("/image{}", misfit.pointer), misfit.message))?;
         scene.camera.apply_turntable(frame, &self.frames);
-        if let Some((key, message)) = scene.camera.validate() {
+        if let Some(&(key, message)) = scene.camera.errors().first() {
             return Err(error(format!("/scene/camera/{key}"), message.to_owned()));
         }
         let (scene, image) = (Cow::Owned(scene), Cow::Owned(image));

@@ -1,6 +1,7 @@
 //! Camera: turns a point of the picture into a ray.
 
 mod culling;
+mod lens;
 mod look_at;
 mod matrices;
 mod projections;
@@ -8,12 +9,15 @@ mod projections;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+pub use lens::Lens;
 pub use look_at::{Ahead, LookAt};
 pub use matrices::Matrix;
 pub use projections::{
     CameraAxes, Example, Extent, HasExamples, Orthographic, Panorama, Perspective, Project, Projection,
 };
 
+use self::lens::Aperture;
+use crate::bounds::Bounds;
 use crate::groups::Placement;
 use crate::job::Frames;
 use crate::march::Tolerance;
@@ -40,6 +44,10 @@ pub struct Camera {
     #[serde(default, skip_serializing_if = "Projection::is_default")]
     #[schemars(extend("default" = "perspective"))]
     pub projection: Projection,
+    /// Lens, which blurs what is not in focus; a pinhole when absent. Not of a panorama.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(extend("examples" = [{ "aperture": 0.2, "focus": 4 }]))]
+    pub lens: Option<Lens>,
     /// Rotates the camera around `look_at` over the frames of the job.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub turntable: Option<Turntable>,
@@ -70,6 +78,8 @@ pub struct View {
     up: Vec3<f32>,
     /// 2/width and −2/height.
     scale: (f32, f32),
+    /// The lens; `None` for a pinhole.
+    lens: Option<Aperture>,
     footprint: Tolerance,
     /// Rounding error of coordinates around the camera, in scene units.
     coordinate_error: f32,
@@ -94,11 +104,27 @@ impl<R: Real> Ray<R> {
 }
 
 impl Camera {
-    /// Error in the camera, if there is one: the JSON member and the message.
-    pub(crate) fn validate(&self) -> Option<(&'static str, &'static str)> {
-        let from = self.position.get();
-        let to = self.target();
-        let away = vec3(to.x - from.x, to.y - from.y, to.z - from.z);
+    /// Errors in the camera: the JSON member and the message of each.
+    pub(crate) fn errors(&self) -> Vec<(&'static str, &'static str)> {
+        let mut errors = Vec::new();
+        let view = self.view_error();
+        errors.extend(view);
+        errors.extend(self.fov.as_ref().and(self.projection.validate_fov()).map(|message| ("fov", message)));
+        let Some(lens) = &self.lens else { return errors };
+        if let Some(message) = self.projection.validate_lens() {
+            errors.push(("lens", message));
+            return errors;
+        }
+        errors.extend(lens.errors());
+        if view.is_none() {
+            errors.extend(lens.focus_error(self.position.get(), self.forward()));
+        }
+        errors
+    }
+
+    /// Error if the camera looks nowhere, or its picture has no upper edge.
+    fn view_error(&self) -> Option<(&'static str, &'static str)> {
+        let away = self.target() - self.position.get();
         if self.look_at.is_ahead() && self.turntable.is_some() {
             return Some(("turntable", "circles the point look_at: give look_at a point, or leave turntable out"));
         }
@@ -114,14 +140,18 @@ impl Camera {
                 "is where the camera is: move look_at or position, so that the view has a direction",
             ));
         }
-        let forward = away.normalize();
-        if forward.cross(self.up.unit()).length() < 1e-4 {
+        if self.forward().cross(self.up.unit()).length() < 1e-4 {
             return Some((
                 "up",
                 "\"up\" points along the view, also if it is left out: choose an up that is not along look_at - position, such as [0, 0, -1]",
             ));
         }
-        self.fov.as_ref().and(self.projection.validate_fov()).map(|message| ("fov", message))
+        None
+    }
+
+    /// Direction to the center of the picture, of length 1, before the camera is placed by its groups.
+    fn forward(&self) -> Vec3<f32> {
+        (self.target() - self.position.get()).normalize()
     }
 
     /// Point at the center of the picture.
@@ -137,6 +167,7 @@ impl Camera {
     /// Fills in defaults, so that cameras with the same view are equal.
     pub(crate) fn fill_defaults(&mut self) {
         self.fov = self.fov.take().or_else(|| self.projection.default_fov());
+        self.lens = self.lens.take().and_then(Lens::reduced);
     }
 
     /// Applies the turntable's rotation for a frame and removes the turntable; returns whether there was one.
@@ -166,11 +197,15 @@ impl Camera {
         let right = forward.cross(up).normalize();
         let right = if roll == 0.0 { right } else { rotate_about_axis(right, forward, roll) };
         let up = right.cross(forward);
+        // A placement changes no distance.
+        let focus = |lens: &Lens| lens.focus.distance(self.position.get(), self.forward());
+        let lens = self.lens.as_ref().map(|lens| lens.prepare(right, up, focus(lens)));
         let (width, height) = (width as f32, height as f32);
         let aspect = width / height;
         let Extent { half_width, half_height, footprint } = self.projection.extent(self.fov.as_ref(), aspect, height);
         let spread = if footprint.floor > 0.0 { half_width.max(half_height) } else { 0.0 };
         let size = origin.x.abs().max(origin.y.abs()).max(origin.z.abs()) + spread;
+        let size = lens.as_ref().map_or(size, |lens| size + lens.radius());
         View {
             projection: self.projection.clone(),
             origin,
@@ -178,6 +213,7 @@ impl Camera {
             right: scaled(right, half_width),
             up: scaled(up, half_height),
             scale: (2.0 / width, -2.0 / height),
+            lens,
             footprint,
             coordinate_error: 2e-7 * size + 1e-7,
         }
@@ -185,7 +221,8 @@ impl Camera {
 }
 
 impl View {
-    /// The ray through the point (`x`, `y`) of the picture, in pixels from its top left.
+    /// The ray through the point (`x`, `y`) of the picture, in pixels from its top left, and through the center of the
+    /// lens.
     pub fn ray<R: Real>(&self, x: R, y: R) -> Ray<R> {
         let across = x.mul_add(x.uniform(self.scale.0), x.constant(-1.0));
         let upwards = y.mul_add(y.uniform(self.scale.1), y.constant(1.0));
@@ -193,6 +230,17 @@ impl View {
             (Vec3::uniform(x, self.right), Vec3::uniform(x, self.up), Vec3::uniform(x, self.forward));
         let origin = Vec3::uniform(x, self.origin);
         self.projection.ray(&CameraAxes { origin, right, up, forward }, across, upwards)
+    }
+
+    /// A ray through the point (`x`, `y`) of the picture, like [`View::ray`], and through a point of the lens, which the
+    /// pair of numbers, 0 to 1 excluding 1, chooses. All rays of a point of the picture meet in the plane of focus. A
+    /// pinhole takes no pair.
+    pub fn ray_through_lens<R: Real>(&self, x: R, y: R, pair: impl FnOnce() -> (R, R)) -> Ray<R> {
+        let central = self.ray(x, y);
+        match &self.lens {
+            None => central,
+            Some(lens) => lens.ray(&central, Vec3::uniform(x, self.forward), pair()),
+        }
     }
 
     /// Half a pixel's height at a distance along a ray.
@@ -223,9 +271,25 @@ impl View {
         Tolerance { slope: (0.5 * slope).max(least), floor: (0.5 * floor).max(100.0 * self.coordinate_error) }
     }
 
-    /// Position of the camera.
+    /// Position of the camera: the center of its lens.
     pub fn origin(&self) -> Vec3<f32> {
         self.origin
+    }
+
+    /// Radius of the circle around the lens' aperture, in scene units; 0 for a pinhole.
+    pub(crate) fn lens_radius(&self) -> f32 {
+        self.lens.as_ref().map_or(0.0, Aperture::radius)
+    }
+
+    /// Points on the rim of a lens whose center is at `origin`; none of a pinhole.
+    pub(crate) fn rim_of_lens(&self, origin: Vec3<f32>) -> Vec<Vec3<f32>> {
+        self.lens.as_ref().map_or_else(Vec::new, |lens| lens.rim(origin).to_vec())
+    }
+
+    /// Box expanded like [`Bounds::with_margin`] for rays from any point of the lens.
+    pub(crate) fn with_margin(&self, bounds: Bounds) -> Bounds {
+        let radius = self.lens_radius();
+        bounds.with_margin(self.origin.map(|c| c.abs() + radius))
     }
 }
 

@@ -173,7 +173,7 @@ impl<'a> Integrator<'a> {
         let bounds = shapes.reduce(Bounds::union).unwrap_or(Bounds::EMPTY);
         let step_scales: Vec<Option<f32>> =
             scene.objects.iter().map(|object| shrink(object.shape.stretch(), moves)).collect();
-        let bounds = bounds.with_margin(view.origin());
+        let bounds = view.with_margin(bounds);
         Self {
             scene,
             cells: None,
@@ -185,7 +185,7 @@ impl<'a> Integrator<'a> {
             shares_nearest: scene.nodes() >= SHARED_DISTANCE_NODES,
             bounds,
             step_scales,
-            media: Media::new(scene, rays, view.origin()),
+            media: Media::new(scene, rays, &view),
             emitters: Emitters::new(scene, &surfaces),
             sends_on,
             lets_through,
@@ -268,7 +268,7 @@ impl<'a> Integrator<'a> {
 
     /// Radiance along the ray through a point of the picture, in pixels from its top left.
     fn radiance<R: Real>(&self, x: R, y: R, dice: &Sampler<R>) -> Radiance<R> {
-        let ray = self.view.ray(x, y);
+        let ray = self.view.ray_through_lens(x, y, || dice.get_2d(lighting::ON_LENS));
         if let Transport::Path(PathSettings { max_bounces }) = self.scene.integrator {
             return self.light_path(&ray, max_bounces, dice);
         }
@@ -437,8 +437,9 @@ impl<'a> Integrator<'a> {
 }
 
 /// Box of the points of most rays: of all that start in finite bounds.
-fn reach(bounds: Bounds, origin: Vec3<f32>, farthest: f32) -> Bounds {
-    let around = Bounds { min: origin, max: origin }.expanded(2.0 * farthest);
+fn reach(bounds: Bounds, view: &View, farthest: f32) -> Bounds {
+    let origin = view.origin();
+    let around = Bounds { min: origin, max: origin }.expanded(2.0 * farthest + view.lens_radius());
     bounds.intersection(around)
 }
 

@@ -40,6 +40,11 @@ impl Example {
         Self::each::<E>(kind, &name, |value| format!("{{ \"{name}\": {value} }}"))
     }
 
+    /// The examples of one type that is in no family, under its own name.
+    pub(crate) fn plain<E: HasExamples>(kind: &'static str) -> Vec<Self> {
+        Self::each::<E>(kind, &snake_case(kind), str::to_owned)
+    }
+
     /// The only example of a kind without fields: its name.
     pub(crate) fn unit(kind: &'static str) -> Self {
         let name = snake_case(kind);

@@ -279,7 +279,7 @@ fn faults_of_document(document: &JobDocument) -> SemanticErrors {
     if name.chars().count() > MAX_NAME_CHARS {
         fault("/name", format!("is longer than {MAX_NAME_CHARS} characters"));
     }
-    if let Some((key, message)) = scene.camera.validate() {
+    for (key, message) in scene.camera.errors() {
         fault(&format!("/scene/camera/{key}"), message.to_owned());
     }
     let light_count = scene.lights.len() + groups::light_count(&scene.groups);

@@ -6,8 +6,10 @@
 
 mod angles;
 mod color;
+mod focus;
 mod motion;
 mod named_number;
+mod one_or_three;
 mod path;
 mod peeked_map;
 mod points;
@@ -24,6 +26,7 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 pub use angles::Angles;
 pub use color::Color;
+pub use focus::Focus;
 pub(crate) use named_number::NamedNumber;
 pub use points::{Direction, Point, Rotation};
 pub(crate) use points::{inverse_rows_of, sin_cos_degrees, unit_of};
@@ -212,6 +215,12 @@ animatable_numbers! {
     /// A vertical field of view, in degrees.
     FieldOfView: |v| (0.01..=179.0).contains(&v), "a field of view from 0.01 to 179 degrees",
         { "type": "number", "minimum": 0.01, "maximum": 179, "description": "A vertical field of view, in degrees." };
+    /// The distance of the plane of focus, in scene units.
+    FocusDistance: |v| (MIN_LENGTH..=MAX_LENGTH).contains(&v), "a distance ahead of the camera from 1e-6 to 1e6",
+        { "type": "number", "minimum": 1e-6, "maximum": 1e6, "description": "A distance ahead of the camera, in scene units." };
+    /// An f-number: the focal length over the diameter of the aperture.
+    FNumber: |v| (0.1..=1000.0).contains(&v), "an f-number from 0.1 to 1000",
+        { "type": "number", "minimum": 0.1, "maximum": 1000, "description": "An f-number: 1.4 is a wide aperture with much blur, 16 is a narrow one." };
     /// Exponent of Phong's cosine: larger gives a narrower highlight.
     Shininess: |v| (1.0..=10_000.0).contains(&v), "an exponent from 1 to 10000",
         { "type": "number", "minimum": 1, "maximum": 10000, "description": "The exponent of Phong's cosine." };

@@ -10,8 +10,7 @@ impl View {
         if is_empty(bounds) {
             return true;
         }
-        let bounds = bounds.with_margin(self.origin);
-        self.projection.is_beside(self, bounds)
+        self.projection.is_beside(self, self.with_margin(bounds))
     }
 
     /// Whether no ray of the picture reaches the box within this distance.
@@ -19,8 +18,8 @@ impl View {
         if is_empty(bounds) {
             return false;
         }
-        let bounds = bounds.with_margin(self.origin);
-        self.projection.is_beyond(self, bounds, distance)
+        // A ray starts up to the lens' radius nearer.
+        self.projection.is_beyond(self, self.with_margin(bounds), distance + self.lens_radius())
     }
 
     /// Whether all of a box is farther from the camera than this.
@@ -41,21 +40,40 @@ impl View {
         ])
     }
 
-    /// Whether a plane separates a box, relative to the camera position, from the picture's pyramid: a side of the
-    /// pyramid, or a side of the box.
+    /// Whether a plane separates a box, relative to the camera position, from all that rays of the picture's pyramid
+    /// meet: a side of what they meet, or a side of the box.
+    ///
+    /// At a depth z, rays through a lens of the radius r are up to r·|z − f|/f beside those through its center, where f
+    /// is the distance of the plane of focus.
     pub(super) fn is_outside_pyramid(&self, bounds: Bounds) -> bool {
         let (right, up, forward) = (inverse_extent(self.right), inverse_extent(self.up), self.forward);
-        let sides = [forward, forward + right, forward - right, forward + up, forward - up];
-        if sides.into_iter().any(|side| support(bounds, side) < 0.0) {
+        let (radius, per_focus) = self.lens.as_ref().map_or((0.0, 0.0), |lens| (lens.radius(), 1.0 / lens.focus()));
+        let is_before = |side: Vec3<f32>| {
+            // The radius over the picture's half extent at distance 1, which `side` is the inverse of.
+            let wider = radius * side.length();
+            let beyond_focus = support(bounds, forward * (1.0 + wider * per_focus) + side) < wider;
+            beyond_focus && support(bounds, forward * (1.0 - wider * per_focus) + side) < -wider
+        };
+        if support(bounds, forward) < 0.0 || [right, -right, up, -up].into_iter().any(is_before) {
             return true;
         }
         let corners = [(1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0)]
             .map(|(across, upwards)| forward + self.right * across + self.up * upwards);
+        let slant = radius * per_focus;
         let leaves = |along: fn(Vec3<f32>) -> f32| {
-            (along(bounds.max) < 0.0 && corners.iter().all(|&corner| along(corner) >= 0.0))
-                || (along(bounds.min) > 0.0 && corners.iter().all(|&corner| along(corner) <= 0.0))
+            (along(bounds.max) < -radius && corners.iter().all(|&corner| along(corner) >= slant))
+                || (along(bounds.min) > radius && corners.iter().all(|&corner| along(corner) <= -slant))
         };
         leaves(|v| v.x) || leaves(|v| v.y) || leaves(|v| v.z)
+    }
+
+    /// How far rays of a point of an orthographic picture may be from its central ray in a box in view space: to the
+    /// right and up, in halves of the picture.
+    pub(super) fn blur_in_view_space(&self, seen: Bounds) -> (f32, f32) {
+        let Some(lens) = &self.lens else { return (0.0, 0.0) };
+        let from_focus = |z: f32| (z.max(0.0) - lens.focus()).abs();
+        let blur = lens.radius() / lens.focus() * from_focus(seen.min.z).max(from_focus(seen.max.z));
+        (blur / self.right.length(), blur / self.up.length())
     }
 }
 

@@ -64,6 +64,11 @@ pub trait Project {
         None
     }
 
+    /// Error message if a camera with this projection has a lens and must not.
+    fn validate_lens(&self) -> Option<&'static str> {
+        None
+    }
+
     /// Extent of a picture that is `aspect` times as wide as high, and `height` pixels high.
     fn extent(&self, fov: Option<&FieldOfView>, aspect: f32, height: f32) -> Extent;
 
@@ -128,6 +133,13 @@ macro_rules! projections {
                 match self {
                     $($(#[$attribute])* Self::$Kind(projection) => projection.validate_fov(),)*
                     $(Self::$Unit => $Unit.validate_fov(),)*
+                }
+            }
+
+            fn validate_lens(&self) -> Option<&'static str> {
+                match self {
+                    $($(#[$attribute])* Self::$Kind(projection) => projection.validate_lens(),)*
+                    $(Self::$Unit => $Unit.validate_lens(),)*
                 }
             }
 

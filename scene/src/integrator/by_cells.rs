@@ -28,7 +28,7 @@ impl<'a> Integrator<'a> {
     pub fn of_picture(still: &'a JobAtFrame<'_>, how: &dyn CellBuilder) -> Self {
         let own = Self::new(still);
         let cells = program(still).map(|program| {
-            let reach = super::reach(own.bounds, own.view.origin(), own.scene.march.max_distance.get());
+            let reach = super::reach(own.bounds, &own.view, own.scene.march.max_distance.get());
             Cells::new(program, reach, how)
         });
         Self { cells, ..own }

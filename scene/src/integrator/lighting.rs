@@ -20,6 +20,8 @@ pub(super) const IN_MEDIA: u32 = 3;
 /// Which light, and where on it.
 pub(super) const OF_LIGHT: u32 = 4;
 pub(super) const ON_LIGHT: u32 = 5;
+/// Where the lens lets a ray through.
+pub(super) const ON_LENS: u32 = 7;
 /// Whether a path goes on.
 pub(super) const OF_ROULETTE: u32 = 6;
 const OF_LIGHTS: u32 = 16;

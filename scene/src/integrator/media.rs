@@ -6,7 +6,7 @@ use super::Integrator;
 use super::lighting::sample_lights;
 use crate::backgrounds::Backdrop;
 use crate::bounds::Bounds;
-use crate::camera::Ray;
+use crate::camera::{Ray, View};
 use crate::lights::{AmbientLight, Light, LightSource};
 use crate::materials::{MediumMaterial, Shade};
 use crate::real::{Real, Vec3, bundle, vec3};
@@ -64,8 +64,8 @@ const MIN_TRANSMITTANCE: f32 = 1.0 / 256.0;
 const MAX_EMPTY_STEPS: u32 = 96;
 
 impl<'a> Media<'a> {
-    /// The media that rays of a kind see, if there are any; `origin` is the camera position.
-    pub(super) fn new(scene: &'a Scene, rays: RayKind, origin: Vec3<f32>) -> Option<Self> {
+    /// The media that rays of a kind see, if there are any; `view` is the camera's.
+    pub(super) fn new(scene: &'a Scene, rays: RayKind, view: &View) -> Option<Self> {
         let mut all = Vec::new();
         let mut bounds = Bounds::EMPTY;
         let (mut max_steps, mut light_steps) = (0, 0);
@@ -81,7 +81,7 @@ impl<'a> Media<'a> {
             max_steps += filling.steps();
             light_steps = light_steps.max(filling.light_steps());
         }
-        (!all.is_empty()).then(|| Self { all, bounds: bounds.with_margin(origin), max_steps, light_steps })
+        (!all.is_empty()).then(|| Self { all, bounds: view.with_margin(bounds), max_steps, light_steps })
     }
 }
 

@@ -23,7 +23,8 @@ impl Integrator<'_> {
                 break;
             }
             let (across, down) = r2_point(number);
-            let ray = self.view.ray(across * width as f32, down * height as f32);
+            let of_lens = || richtmyer_point(number);
+            let ray = self.view.ray_through_lens(across * width as f32, down * height as f32, of_lens);
             let (nearest, farthest) = self.bounds.intersect_ray(&ray, self.scene.march.max_distance.get());
             rays += 1;
             if nearest >= farthest {
@@ -54,7 +55,19 @@ impl Integrator<'_> {
 /// unreasonable effectiveness of quasirandom sequences",
 /// <https://extremelearning.com.au/unreasonable-effectiveness-of-quasirandom-sequences/>.
 fn r2_point(number: u32) -> (f32, f32) {
-    const STEPS: (f64, f64) = (0.754_877_666_246_693, 0.569_840_290_998_053);
-    let along = |step: f64| ((f64::from(number) + 0.5) * step).fract() as f32;
-    (along(STEPS.0), along(STEPS.1))
+    multiples(number, [0.754_877_666_246_693, 0.569_840_290_998_053])
+}
+
+/// Point `number` of another such sequence, which is spread evenly together with the first, from the square roots of 2 and
+/// 3: R. D. Richtmyer, "The evaluation of definite integrals, and a quasi-Monte-Carlo method based on the properties of
+/// algebraic numbers", Los Alamos LA-1342, 1951.
+fn richtmyer_point(number: u32) -> (f32, f32) {
+    multiples(number, [std::f64::consts::SQRT_2, 1.732_050_807_568_877_2])
+}
+
+/// Fractions of the multiples of two steps.
+fn multiples(number: u32, steps: [f64; 2]) -> (f32, f32) {
+    // Rounding to `f32` must not give 1.
+    let [x, y] = steps.map(|step| (((f64::from(number) + 0.5) * step).fract() as f32).min(0.999_999));
+    (x, y)
 }

@@ -8,9 +8,8 @@ use serde::de::value::{MapAccessDeserializer, SeqAccessDeserializer};
 use serde::de::{Error, MapAccess, SeqAccess, Visitor};
 use serde::{Deserialize, Deserializer, Serialize};
 
-use super::motion::{self, Motion, OfKind, RangedNumber};
-use super::track::{KeyframeValue, WrittenTrack};
-use super::{Degrees, PeekedMap, Rotation, triple};
+use super::one_or_three::{OneOrThree, Tracked, read_track};
+use super::{Degrees, PeekedMap, Rotation, motion};
 use crate::seek::Seek;
 
 /// Angles of a rotation.
@@ -33,46 +32,12 @@ impl Angles {
     }
 }
 
-/// A keyframe's angle, or its three.
-enum KeyframeAngles {
-    One(OfKind<Degrees>),
-    Three([OfKind<Degrees>; 3]),
-}
-
-impl KeyframeValue for KeyframeAngles {
+impl OneOrThree for Angles {
+    type One = Degrees;
+    type Three = Degrees;
     const KEY: &'static str = "[seconds, degrees] or [seconds, [x, y, z]]";
-}
-
-struct KeyframeVisitor;
-
-impl<'de> Visitor<'de> for KeyframeVisitor {
-    type Value = KeyframeAngles;
-
-    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str("an angle, or a list of 3")
-    }
-
-    fn visit_f64<E: Error>(self, value: f64) -> Result<KeyframeAngles, E> {
-        motion::number(value).map(|angle| KeyframeAngles::One(OfKind(angle)))
-    }
-
-    fn visit_i64<E: Error>(self, value: i64) -> Result<KeyframeAngles, E> {
-        self.visit_f64(value as f64)
-    }
-
-    fn visit_u64<E: Error>(self, value: u64) -> Result<KeyframeAngles, E> {
-        self.visit_f64(value as f64)
-    }
-
-    fn visit_seq<A: SeqAccess<'de>>(self, list: A) -> Result<KeyframeAngles, A::Error> {
-        Deserialize::deserialize(SeqAccessDeserializer::new(list)).map(KeyframeAngles::Three)
-    }
-}
-
-impl<'de> Deserialize<'de> for KeyframeAngles {
-    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        deserializer.deserialize_any(KeyframeVisitor)
-    }
+    const EXPECTED: &'static str = "an angle, or a list of 3";
+    const KINDS: &'static str = "keys of one angle and keys of three";
 }
 
 struct AnglesVisitor;
@@ -103,26 +68,14 @@ impl<'de> Visitor<'de> for AnglesVisitor {
     fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<Angles, A::Error> {
         let first = map.next_key::<String>()?;
         let is_formula = first.as_deref() == Some("expr");
-        let map = MapAccessDeserializer::new(PeekedMap::new(first, map));
+        let map = PeekedMap::new(first, map);
         if is_formula {
-            return Degrees::deserialize(map).map(Angles::About);
+            return Degrees::deserialize(MapAccessDeserializer::new(map)).map(Angles::About);
         }
-        let written = WrittenTrack::<KeyframeAngles>::deserialize(map)?;
-        let is_one = |key: &KeyframeAngles| matches!(key, KeyframeAngles::One(_));
-        if written.values().all(is_one) {
-            let one = |key: &KeyframeAngles| match key {
-                KeyframeAngles::One(angle) | KeyframeAngles::Three([angle, ..]) => angle.0.value(),
-            };
-            return Motion::Track(written.track(one)).start().map(Angles::About);
-        }
-        if written.values().any(is_one) {
-            return Err(A::Error::custom("has keys of one angle and keys of three: write the same in all"));
-        }
-        let three = |key: &KeyframeAngles, axis: usize| match key {
-            KeyframeAngles::One(angle) => angle.0.value(),
-            KeyframeAngles::Three(angles) => angles[axis].0.value(),
-        };
-        triple::of_track(&written, three).map(|degrees| Angles::Fixed(Rotation::new(degrees)))
+        Ok(match read_track::<Angles, _>(map)? {
+            Tracked::One(degrees) => Angles::About(degrees),
+            Tracked::Three(degrees) => Angles::Fixed(Rotation::new(degrees)),
+        })
     }
 }
 

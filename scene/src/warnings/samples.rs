@@ -30,6 +30,7 @@ fn has_noise(scene: &Scene) -> bool {
         .any(|material| material.is_specular() || material.is_medium() || material.is_textured())
         || scene.fog.is_some()
         || scene.integrator.is_path()
+        || scene.camera.lens.is_some()
         || scene.lights.iter().any(|light| is_wide(light))
 }
 

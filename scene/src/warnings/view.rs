@@ -7,6 +7,7 @@ use crate::integrator::Integrator;
 use crate::job::Image;
 use crate::materials::{MaterialRef, Shade};
 use crate::nodes::Node;
+use crate::real::Vec3;
 use crate::scene::Scene;
 
 /// Maximum fraction of rays that may run out of steps.
@@ -57,9 +58,22 @@ fn nothing_in_view(scene: &Scene, view: &View) -> Option<String> {
     })
 }
 
-/// Objects that contain the camera, or part of an orthographic picture's plane.
+/// Objects that contain the camera, or part of an orthographic picture's plane, or part of the lens.
 fn inside(scene: &Scene, image: &Image, view: &View) -> Option<String> {
     let origins = scene.camera.projection.ray_origins(view, image);
+    if let Some(around) = solid_around(scene, &origins) {
+        let (what, cure) = scene.camera.projection.inside_warning();
+        return Some(format!("{what} {around}, so that only its inside is visible: {cure}, or cut a room into it"));
+    }
+    let on_rim: Vec<Vec3<f32>> = origins.into_iter().flat_map(|origin| view.rim_of_lens(origin)).collect();
+    let around = solid_around(scene, &on_rim)?;
+    Some(format!(
+        "part of the lens is inside {around}, whose inside veils the picture: make the aperture of camera.lens smaller, or move camera.position away from it"
+    ))
+}
+
+/// Opaque objects that contain one of these origins of rays, by their pointers.
+fn solid_around(scene: &Scene, origins: &[Vec3<f32>]) -> Option<String> {
     let solid = scene.objects.iter().enumerate().filter(|(_, object)| {
         let material = &scene.used_materials()[object.material.slot() as usize];
         !material.is_medium() && !material.is_transmissive() && !is_transmissive(scene, &object.shape)
@@ -72,14 +86,7 @@ fn inside(scene: &Scene, image: &Image, view: &View) -> Option<String> {
         })
         .map(|(index, _)| index)
         .collect();
-    if around.is_empty() {
-        return None;
-    }
-    let (what, cure) = scene.camera.projection.inside_warning();
-    Some(format!(
-        "{what} {}, so that only its inside is visible: {cure}, or cut a room into it",
-        objects(scene, &around)
-    ))
+    (!around.is_empty()).then(|| objects(scene, &around))
 }
 
 /// Whether a part of a shape is painted with a transmissive material.

@@ -11,6 +11,7 @@ mod formulas;
 mod fractals;
 mod kinds;
 mod large;
+mod lens;
 mod light;
 mod materials;
 mod noise;

@@ -149,8 +149,20 @@ fn surroundings() -> Vec<Value> {
     add("camera", with(&[("fov", Value::Null), ("projection", json!({ "orthographic": { "height": 3 } }))]));
     add("camera", with(&[("fov", Value::Null), ("projection", json!("panorama"))]));
     add("camera", with(&[("turntable", json!({ "turns": 0.7 }))]));
+    for lens in lenses() {
+        add("camera", with(&[("lens", lens)]));
+    }
     scenes.extend(seen_by_some());
     scenes
+}
+
+/// Lenses, focused before the object and behind it.
+fn lenses() -> [Value; 3] {
+    [
+        json!({ "aperture": 0.4, "focus": 2, "blades": 6, "turn": 15 }),
+        json!({ "f_stop": 2.8, "focal_length": 1.1, "focus": [0.3, 0.2, 1.2] }),
+        json!({ "aperture": 0.4, "focus": { "keys": [[0, 3], [2, 8]], "ease": "linear" } }),
+    ]
 }
 
 /// An environment apart from the background, objects that some rays do not see, and a shadow catcher.

@@ -3,7 +3,7 @@
 
 use proto::Rect;
 use scene::backgrounds::Background;
-use scene::camera::Projection;
+use scene::camera::{Lens, Projection};
 use scene::lights::Light;
 use scene::nodes::{Node, NodeExample};
 use scene::{Job, effects};
@@ -95,7 +95,11 @@ fn scenes_around_objects() -> Vec<(String, Value)> {
         Projection::examples(),
         |projection| json!({ "camera": { "position": [1.5, 1.4, 3.2], "look_at": [0, 0, 0], "projection": projection } }),
     );
-    [lights, backgrounds, projections, with(effects::examples(), |keys| keys)].concat()
+    let lenses = with(
+        Lens::examples(),
+        |lens| json!({ "camera": { "position": [1.5, 1.4, 3.2], "look_at": [0, 0, 0], "lens": lens } }),
+    );
+    [lights, backgrounds, projections, lenses, with(effects::examples(), |keys| keys)].concat()
 }
 
 #[test]

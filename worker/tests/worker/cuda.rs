@@ -8,7 +8,7 @@ use std::process::{Command, Stdio};
 use proto::Rect;
 use rayon::prelude::*;
 use scene::backgrounds::Background;
-use scene::camera::Projection;
+use scene::camera::{Lens, Projection};
 use scene::kinds::Example;
 use scene::lights::Light;
 use scene::real::Real;
@@ -238,9 +238,23 @@ fn jobs_of_all_kinds() -> Vec<Job> {
     (0..jobs).map(job).collect()
 }
 
+/// A job for each lens; projections alternate.
+fn jobs_with_lenses() -> Vec<Job> {
+    let projections = [json!("perspective"), json!({ "orthographic": { "height": 3 } })];
+    let job = |(index, lens): (usize, Value)| {
+        let scene = json!({ "camera": { "position": [1.5, 1.4, 3.2], "look_at": [0, 0.6, 0], "lens": lens,
+                "projection": projections[index % projections.len()] },
+            "objects": [{ "shape": { "sphere": { "radius": 1 } } },
+                        { "shape": { "plane": { "normal": [0, 1, 0], "offset": -1 } } }] });
+        let image = json!({ "width": 40, "height": 24, "samples": 8, "format": "exr", "precision": "float" });
+        scene::parse(json!({ "scene": scene, "image": image }).to_string().as_bytes()).expect("an example is valid")
+    };
+    values(Lens::examples()).into_iter().enumerate().map(job).collect()
+}
+
 #[test]
 fn source_of_every_scene_part_is_bit_identical() {
-    let jobs = jobs_of_all_kinds().into_iter().enumerate();
+    let jobs = [jobs_of_all_kinds(), jobs_with_lenses()].concat().into_iter().enumerate();
     let jobs: Vec<(String, Job)> = jobs.map(|(index, job)| (format!("job {index} of all kinds"), job)).collect();
     assert_same_on_host(&jobs, serial);
 }
@@ -264,7 +278,8 @@ fn samples_that_a_warp_renders_together_are_bit_identical() {
         let image = Image { samples: 8, ..job.image.clone() };
         (name, job.with_image(image))
     });
-    let jobs: Vec<(String, Job)> = jobs.collect();
+    let lens = jobs_with_lenses().into_iter().take(1).map(|job| ("a lens".to_owned(), job));
+    let jobs: Vec<(String, Job)> = jobs.chain(lens).collect();
     assert_same_on_host(&jobs, in_warps);
 }
 

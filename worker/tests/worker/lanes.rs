@@ -4,7 +4,7 @@
 
 use proto::Rect;
 use scene::backgrounds::Background;
-use scene::camera::Projection;
+use scene::camera::{Lens, Projection};
 use scene::kinds::Example;
 use scene::lights::Light;
 use scene::materials::{Material, Shade, Texture};
@@ -204,6 +204,24 @@ fn every_width_gives_the_reference_bits_for_every_projection() {
 }
 
 #[test]
+fn every_width_gives_the_reference_bits_for_every_lens() {
+    let camera = |lens: &Value, projection: &Value| {
+        json!({ "camera": { "position": [1.5, 1.4, 3.2], "look_at": [0, 0.6, 0],
+        "projection": projection, "lens": lens } })
+    };
+    for projection in [json!("perspective"), json!({ "orthographic": { "height": 3 } })] {
+        compare_each(&Lens::examples(), |lens| camera(&lens, &projection));
+    }
+    // A mirror takes the longer path, and a single sample has its own.
+    let mut text = json!({ "scene": scene_with(&camera(&json!({ "aperture": 0.5, "focus": 3 }), &json!("perspective"))),
+        "image": { "width": 37, "height": 19, "samples": 1, "format": "exr", "precision": "float", "layers": ["depth"] } });
+    compare("one sample", &scene::parse(text.to_string().as_bytes()).unwrap());
+    text["scene"]["objects"][0]["material"] = json!({ "surface": { "metallic": 1, "roughness": 0.1 } });
+    text["image"]["samples"] = json!(5);
+    compare("mirror", &scene::parse(text.to_string().as_bytes()).unwrap());
+}
+
+#[test]
 fn every_width_gives_the_reference_bits_for_every_effect() {
     compare_each(&effects::examples(), |keys| keys);
 }
@@ -211,10 +229,20 @@ fn every_width_gives_the_reference_bits_for_every_effect() {
 #[test]
 fn a_tile_equals_its_part_of_the_picture() {
     let example = Node::examples().swap_remove(0);
-    let job = job(&example.node);
+    tiles_equal_the_whole(&job(&example.node));
+}
+
+#[test]
+fn a_tile_of_a_lens_equals_its_part_of_the_picture() {
+    let mut job = job(&Node::examples().swap_remove(0).node);
+    job.scene.camera.lens = Some(serde_json::from_value(json!({ "aperture": 0.6, "focus": 2, "blades": 5 })).unwrap());
+    tiles_equal_the_whole(&job);
+}
+
+/// Compares two tiles with the whole picture, with those at its right and at its bottom.
+fn tiles_equal_the_whole(job: &Job) {
     let renderer = CpuRenderer::new(Some(2), Simd::Auto).unwrap();
-    let render =
-        |rect| renderer.render(&TileRequest { job: &job, frame: 0, rect }, &CancelFlag::new(), &|_| ()).unwrap();
+    let render = |rect| renderer.render(&TileRequest { job, frame: 0, rect }, &CancelFlag::new(), &|_| ()).unwrap();
     let whole = render(Rect::full(job.image.width, job.image.height));
     for part in [Rect { x: 32, y: 0, width: 5, height: 29 }, Rect { x: 0, y: 19, width: 37, height: 3 }] {
         let tile = render(part);

@@ -45,8 +45,9 @@ impl Project for Orthographic {
 
     fn is_beside(&self, view: &View, bounds: Bounds) -> bool {
         let seen = view.to_view_space(bounds);
-        let is_off = |low: f32, high: f32| high < -1.0 || low > 1.0;
-        is_off(seen.min.x, seen.max.x) || is_off(seen.min.y, seen.max.y) || seen.max.z < 0.0
+        let (across, upwards) = view.blur_in_view_space(seen);
+        let is_off = |low: f32, high: f32, blur: f32| high < -1.0 - blur || low > 1.0 + blur;
+        is_off(seen.min.x, seen.max.x, across) || is_off(seen.min.y, seen.max.y, upwards) || seen.max.z < 0.0
     }
 
     fn is_beyond(&self, view: &View, bounds: Bounds, distance: f32) -> bool {

@@ -18,6 +18,10 @@ impl Project for Panorama {
         Some("has no effect in a panorama, which shows all directions: remove it")
     }
 
+    fn validate_lens(&self) -> Option<&'static str> {
+        Some("has no effect in a panorama, which shows all directions: remove it, or choose another projection")
+    }
+
     fn extent(&self, _: Option<&FieldOfView>, _: f32, height: f32) -> Extent {
         let footprint = Tolerance { slope: std::f32::consts::FRAC_PI_2 / height, floor: 0.0 };
         Extent { half_width: 1.0, half_height: 1.0, footprint }

@@ -1,7 +1,7 @@
 //! Generates the page of projections, backgrounds and effects.
 
 use scene::backgrounds::{Backdrop, Background};
-use scene::camera::{Project, Projection};
+use scene::camera::{Lens, Project, Projection};
 use scene::{Job, effects};
 
 use super::picture::stage;
@@ -18,6 +18,14 @@ const PROJECTIONS: &str = "
 # Projections
 
 The `projection` of a camera. Each picture shows the same rows of columns from the same place.
+";
+
+const LENSES: &str = "
+# Lens
+
+The `lens` of a camera. The pictures show a ball, columns and lamps far behind them. This is what a pinhole sees:
+
+![without a lens](pictures/lenses/none.png)
 ";
 
 const BACKGROUNDS: &str = "
@@ -45,6 +53,12 @@ const COLUMNS: &str = r##"
     { "shape": { "plane": { "normal": [0, 1, 0], "offset": -1.2 } },
       "material": { "diffuse": { "kd": { "checker": { "cell": 1.2, "colors": ["#707a86", "#a9b1ba"] } } } } }"##;
 
+/// Small lamps over the far columns.
+const LAMPS: &str = r##"
+    { "shape": { "translate": { "by": [0, 1.2, -6], "child": { "repeat": { "cell": [1.2, 0.9, null], "count": [9, 3, null],
+        "child": { "sphere": { "radius": 0.1 } } } } } },
+      "material": { "flat": { "color": [9, 6, 2.5] } } }"##;
+
 /// A matte ball and one of metal in front of a background.
 const BALLS: &str = r##"
     { "shape": { "translate": { "by": [-0.85, 0, 0], "child": { "sphere": { "radius": 0.75 } } } },
@@ -61,6 +75,20 @@ fn columns(projection: &str) -> Job {
     );
     let job = stage(&scene, [240, 180]);
     if projection_of.warning(&job.image).is_some() { stage(&scene, [320, 160]) } else { job }
+}
+
+/// The ball and the columns behind it, with rows of lamps.
+fn through(lens: &str) -> Job {
+    let scene = format!(
+        r##""camera": {{ "position": [0.1, 0.1, 6.4], "look_at": [0.1, -0.25, 0], "fov": 34{lens} }},
+        "background": {{ "gradient": {{ "bottom": "#20242c", "top": "#0c0f16" }} }},
+        "lights": [{{ "directional": {{ "direction": [-0.5, 0.8, 0.6], "color": [0.3, 0.29, 0.28] }} }}],
+        "objects": [{COLUMNS}, {LAMPS}]"##
+    );
+    let mut job = stage(&scene, [240, 180]);
+    // Few of the rays of a blurred lamp meet it.
+    job.image.samples = 512;
+    job
 }
 
 fn before(background: &str) -> Job {
@@ -96,8 +124,11 @@ pub(crate) fn page() -> Page {
     page.text += &part(&schema, "Camera");
     page.text += &part(&schema, "Turntable");
     let none = Picture::of_a_still("pictures/effects/none.png".to_owned(), with(""));
+    let pinhole = Picture::of_a_still("pictures/lenses/none.png".to_owned(), through(""));
+    let behind = |lens: &str| through(&format!(r#", "lens": {lens}"#));
     let families = [
         (PROJECTIONS, "projections", "Projection", Projection::examples(), columns as fn(&str) -> Job),
+        (LENSES, "lenses", "Lens", Lens::examples(), behind),
         (BACKGROUNDS, "backgrounds", "Background", Background::examples(), before),
         (EFFECTS, "effects", "Scene", effects::examples(), with),
     ];
@@ -109,6 +140,6 @@ pub(crate) fn page() -> Page {
             page.pictures.push(Picture::of_a_still(file, job(&example.json)));
         }
     }
-    page.pictures.push(none);
+    page.pictures.extend([none, pinhole]);
     page
 }
