@@ -104,7 +104,8 @@ fn an_aperture_is_covered_evenly() {
             cells[((y + 1.000_1) * 7.999) as usize][((x + 1.000_1) * 7.999) as usize] += 1;
         }
         let n = blades as f32;
-        let area = if blades == 0 { std::f32::consts::PI } else { 0.5 * n * (std::f32::consts::TAU / n).sin() };
+        let (sine, cosine) = sin_cos_degrees(360.0 / n.max(1.0));
+        let area = if blades == 0 { std::f32::consts::PI } else { 0.5 * n * sine };
         let wanted = COUNT as f32 / area / 64.0;
         // The cells of the square in the circle in the pentagon.
         for got in cells[6..10].iter().flat_map(|row| &row[6..10]) {
@@ -113,7 +114,7 @@ fn an_aperture_is_covered_evenly() {
         // Nothing is left out: the mean of x² + y² is that of the shape.
         let points = points_of(&format!("\"blades\": {blades}"), even(4096));
         let mean = points.iter().map(|(x, y)| x * x + y * y).sum::<f32>() / points.len() as f32;
-        let of_shape = if blades == 0 { 0.5 } else { (2.0 + (std::f32::consts::TAU / n).cos()) / 6.0 };
+        let of_shape = if blades == 0 { 0.5 } else { (2.0 + cosine) / 6.0 };
         assert!((mean / of_shape - 1.0).abs() < 0.01, "{blades} blades: {mean} instead of {of_shape}");
     }
 }
@@ -127,10 +128,10 @@ fn a_corner_of_a_polygon_is_at_its_top_and_turns_counter_clockwise() {
             let farthest = points.iter().max_by(|a, b| along(a).total_cmp(&along(b))).expect("points");
             assert!((farthest.0 - corner.0).hypot(farthest.1 - corner.1) < 0.07, "{blades}, {turn}: {farthest:?}");
             // Every point is on the inner side of each side.
-            let apothem = (std::f32::consts::PI / blades as f32).cos();
+            let (_, apothem) = sin_cos_degrees(180.0 / blades as f32);
             for side in 0..blades {
                 let degrees = 90.0 + turn + (side as f32 + 0.5) * 360.0 / blades as f32;
-                let (sine, cosine) = degrees.to_radians().sin_cos();
+                let (sine, cosine) = sin_cos_degrees(degrees);
                 let most = points.iter().map(|(x, y)| x * cosine + y * sine).fold(0.0, f32::max);
                 assert!(most < apothem + 1e-5 && most > 0.95 * apothem, "{blades}, {turn}: {most} for {apothem}");
             }

@@ -54,10 +54,10 @@ const COLUMNS: &str = r##"
       "material": { "diffuse": { "kd": { "checker": { "cell": 1.2, "colors": ["#707a86", "#a9b1ba"] } } } } }"##;
 
 /// Small lamps over the far columns.
-const LAMPS: &str = r##"
+const LAMPS: &str = r#"
     { "shape": { "translate": { "by": [0, 1.2, -6], "child": { "repeat": { "cell": [1.2, 0.9, null], "count": [9, 3, null],
         "child": { "sphere": { "radius": 0.1 } } } } } },
-      "material": { "flat": { "color": [9, 6, 2.5] } } }"##;
+      "material": { "flat": { "color": [9, 6, 2.5] } } }"#;
 
 /// A matte ball and one of metal in front of a background.
 const BALLS: &str = r##"
