@@ -265,11 +265,12 @@ impl<R: Real> Search<R> {
         let exactness = tolerance * EXACTNESS;
         let fall = R::select(is_between, fall, value_after - value);
         let way = R::select(is_between, width, here - after);
-        // Distance along the ray to the estimated root.
-        let further = value * (way / fall.at_least(1e-12));
+        // Distance along the ray to the estimated root; 0 if the values do not lead to one.
+        let is_falling = fall.above(0.0);
+        let further = R::select(is_falling, value * (way / fall.at_least(1e-12)), zero);
         let level = is_fine.map_or(resolution, |fine| R::select(fine, resolution * AMONG_DETAILS, resolution));
         let is_level = value.abs().lt(level);
-        let is_near = further.abs().lt(exactness) & fall.above(0.0);
+        let is_near = further.abs().lt(exactness) & is_falling;
         // On fine detail, a slope toward a root may end before the root.
         let is_near = is_fine.map_or(is_near, |fine| is_near & (!fine | is_between));
         let met = is_level | is_near | (is_between & width.lt(exactness));
@@ -315,7 +316,8 @@ pub fn march<R: Real>(
             Some(part) => R::when(t.lt(reach.t_max), reach.t_max, || field.distance(t, Some(part))),
         };
         let gap = if both_sides { gap.abs() } else { gap };
-        let is_torn = gap.lt(past);
+        // A step past a surface at a right angle ends as far behind it as it went too far: up to rounding.
+        let is_torn = if both_sides { gap.lt(past * 1.0001) } else { gap.lt(past) };
         let hit = gap.lt(tolerance(t)) & !is_torn;
         let (end, further) = (t + gap, gap * (reach.relaxation - 1.0));
         // The last step must cover the rest of the ray, or of the part.

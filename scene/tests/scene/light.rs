@@ -233,3 +233,24 @@ fn without_bounces_light_is_direct() {
         assert_equal(&[("direct", direct), ("path", of_paths)]);
     }
 }
+
+/// In a scene with glass, distances have no sign: a ray at a right angle to a wall still ends at the wall.
+#[test]
+fn rays_at_right_angles_do_not_pass_walls() {
+    let scene = json!({ "scene": {
+        "camera": { "position": [0, 0, 4], "look_at": [0, 0, 0] },
+        "objects": [
+            { "shape": { "translate": { "by": [0, 0, -1.05], "child": { "box": { "size": [2.2, 2.2, 0.1] } } } } },
+            { "material": { "surface": { "transmission": 1 } },
+              "shape": { "translate": { "by": [3, 0, 0], "child": { "sphere": { "radius": 0.1 } } } } }
+        ] },
+        "image": { "width": 9, "height": 9, "samples": 1, "format": "exr", "layers": ["depth"] } });
+    for distance in 0..400 {
+        let mut scene = scene.clone();
+        scene["scene"]["camera"]["position"][2] = json!(1.5 + 0.013 * f64::from(distance));
+        let job = parse(scene.to_string().as_bytes()).expect("valid");
+        let still = job.at(0).expect("a frame");
+        let depth = f64::from(Integrator::new(&still).aovs(4.0_f32, 4.0).depth);
+        assert!((depth - (2.5 + 0.013 * f64::from(distance))).abs() < 1e-4, "{depth} at {distance}");
+    }
+}
