@@ -30,7 +30,7 @@ fn folder() -> tempfile::TempDir {
 /// All job files of the repository.
 fn files() -> Vec<PathBuf> {
     let mut found = Vec::new();
-    for folder in ["scenes", "scenes/paper", "docs/scenes"] {
+    for folder in ["scenes", "scenes/paper", "docs/scenes", "docs/scenes/light"] {
         let entries = fs::read_dir(root().join(folder)).expect("readable").flatten();
         let paths = entries.map(|entry| entry.path());
         found.extend(paths.filter(|path| path.extension().is_some_and(|extension| extension == "json")));

@@ -16,7 +16,7 @@ import { markOf, positionOf } from '../../web/studio/places.js';
 import { stages } from '../../web/studio/stages.js';
 
 const root = new URL('../../', import.meta.url);
-const scenes = ['scenes/', 'docs/scenes/', 'docs/tutorial/'].flatMap((folder) =>
+const scenes = ['scenes/', 'docs/scenes/', 'docs/scenes/light/', 'docs/tutorial/'].flatMap((folder) =>
   readdirSync(new URL(folder, root)).filter((name) => name.endsWith('.json')).map((name) => readFileSync(new URL(folder + name, root), 'utf8')),
 );
 const csg = readFileSync(new URL('scenes/csg.json', root), 'utf8');

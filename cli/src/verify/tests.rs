@@ -53,7 +53,7 @@ struct Genuine {
 fn shipped() -> Vec<PathBuf> {
     let root = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("..");
     let mut paths = Vec::new();
-    for folder in ["scenes", "docs/scenes"] {
+    for folder in ["scenes", "docs/scenes", "docs/scenes/light"] {
         let entries = std::fs::read_dir(root.join(folder)).expect("the scenes are there").flatten();
         paths
             .extend(entries.map(|entry| entry.path()).filter(|path| path.extension().is_some_and(|end| end == "json")));

@@ -53,8 +53,8 @@ pub(crate) fn shipped() -> Vec<Shipped> {
 
 /// The scenes of the documents, and the jobs of the tutorial, by name.
 pub(crate) fn large() -> Vec<Shipped> {
-    let found = of_folders(&[("", "docs/scenes"), ("tutorial/", "docs/tutorial")]);
-    assert!(found.len() > 13, "docs/scenes/ and docs/tutorial/ hold job files");
+    let found = of_folders(&[("", "docs/scenes"), ("light/", "docs/scenes/light"), ("tutorial/", "docs/tutorial")]);
+    assert!(found.len() > 17, "docs/scenes/ and docs/tutorial/ hold job files");
     found
 }
 

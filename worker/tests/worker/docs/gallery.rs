@@ -3,6 +3,7 @@
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
+use scene::transport::Transport;
 use scene::{Format, Image, Job};
 
 use super::{Page, Picture};
@@ -14,7 +15,7 @@ page is made from them: `SDFARM_WRITE_DOCS=1 cargo test -p worker --test worker 
 ";
 
 /// Headings, folders of the repository, and where the pictures are in `docs/pictures/gallery`.
-const PARTS: [(&str, &str, &str); 3] = [
+const PARTS: [(&str, &str, &str); 4] = [
     ("", "scenes", ""),
     ("\n# Of the paper\n", "scenes/paper", "paper/"),
     (
@@ -22,10 +23,17 @@ const PARTS: [(&str, &str, &str); 3] = [
         "docs/scenes",
         "written/",
     ),
+    (
+        "\n# With paths of light\n\nIn these jobs light travels from surface to surface: `integrator` is `path` ([jobs.md](jobs.md#path-tracing)).\n",
+        "docs/scenes/light",
+        "light/",
+    ),
 ];
 
 const WIDTH: u32 = 400;
 const MAX_SAMPLES: u32 = 12;
+/// Of a job with paths of light, which has more noise.
+const MAX_SAMPLES_OF_PATHS: u32 = 192;
 
 fn jobs(folder: &Path) -> Vec<(String, Job)> {
     let entries = std::fs::read_dir(folder).expect("there are scenes");
@@ -43,7 +51,8 @@ fn jobs(folder: &Path) -> Vec<(String, Job)> {
 /// The job in the form that the page shows.
 fn small(job: Job) -> Job {
     let height = (WIDTH * job.image.height).div_ceil(job.image.width);
-    let samples = job.image.samples.min(MAX_SAMPLES);
+    let is_of_paths = job.scene.integrator != Transport::Direct;
+    let samples = job.image.samples.min(if is_of_paths { MAX_SAMPLES_OF_PATHS } else { MAX_SAMPLES });
     let image = Image { width: WIDTH, height, samples, format: Format::Png, layers: Vec::new(), ..job.image.clone() };
     job.with_image(image)
 }
