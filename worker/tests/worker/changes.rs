@@ -184,13 +184,32 @@ fn tiles_that_edits_cannot_change_have_the_same_bytes() {
     assert!(counts.edits >= 200, "{counts:?}");
 }
 
+/// The shipped scene of chess.
+fn chess() -> Value {
+    let chess = shipped().into_iter().find(|shipped| shipped.name == "chess").expect("chess");
+    serde_json::from_slice(&chess.text).expect("JSON")
+}
+
+#[test]
+fn edits_of_what_a_lens_blurs_keep_only_tiles_that_they_cannot_reach() {
+    let mut document = small(chess());
+    let focus = document["scene"]["camera"]["look_at"].clone();
+    document["scene"]["camera"]["lens"] = json!({ "aperture": 0.5, "focus": focus, "blades": 5 });
+    let counts = check(&renderer(), "chess with a lens", &document, 12, &mut Random(5));
+    assert!(0 < counts.kept && counts.kept < counts.tiles, "{counts:?}");
+    let mut wider = document.clone();
+    wider["scene"]["camera"]["lens"]["aperture"] = json!(0.6);
+    let [before, after] = [&document, &wider].map(|document| job(document).expect("a job"));
+    let found = reached(&before.at(0).expect("a frame"), &after.at(0).expect("a frame"), &[]);
+    assert!(found.is_err_and(|reason| reason.contains("other than surfaces")), "another lens changes every tile");
+}
+
 /// Part of the tiles of `chess` that a piece's move by one square changes, and time and bytes of records.
 #[test]
 #[ignore = "long: renders 1920×1080 twice; 30 s"]
 fn moving_a_chess_piece_changes_few_tiles() {
     let renderer = renderer();
-    let chess = shipped().into_iter().find(|shipped| shipped.name == "chess").expect("chess");
-    let mut document: Value = serde_json::from_slice(&chess.text).expect("JSON");
+    let mut document = chess();
     (document["image"]["width"], document["image"]["height"]) = (json!(1920), json!(1080));
     document["image"]["samples"] = json!(1);
     for piece in
