@@ -79,8 +79,8 @@ pub trait LightSource {
     /// Whether objects cast shadows in this light.
     fn casts_shadows(&self) -> bool;
 
-    /// Where it is, if it has a place.
-    fn place(&self) -> Option<Vec3<f32>> {
+    /// Center and radius of a ball around it, if it has a place.
+    fn place(&self) -> Option<(Vec3<f32>, f32)> {
         None
     }
 
@@ -139,7 +139,7 @@ macro_rules! lights {
                 match self { $($(#[$attribute])* Self::$Kind(light) => light.casts_shadows()),* }
             }
 
-            fn place(&self) -> Option<Vec3<f32>> {
+            fn place(&self) -> Option<(Vec3<f32>, f32)> {
                 match self { $($(#[$attribute])* Self::$Kind(light) => light.place()),* }
             }
 
@@ -235,11 +235,6 @@ pub(crate) fn default_lights() -> Vec<Light> {
 
 pub(crate) fn default_color() -> Color {
     Color::new(1.0, 1.0, 1.0)
-}
-
-#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde passes a reference")]
-fn is_false(value: &bool) -> bool {
-    !value
 }
 
 pub(crate) fn default_shadow() -> bool {

@@ -70,6 +70,14 @@ impl LightBody {
 }
 
 impl Outline {
+    /// Largest distance from the center.
+    pub fn radius(self) -> f32 {
+        match self {
+            Self::Rectangle([x, y]) => Real::sqrt(x * x + y * y),
+            Self::Disc(radius) => radius,
+        }
+    }
+
     /// Area in square scene units.
     pub fn area(self) -> f32 {
         match self {

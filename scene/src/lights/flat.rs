@@ -4,7 +4,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::body::{LightBody, LightShape, Outline, PointOfLight};
-use super::{HasExamples, LightSample, LightSource, default_color, default_shadow, is_false, strength_of_point};
+use super::{HasExamples, LightSample, LightSource, default_color, default_shadow, strength_of_point};
 use crate::backgrounds::Day;
 use crate::materials::microfacet::orthonormal_basis;
 use crate::real::{Real, Vec3};
@@ -34,7 +34,7 @@ pub struct RectangleLight {
     #[serde(default = "default_shadow")]
     pub shadow: bool,
     /// Whether the rectangle itself is seen.
-    #[serde(default, skip_serializing_if = "is_false")]
+    #[serde(default)]
     pub visible: bool,
 }
 
@@ -55,7 +55,7 @@ pub struct DiscLight {
     #[serde(default = "default_shadow")]
     pub shadow: bool,
     /// Whether the disc itself is seen.
-    #[serde(default, skip_serializing_if = "is_false")]
+    #[serde(default)]
     pub visible: bool,
 }
 
@@ -154,8 +154,8 @@ macro_rules! flat_light {
                 self.color.is_black()
             }
 
-            fn place(&self) -> Option<Vec3<f32>> {
-                Some(self.position.get())
+            fn place(&self) -> Option<(Vec3<f32>, f32)> {
+                Some((self.position.get(), self.flat().outline.radius()))
             }
 
             fn body(&self) -> Option<LightBody> {

@@ -4,7 +4,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::body::{LightBody, LightShape, PointOfLight};
-use super::{HasExamples, LightSample, LightSource, default_color, default_shadow, is_false, strength_of_point};
+use super::{HasExamples, LightSample, LightSource, default_color, default_shadow, strength_of_point};
 use crate::backgrounds::Day;
 use crate::real::{Real, Vec3};
 use crate::seek::Seek;
@@ -48,7 +48,7 @@ pub struct SphereLight {
     #[serde(default = "default_shadow")]
     pub shadow: bool,
     /// Whether the ball itself is seen.
-    #[serde(default, skip_serializing_if = "is_false")]
+    #[serde(default)]
     pub visible: bool,
 }
 
@@ -82,8 +82,8 @@ impl LightSource for SpotLight {
         Some((LightSample { direction, radiance }, distance))
     }
 
-    fn place(&self) -> Option<Vec3<f32>> {
-        Some(self.position.get())
+    fn place(&self) -> Option<(Vec3<f32>, f32)> {
+        Some((self.position.get(), 0.0))
     }
 
     fn strength<R: Real>(&self, p: Vec3<R>, _: Option<&Day>) -> R {
@@ -133,8 +133,8 @@ impl LightSource for SphereLight {
         self.visible.then(|| self.shape_and_radiance())
     }
 
-    fn place(&self) -> Option<Vec3<f32>> {
-        Some(self.position.get())
+    fn place(&self) -> Option<(Vec3<f32>, f32)> {
+        Some((self.position.get(), self.radius.get()))
     }
 
     fn strength<R: Real>(&self, p: Vec3<R>, _: Option<&Day>) -> R {

@@ -33,10 +33,10 @@ impl PlacedLight {
         Some((LightSample { direction, ..sample }, distance))
     }
 
-    /// Where it is in the scene, if it has a place.
-    pub(crate) fn place_in_scene(&self) -> Option<Vec3<f32>> {
-        let place = self.light.place()?;
-        Some(self.placements.iter().rev().fold(place, |p, placement| placement.to_scene(p)))
+    /// Center and radius of a ball around it in the scene, if it has a place.
+    pub(crate) fn place_in_scene(&self) -> Option<(Vec3<f32>, f32)> {
+        let (center, radius) = self.light.place()?;
+        Some((self.placements.iter().rev().fold(center, |p, placement| placement.to_scene(p)), radius))
     }
 
     /// Its shape in the scene and its radiance, if it is seen.

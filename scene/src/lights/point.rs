@@ -46,8 +46,8 @@ impl LightSource for PointLight {
         self.shadow
     }
 
-    fn place(&self) -> Option<Vec3<f32>> {
-        Some(self.position.get())
+    fn place(&self) -> Option<(Vec3<f32>, f32)> {
+        Some((self.position.get(), 0.0))
     }
 
     fn strength<R: Real>(&self, p: Vec3<R>, _: Option<&Day>) -> R {

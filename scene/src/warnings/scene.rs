@@ -108,11 +108,12 @@ pub(super) fn enclosed_lights(scene: &Scene) -> Option<String> {
     /// Objects with a higher evaluation cost are not tested.
     const MAX_EVALUATIONS: f32 = 1e4;
     scene.lights.iter().enumerate().find_map(|(index, light)| {
-        let place = light.place_in_scene().filter(|_| light.casts_shadows() && !light.is_dark())?;
+        let (center, radius) = light.place_in_scene().filter(|_| light.casts_shadows() && !light.is_dark())?;
         let within = (0..scene.objects.len()).find(|&index| {
             let (material, object) = (scene.material_of(index), &scene.objects[index]);
+            let enclosed = -radius - 1e-4 - 1e-3 * radius;
             let is_opaque = !material.is_medium() && !material.is_transmissive() && object.visible.to(RayKind::Shadow);
-            is_opaque && object.shape.evaluation_cost() <= MAX_EVALUATIONS && object.shape.distance(place) < -1e-4
+            is_opaque && object.shape.evaluation_cost() <= MAX_EVALUATIONS && object.shape.distance(center) < enclosed
         })?;
         Some(format!(
             "/scene/lights/{index} is inside {}, which keeps its light: move it, or give the object a `material` that shines",

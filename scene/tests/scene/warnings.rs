@@ -213,6 +213,31 @@ fn tiny_steps_are_reported_with_their_cause() {
 }
 
 #[test]
+fn lights_inside_opaque_objects_are_reported() {
+    let inside = |light: &str| filled(r#"{ "surface": {} }"#, &format!(r#", "lights": [{light}]"#));
+    let point = r#"{ "point": { "position": [0, 0, 0.1] } }"#;
+    one(&inside(point), &["/scene/lights/0 is inside object 0", "move it"]);
+    none(&filled(r#"{ "surface": { "transmission": 1 } }"#, &format!(r#", "lights": [{point}]"#)));
+    none(&inside(r#"{ "point": { "position": [0, 0, 0.1], "shadow": false } }"#));
+    none(&inside(r#"{ "point": { "position": [0, 9, 0] } }"#));
+    // A ball around the object.
+    none(&inside(r#"{ "sphere": { "position": [0, 0, 0], "radius": 1.2 } }"#));
+    one(&inside(r#"{ "sphere": { "position": [0, 0, 0], "radius": 0.1 } }"#), &["/scene/lights/0 is inside object 0"]);
+}
+
+#[test]
+fn paths_of_light_need_no_lights() {
+    let path = r#", "lights": [], "integrator": { "path": {} }"#;
+    none(&filled(r#"{ "diffuse": {} }"#, path));
+    let dark = |more: &str| {
+        filled(r#"{ "diffuse": {} }"#, &format!(r#"{path}, "environment": {{ "color": [0, 0, 0] }}{more}"#))
+    };
+    one(&dark(""), &["there is no light"]);
+    let none_left = r#", "lights": [], "integrator": { "path": { "max_bounces": 1 } }"#;
+    one(&filled(r#"{ "surface": { "transmission": 1 } }"#, none_left), &["integrator.path.max_bounces is 1"]);
+}
+
+#[test]
 fn unused_lights_and_scenes_without_light_are_reported() {
     let flat = r##"{ "flat": { "color": "#808080" } }"##;
     let lit = r#", "lights": [{ "point": { "position": [0, 9, 0] } }]"#;
