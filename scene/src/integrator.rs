@@ -14,6 +14,8 @@ mod shading;
 mod sky_table;
 mod step_budget;
 
+use std::ops::Add;
+
 use crate::animation::JobAtFrame;
 use crate::backgrounds::Backdrop;
 use crate::bounds::Bounds;
@@ -128,6 +130,18 @@ struct Hit<R: Real> {
 }
 
 bundle!(Radiance { color, alpha, evaluations });
+
+impl<R: Real> Add for Radiance<R> {
+    type Output = Self;
+
+    fn add(self, other: Self) -> Self {
+        Self {
+            color: self.color + other.color,
+            alpha: self.alpha + other.alpha,
+            evaluations: self.evaluations + other.evaluations,
+        }
+    }
+}
 bundle!(Hit { t, position, normal, is_inside });
 
 impl<R: Real> ShadingPoint<R> {
@@ -213,25 +227,24 @@ impl<'a> Integrator<'a> {
     /// Adds samples of a pixel to `sum`: from `first` up to but excluding `end`, which is greater than `first`. Adding
     /// in parts, in order, gives bit-identical sums.
     pub fn accumulate<R: Real>(&self, x: R, y: R, first: R, end: R, sum: Radiance<R>) -> Radiance<R> {
-        let add = |sum: Radiance<R>, seen: Radiance<R>| Radiance {
-            color: sum.color + seen.color,
-            alpha: sum.alpha + seen.alpha,
-            evaluations: sum.evaluations + seen.evaluations,
-        };
         let [x, y] = self.in_whole_picture(x, y);
-        let zero = x.constant(0.0);
-        let dice = PixelSampler::new(x, y, self.samples, self.frame_key);
+        let pixel = PixelSampler::new(x, y, self.samples, self.frame_key);
         if self.samples == 1 {
-            return add(sum, self.radiance(x + 0.5, y + 0.5, &dice.sample(zero)));
+            return sum + self.radiance(&pixel, &pixel.sample(x.constant(0.0)));
         }
-        let (_, sum) = R::repeat(MAX_SAMPLES, (first, sum), |(sample, sum)| {
-            let dice = dice.sample(sample);
-            let (jx, jy) = dice.get_2d(lighting::IN_PIXEL);
-            let next = sample + 1.0;
-            let seen = self.radiance(x + jx, y + jy, &dice);
-            (next.lt(end), (next, add(sum, seen)))
-        });
-        sum
+        match self.scene.integrator {
+            // Other rays than those of the camera may see other objects, by other formulas.
+            Transport::Path(PathSettings { max_bounces }) if self.of_reflections.is_none() => {
+                self.accumulate_paths(&pixel, [first, end], sum, max_bounces)
+            }
+            _ => {
+                let (_, sum) = R::repeat(MAX_SAMPLES, (first, sum), |(sample, sum)| {
+                    let next = sample + 1.0;
+                    (next.lt(end), (next, sum + self.radiance(&pixel, &pixel.sample(sample))))
+                });
+                sum
+            }
+        }
     }
 
     /// Column and row in the whole picture, of which only a region may be rendered.
@@ -266,9 +279,18 @@ impl<'a> Integrator<'a> {
         Aovs { depth, normal, position, albedo, object, steps: marched.steps }
     }
 
-    /// Radiance along the ray through a point of the picture, in pixels from its top left.
-    fn radiance<R: Real>(&self, x: R, y: R, dice: &Sampler<R>) -> Radiance<R> {
-        let ray = self.view.ray_through_lens(x, y, || dice.get_2d(lighting::ON_LENS));
+    /// Ray of a sample of a pixel: through its center if it is the only one.
+    fn ray_of_sample<R: Real>(&self, pixel: &PixelSampler<R>, dice: &Sampler<R>) -> Ray<R> {
+        let [x, y] = pixel.pixel();
+        let (jx, jy) =
+            if self.samples == 1 { (x.constant(0.5), x.constant(0.5)) } else { dice.get_2d(lighting::IN_PIXEL) };
+        self.view.ray_through_lens(x + jx, y + jy, || dice.get_2d(lighting::ON_LENS))
+    }
+
+    /// Radiance along the ray of a sample of a pixel.
+    fn radiance<R: Real>(&self, pixel: &PixelSampler<R>, dice: &Sampler<R>) -> Radiance<R> {
+        let ray = self.ray_of_sample(pixel, dice);
+        let zero = ray.direction.x.constant(0.0);
         if let Transport::Path(PathSettings { max_bounces }) = self.scene.integrator {
             return self.light_path(&ray, max_bounces, dice);
         }
@@ -279,13 +301,13 @@ impl<'a> Integrator<'a> {
         let (background, alpha) = self.background(ray.direction);
         let (color, alpha, evaluations) = R::when(marched.hit.0, (background, alpha, marched.evaluations), || {
             let (color, evaluations) = self.surface(&ray, &marched, dice);
-            (color, x.constant(1.0), marched.evaluations + evaluations)
+            (color, zero.constant(1.0), marched.evaluations + evaluations)
         });
-        let farthest = x.uniform(self.scene.march.max_distance.get());
+        let farthest = zero.uniform(self.scene.march.max_distance.get());
         let (color, alpha) = match self.seen_light(&ray, R::select(marched.hit.0, marched.t, farthest)) {
             None => (color, alpha),
             Some((is_seen, _, light)) => {
-                (Vec3::select(is_seen, light, color), R::select(is_seen, x.constant(1.0), alpha))
+                (Vec3::select(is_seen, light, color), R::select(is_seen, zero.constant(1.0), alpha))
             }
         };
         Radiance { color, alpha, evaluations }

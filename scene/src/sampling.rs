@@ -28,7 +28,7 @@ pub fn frame_key(seed: u32, frame: u32) -> u32 {
 pub struct Sampler<R: Real> {
     /// Index of the sample in the sequences, its bits reversed.
     reversed_index: R::Bits,
-    /// What the index of the pixel's first sample has above 32 bits.
+    /// Part above 32 bits of the index of the pixel's first sample.
     overflow: R::Bits,
     /// Number of bounces so far, an integer.
     bounce: R,
@@ -38,6 +38,8 @@ pub struct Sampler<R: Real> {
 /// The samplers of a pixel's samples.
 #[derive(Clone, Copy, Debug)]
 pub struct PixelSampler<R: Real> {
+    /// Column and row.
+    pixel: [R; 2],
     /// Index of the pixel's first sample.
     first: R::Bits,
     overflow: R::Bits,
@@ -47,15 +49,20 @@ pub struct PixelSampler<R: Real> {
 impl<R: Real> PixelSampler<R> {
     /// Sampler of the pixel (`x`, `y`), integers below 2¹⁶, in a picture with up to `samples` of each pixel.
     pub fn new(x: R, y: R, samples: u32, frame_key: u32) -> Self {
-        let pixel = interleaved::<R>(to_u32(x)) ^ (interleaved::<R>(to_u32(y)) << 1);
+        let index = interleaved::<R>(to_u32(x)) ^ (interleaved::<R>(to_u32(y)) << 1);
         let bits = samples.max(1).next_power_of_two().trailing_zeros();
-        let overflow = if bits == 0 { x.uniform_bits(0) } else { pixel >> (32 - bits) };
-        Self { first: pixel << bits, overflow, frame_key }
+        let overflow = if bits == 0 { x.uniform_bits(0) } else { index >> (32 - bits) };
+        Self { pixel: [x, y], first: index << bits, overflow, frame_key }
+    }
+
+    /// Column and row of the pixel.
+    pub fn pixel(&self) -> [R; 2] {
+        self.pixel
     }
 
     /// Sampler of a sample, an integer below the number of samples.
     pub fn sample(&self, sample: R) -> Sampler<R> {
-        let Self { first, overflow, frame_key } = *self;
+        let Self { first, overflow, frame_key, pixel: _ } = *self;
         let reversed_index = reversed::<R>(first ^ to_u32(sample));
         Sampler { reversed_index, overflow, bounce: sample.constant(0.0), frame_key }
     }

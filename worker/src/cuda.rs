@@ -285,7 +285,7 @@ impl CudaRenderer {
         if nodes > MAX_NODES {
             return Err(CudaError::TooLarge { nodes, most: MAX_NODES });
         }
-        let together = self.block.map_or(source::samples_together(run.job.image.samples), |_| 1);
+        let together = self.block.map_or(source::samples_together(&still), |_| 1);
         let mut source = KernelSource::build(&still, together, self.cell_builder)?;
         source.table = source.table.map(|table| self.known_cells.share(&still, &table));
         Ok(recent::insert(&self.sources, key, Arc::new(source), MAX_SOURCES))

@@ -36,7 +36,7 @@ struct EmittingObject {
     radiance: Vec3<f32>,
 }
 
-/// What shines in a scene.
+/// The objects and lights of a scene that send light out.
 #[derive(Clone, Debug)]
 pub(super) struct Emitters {
     all: Vec<Emitter>,

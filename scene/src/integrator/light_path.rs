@@ -9,10 +9,11 @@ use super::lighting::{OF_DIRECTION, OF_LOBE, OF_ROULETTE};
 use super::{Hit, Integrator, Radiance};
 use crate::backgrounds::Backdrop;
 use crate::camera::Ray;
+use crate::limits::MAX_SAMPLES;
 use crate::march::{MarchResult, Tolerance};
 use crate::materials::bsdf::Geometry;
 use crate::real::{MaskValue, Real, Vec3, bundle, vec3};
-use crate::sampling::Sampler;
+use crate::sampling::{PixelSampler, Sampler};
 
 /// Number of bounces from which on paths of little throughput end at random.
 const FIRST_ROULETTE: f32 = 3.0;
@@ -59,6 +60,11 @@ bundle!(LightPath {
     is_active
 });
 
+/// Number of segments of a path: its last surface is lit, and its last ray finds lights, emitting surfaces and the sky.
+fn segments(max_bounces: u32) -> u32 {
+    max_bounces + 2
+}
+
 impl<R: Real> LightPath<R> {
     /// Weight of light that the ray meets, for the density with which next-event estimation would have found it.
     fn weight(&self, rival: R) -> R {
@@ -68,11 +74,51 @@ impl<R: Real> LightPath<R> {
 }
 
 impl Integrator<'_> {
+    /// Adds samples of a pixel to `sum`, as [`Integrator::accumulate`] does. A lane whose path has ended goes on with its
+    /// next sample at once, so that lanes do not wait for one another's longest paths.
+    pub(super) fn accumulate_paths<R: Real>(
+        &self,
+        pixel: &PixelSampler<R>,
+        [first, end]: [R; 2],
+        sum: Radiance<R>,
+        max_bounces: u32,
+    ) -> Radiance<R> {
+        let start = |sample| self.start_path(self.ray_of_sample(pixel, &pixel.sample(sample)));
+        let state = (first, sum, start(first));
+        let (_, sum, _) = R::repeat(MAX_SAMPLES * segments(max_bounces), state, |(sample, sum, path)| {
+            let path = self.follow_segment(path, max_bounces, &pixel.sample(sample));
+            let next = sample + 1.0;
+            let is_active = path.is_active.0;
+            let state = R::when(!is_active, (sample, sum, path), || (next, sum + self.radiance_of(&path), start(next)));
+            (is_active | next.lt(end), state)
+        });
+        sum
+    }
+
     /// Radiance along a ray from the camera.
     pub(super) fn light_path<R: Real>(&self, ray: &Ray<R>, max_bounces: u32, dice: &Sampler<R>) -> Radiance<R> {
+        let start = self.start_path(*ray);
+        let follow = |all: &Self, limit: u32, path| {
+            R::repeat(limit, path, |path| {
+                let next = all.follow_segment(path, max_bounces, dice);
+                (next.is_active.0, next)
+            })
+        };
+        let end = match &self.of_reflections {
+            None => follow(self, segments(max_bounces), start),
+            Some(onward) => {
+                let first = self.follow_segment(start, max_bounces, dice);
+                R::when(first.is_active.0, first, || follow(onward, segments(max_bounces) - 1, first))
+            }
+        };
+        self.radiance_of(&end)
+    }
+
+    /// A path that begins with a ray from the camera.
+    fn start_path<R: Real>(&self, ray: Ray<R>) -> LightPath<R> {
         let (zero, one) = (ray.direction.x.constant(0.0), ray.direction.x.constant(1.0));
-        let start = LightPath {
-            ray: *ray,
+        LightPath {
+            ray,
             epsilon: zero.uniform(self.tolerance.floor),
             t: zero,
             throughput: vec3(one, one, one),
@@ -83,25 +129,14 @@ impl Integrator<'_> {
             density: zero.constant(UNRIVALED),
             from: Vertex { position: ray.origin, strength: zero },
             is_active: MaskValue(zero.below(1.0)),
-        };
-        // The last surface is lit, and its last ray finds lights, emitting surfaces and the sky.
-        let segments = max_bounces + 2;
-        let follow = |all: &Self, limit: u32, path| {
-            R::repeat(limit, path, |path| {
-                let next = all.follow_segment(path, max_bounces, dice);
-                (next.is_active.0, next)
-            })
-        };
-        let end = match &self.of_reflections {
-            None => follow(self, segments, start),
-            Some(onward) => {
-                let first = self.follow_segment(start, max_bounces, dice);
-                R::when(first.is_active.0, first, || follow(onward, segments - 1, first))
-            }
-        };
-        let alpha = self.background(ray.direction).1;
-        let alpha = end.background_weight.mul_add(alpha - 1.0, one);
-        Radiance { color: end.color, alpha, evaluations: end.evaluations }
+        }
+    }
+
+    /// Radiance along a path that has ended.
+    fn radiance_of<R: Real>(&self, path: &LightPath<R>) -> Radiance<R> {
+        let alpha = self.background(path.ray.direction).1;
+        let alpha = path.background_weight.mul_add(alpha - 1.0, alpha.constant(1.0));
+        Radiance { color: path.color, alpha, evaluations: path.evaluations }
     }
 
     /// Follows a path to the next surface or light, and samples the bounce there.

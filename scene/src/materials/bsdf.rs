@@ -99,7 +99,7 @@ struct Shares<R> {
     boundary: R,
 }
 
-/// What a microfacet does with light.
+/// Scattering of light by a microfacet.
 struct Facet<R> {
     /// Reflectance.
     reflected: Vec3<R>,

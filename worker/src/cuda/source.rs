@@ -5,6 +5,7 @@ use std::fmt::Write;
 use scene::cells::{BLOCK_CELLS, BOX_LEVELS, BOX_NUMBERS, Division, ROUNDING};
 use scene::real::list::{IS_LAST, IS_UNARY, NO_LEAF, ROW_BITS, ROW_MASK};
 use scene::real::{INDEX_BITS, Table};
+use scene::transport::Transport;
 use scene::{Image, JobAtFrame};
 
 use super::launches::BLOCK_GROUP;
@@ -44,7 +45,7 @@ pub struct KernelSource {
 impl KernelSource {
     /// Kernel source of a job's frame. Fails if its recorded formulas are invalid.
     pub fn new(still: &JobAtFrame<'_>) -> Result<Self, InvalidTape> {
-        Self::build(still, samples_together(still.image().samples), FastBuilder::UNLIMITED)
+        Self::build(still, samples_together(still), FastBuilder::UNLIMITED)
     }
 
     /// Kernel source in which neighboring threads render `together` samples of a pixel: a power of two that divides the
@@ -75,9 +76,13 @@ impl KernelSource {
     }
 }
 
-/// How many of a pixel's samples are best rendered together.
-pub(super) fn samples_together(samples: u32) -> u32 {
-    (1 << samples.trailing_zeros()).min(MAX_SAMPLES_TOGETHER)
+/// How many of a pixel's samples are best rendered together by neighboring threads. With paths, a thread renders all
+/// samples of its pixel, so that it goes on with the next one as soon as a path has ended.
+pub(super) fn samples_together(still: &JobAtFrame<'_>) -> u32 {
+    match still.scene().integrator {
+        Transport::Path(_) => 1,
+        Transport::Direct => (1 << still.image().samples.trailing_zeros()).min(MAX_SAMPLES_TOGETHER),
+    }
 }
 
 /// Source of the kernels that divide cells, after the arithmetic.

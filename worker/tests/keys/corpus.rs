@@ -117,7 +117,14 @@ fn surroundings() -> Vec<Value> {
         json!([{ "point": { "position": [1, 2, 2], "color": [4, 4, 4], "shadow": true } }]),
         json!([{ "spot": { "position": [1, 2, 2], "direction": [-1, -2, -2], "angle": 60, "softness": 0.3,
             "color": [4, 4, 4], "shadow": true } }]),
-        json!([{ "sphere": { "position": [1, 2, 2], "radius": 0.3, "color": [4, 4, 4], "shadow": true } }]),
+        json!([{ "sphere": { "position": [0.2, 0.3, 1.3], "radius": 0.3, "color": [4, 4, 4], "shadow": true,
+            "visible": false } }]),
+        json!([{ "rectangle": { "position": [0.2, 0.8, 1.6], "direction": [-0.2, -0.6, -0.8], "up": [0, 1, 0.1],
+            "width": 0.9, "height": 0.6, "color": [4, 4, 4], "shadow": true, "visible": true } }]),
+        json!([{ "disc": { "position": [1, 2, 2], "direction": [-1, -2, -2], "radius": 0.4, "color": [4, 4, 4],
+            "shadow": true } }]),
+        json!([{ "disc": { "position": [0.2, 0.6, 1.7], "direction": [0.3, -0.2, 0.8], "radius": 0.4,
+            "color": [4, 4, 4], "shadow": true, "visible": true } }]),
         sky(true, gradient()),
         sky(false, gradient()),
         sky(false, json!({ "color": [0.4, 0.5, 0.9] })),
@@ -149,6 +156,9 @@ fn surroundings() -> Vec<Value> {
     add("camera", with(&[("fov", Value::Null), ("projection", json!({ "orthographic": { "height": 3 } }))]));
     add("camera", with(&[("fov", Value::Null), ("projection", json!("panorama"))]));
     add("camera", with(&[("turntable", json!({ "turns": 0.7 }))]));
+    add("march", json!({ "max_distance": 40.0, "max_steps": 6, "max_bounces": 3 }));
+    add("integrator", json!("direct"));
+    add("integrator", json!({ "path": { "max_bounces": 2 } }));
     for lens in lenses() {
         add("camera", with(&[("lens", lens)]));
     }
