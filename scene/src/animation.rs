@@ -5,22 +5,41 @@
 
 use std::borrow::Cow;
 use std::collections::BTreeSet;
+use std::ops::Range;
 
 use crate::job::{Frames, Image, Job};
-use crate::limits::{MAX_FULL_CHECK_BYTES, MIN_SAMPLED_FRAMES};
+use crate::limits::{MAX_FULL_CHECK_BYTES, MAX_INSTANTS, MIN_SAMPLED_FRAMES};
 use crate::scene::Scene;
 use crate::seek::{FrameTime, Seek, SeekError};
-use crate::shapes::WrittenNodes;
 
 /// Job evaluated at one of its frames: the input of rendering a picture.
 #[derive(Clone, Debug)]
 pub struct JobAtFrame<'a> {
+    job: &'a Job,
     scene: Cow<'a, Scene>,
     image: Cow<'a, Image>,
-    frames: &'a Frames,
     frame: u32,
-    is_animated: bool,
-    written: Option<&'a WrittenNodes>,
+}
+
+/// A frame at the instants at which it is exposed while the shutter is open: one without motion blur.
+#[derive(Clone, Debug)]
+pub struct Exposure<'a> {
+    /// In the order in which their samples are added. The layers are those of the last.
+    pub instants: Vec<JobAtFrame<'a>>,
+}
+
+impl Exposure<'_> {
+    /// The samples of a pixel that are taken at each instant, in the order of the instants.
+    pub fn samples(&self) -> Vec<Range<u32>> {
+        let (samples, count) = (u64::from(self.last().image.samples), self.instants.len() as u64);
+        let first = |instant: u64| (samples * instant / count) as u32;
+        (0..count).map(|instant| first(instant)..first(instant + 1)).collect()
+    }
+
+    /// The last instant, in the middle of the exposure.
+    pub fn last(&self) -> &JobAtFrame<'_> {
+        self.instants.last().expect("there is one")
+    }
 }
 
 impl JobAtFrame<'_> {
@@ -41,7 +60,7 @@ impl JobAtFrame<'_> {
 
     /// Number of frames of the job, and their rate.
     pub fn frames(&self) -> &Frames {
-        self.frames
+        &self.job.frames
     }
 
     /// Number of the frame, from 0.
@@ -51,13 +70,23 @@ impl JobAtFrame<'_> {
 
     /// Whether frames of the job differ in more than their sampling noise.
     pub fn is_animated(&self) -> bool {
-        self.is_animated
+        self.job.is_animated
+    }
+
+    /// Whether the frame has motion blur.
+    pub fn is_blurred(&self) -> bool {
+        self.job.is_blurred()
+    }
+
+    /// The instants at which the frame is exposed. Fails as [`Job::at`] does.
+    pub(crate) fn exposure(&self) -> Result<Exposure<'_>, FrameError> {
+        self.job.exposure(self.frame)
     }
 
     /// JSON pointer in the document of a node of the scene; both pointers begin with `/scene`.
     pub(crate) fn pointer_in_document(&self, pointer: &str) -> String {
         let in_scene = pointer.strip_prefix("/scene").unwrap_or_default();
-        self.written.map_or_else(|| pointer.to_owned(), |written| format!("/scene{}", written.pointer(in_scene)))
+        self.job.written.as_ref().map_or_else(|| pointer.to_owned(), |written| format!("/scene{}", written.pointer(in_scene)))
     }
 }
 
@@ -85,24 +114,52 @@ impl Job {
     ///
     /// Fails if only this frame is invalid and the job has too many frames for [`crate::parse`] to validate each.
     pub fn at(&self, frame: u32) -> Result<JobAtFrame<'_>, FrameError> {
+        self.at_instant(frame, 0.0)
+    }
+
+    /// Whether its frames have motion blur.
+    pub fn is_blurred(&self) -> bool {
+        self.is_animated && self.frames.shutter.get() > 0.0
+    }
+
+    /// Number of instants at which a frame is exposed.
+    pub(crate) fn instants(&self) -> u32 {
+        if self.is_blurred() { self.image.samples.min(MAX_INSTANTS) } else { 1 }
+    }
+
+    /// Evaluates the job at the instants of a frame, evenly spread over the time that the shutter is open.
+    ///
+    /// Fails as [`Job::at`] does.
+    pub fn exposure(&self, frame: u32) -> Result<Exposure<'_>, FrameError> {
+        let count = self.instants();
+        if !self.is_animated {
+            return Ok(Exposure { instants: vec![self.at(frame)?] });
+        }
+        let shutter = f64::from(self.frames.shutter.get());
+        // From the middle on, so that it ends there.
+        let order = (0..count).map(|index| (index + count / 2 + 1) % count);
+        let at = |instant| self.at_instant(frame, (f64::from(instant) + 0.5) / f64::from(count) * shutter);
+        Ok(Exposure { instants: order.map(at).collect::<Result<_, _>>()? })
+    }
+
+    /// Evaluates the job `later` frames after the start of a frame.
+    fn at_instant(&self, frame: u32, later: f64) -> Result<JobAtFrame<'_>, FrameError> {
         if !self.is_animated {
             let (scene, image) = (Cow::Borrowed(&self.scene), Cow::Borrowed(&self.image));
-            let (frames, written) = (&self.frames, self.written.as_deref());
-            return Ok(JobAtFrame { scene, image, frames, frame, is_animated: false, written });
+            return Ok(JobAtFrame { job: self, scene, image, frame });
         }
-        let seconds = self.frames.time_of(frame);
+        let place = f64::from(frame) + later;
+        let seconds = self.frames.time_of(place);
         let (mut scene, mut image) = (self.scene.clone(), self.image.clone());
         let error = |pointer, message| FrameError { pointer, message, frame, seconds };
         let clock = &mut FrameTime::at(frame, seconds);
         scene.seek(clock).map_err(|misfit| error(self.pointer_in_scene(&misfit), misfit.message))?;
         image.seek(clock).map_err(|misfit| error(format!("/image{}", misfit.pointer), misfit.message))?;
-        scene.camera.apply_turntable(frame, &self.frames);
+        scene.camera.apply_turntable(place, &self.frames);
         if let Some(&(key, message)) = scene.camera.errors().first() {
             return Err(error(format!("/scene/camera/{key}"), message.to_owned()));
         }
-        let (scene, image) = (Cow::Owned(scene), Cow::Owned(image));
-        let (frames, written) = (&self.frames, self.written.as_deref());
-        Ok(JobAtFrame { scene, image, frames, frame, is_animated: true, written })
+        Ok(JobAtFrame { job: self, scene: Cow::Owned(scene), image: Cow::Owned(image), frame })
     }
 
     /// JSON pointer in the document to an error in the scene, whose materials are stored by slot.
@@ -220,7 +277,7 @@ mod tests {
 
     #[test]
     fn many_frames_are_checked_around_keyframes_and_evenly() {
-        let frames = Frames { count: 100_000, fps: FrameRate::new(10.0).unwrap() };
+        let frames = Frames { count: 100_000, fps: FrameRate::new(10.0).unwrap(), ..Frames::default() };
         let chosen = frames_to_check(&frames, &[-4.0, 777.77, 1e6], 1 << 24);
         assert!(chosen.len() <= 64 && chosen.len() > 48, "{chosen:?}");
         assert!([7_777, 7_778, 99_999].iter().all(|frame| chosen.contains(frame)), "{chosen:?}");

@@ -3,7 +3,7 @@
 use serde::Serialize;
 
 use crate::PICTURE_VERSION;
-use crate::animation::JobAtFrame;
+use crate::animation::{Exposure, JobAtFrame};
 use crate::job::{Bits, Crop, Format, Image, Job, Layer, Precision, ToneMap};
 use crate::scene::Scene;
 use crate::values::{ExposureStops, FrameRate};
@@ -63,17 +63,24 @@ impl JobAtFrame<'_> {
         hash(self.scene())
     }
 
-    /// Hash of everything that decides the frame's pixels, but for surfaces and the materials of surfaces.
+    /// Hash of everything that decides the frame's pixels at one of its instants, but for surfaces and the materials of surfaces.
     pub(crate) fn key_without_surfaces(&self) -> blake3::Hash {
-        self.with_scene(self.scene().without_surfaces()).pixels_cache_key()
+        self.with_scene(self.scene().without_surfaces()).instant_key_of_version(PICTURE_VERSION)
     }
 
     /// Hash of everything that decides the frame's pixels.
     pub fn pixels_cache_key(&self) -> blake3::Hash {
-        self.pixels_key_of_version(PICTURE_VERSION)
+        if !self.is_blurred() {
+            return self.instant_key_of_version(PICTURE_VERSION);
+        }
+        match self.exposure() {
+            Ok(exposure) => exposure.pixels_cache_key(),
+            // Such a frame gets no picture.
+            Err(error) => hash(&(self.instant_key_of_version(PICTURE_VERSION).to_hex().as_str(), error.to_string())),
+        }
     }
 
-    fn pixels_key_of_version(&self, version: u32) -> blake3::Hash {
+    fn instant_key_of_version(&self, version: u32) -> blake3::Hash {
         // Without `..`, so that a new field does not compile until it is handled here and in `cache_key`.
         let Image {
             width,
@@ -140,6 +147,17 @@ impl JobAtFrame<'_> {
     }
 }
 
+impl Exposure<'_> {
+    /// Hash of everything that decides the frame's pixels, as [`JobAtFrame::pixels_cache_key`].
+    pub fn pixels_cache_key(&self) -> blake3::Hash {
+        let of_instant = |instant: &JobAtFrame<'_>| instant.instant_key_of_version(PICTURE_VERSION);
+        match &self.instants[..] {
+            [only] => of_instant(only),
+            instants => hash(&instants.iter().map(|instant| of_instant(instant).to_hex().to_string()).collect::<Vec<_>>()),
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -188,8 +206,8 @@ mod tests {
         let distinct: std::collections::HashSet<_> = keys.iter().collect();
         assert_eq!(distinct.len(), keys.len());
         let still = png.at(0).unwrap();
-        assert_eq!(still.pixels_cache_key(), still.pixels_key_of_version(PICTURE_VERSION));
-        assert_ne!(still.pixels_cache_key(), still.pixels_key_of_version(PICTURE_VERSION + 1));
+        assert_eq!(still.pixels_cache_key(), still.instant_key_of_version(PICTURE_VERSION));
+        assert_ne!(still.pixels_cache_key(), still.instant_key_of_version(PICTURE_VERSION + 1));
     }
 
     #[test]

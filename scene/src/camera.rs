@@ -171,9 +171,9 @@ impl Camera {
     }
 
     /// Applies the turntable's rotation for a frame and removes the turntable; returns whether there was one.
-    pub(crate) fn apply_turntable(&mut self, frame: u32, frames: &Frames) -> bool {
+    pub(crate) fn apply_turntable(&mut self, frame: f64, frames: &Frames) -> bool {
         let Some(Turntable { turns }) = self.turntable.take() else { return false };
-        let share = f64::from(frame) / f64::from(frames.count);
+        let share = frame / f64::from(frames.count);
         let degrees = (360.0 * f64::from(turns.get()) * share % 360.0) as f32;
         if degrees != 0.0 {
             let middle = self.target();
@@ -381,7 +381,7 @@ mod tests {
         let frames = Frames { count: 16, ..Frames::default() };
         let position = |frame| {
             let mut camera = camera.clone();
-            assert!(camera.apply_turntable(frame, &frames) && camera.turntable.is_none());
+            assert!(camera.apply_turntable(f64::from(frame), &frames) && camera.turntable.is_none());
             camera.position.get()
         };
         for (frame, want) in [(0, [1.0, 3.0, 5.0]), (2, [-4.0, 3.0, 0.0]), (4, [1.0, 3.0, -5.0]), (8, [1.0, 3.0, 5.0])]

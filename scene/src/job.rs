@@ -11,7 +11,7 @@ use crate::limits::{MAX_EDGE_PX, MAX_FRAMES, MAX_SAMPLES};
 use crate::scene::Scene;
 use crate::seek::Seek;
 use crate::shapes::WrittenNodes;
-use crate::values::{ExposureStops, FrameRate, integer, integer_in_range};
+use crate::values::{ExposureStops, FrameRate, Shutter, integer, integer_in_range};
 use crate::warnings;
 
 pub use region::{Crop, Region};
@@ -159,18 +159,21 @@ pub struct Frames {
     pub count: u32,
     /// Frames per second: frame i is at i/fps seconds.
     pub fps: FrameRate,
+    /// Motion blur: the time that the shutter is open, as a fraction of a frame; 0.5 is usual in film. It opens at the
+    /// time of the frame.
+    pub shutter: Shutter,
 }
 
 impl Default for Frames {
     fn default() -> Self {
-        Self { count: 1, fps: FrameRate::new(24.0).expect("24 is in range") }
+        Self { count: 1, fps: FrameRate::new(24.0).expect("24 is in range"), shutter: Shutter::new(0.0).expect("0 is in range") }
     }
 }
 
 impl Frames {
-    /// Time of a frame, in seconds.
-    pub(crate) fn time_of(&self, frame: u32) -> f64 {
-        f64::from(frame) / f64::from(self.fps.get())
+    /// Time of a frame, or of an instant between two frames, in seconds.
+    pub(crate) fn time_of(&self, frame: f64) -> f64 {
+        frame / f64::from(self.fps.get())
     }
 }
 

@@ -47,7 +47,7 @@ mod visible;
 pub mod visits;
 mod warnings;
 
-pub use animation::{FrameError, JobAtFrame};
+pub use animation::{Exposure, FrameError, JobAtFrame};
 pub use backgrounds::Background;
 pub use changes::reached;
 pub use error::{ParseError, ValidationError};

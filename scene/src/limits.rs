@@ -52,6 +52,8 @@ pub const MAX_KEYFRAMES: usize = 10_000;
 pub const MAX_KEYFRAME_SECONDS: f64 = 1e9;
 /// Bytes of an animated job, times its frames, up to which every frame is validated at submission.
 pub const MAX_FULL_CHECK_BYTES: u64 = 1 << 30;
+/// Maximum number of instants at which a frame with motion blur is exposed.
+pub const MAX_INSTANTS: u32 = 64;
 /// Minimum number of frames validated in larger animated jobs.
 pub const MIN_SAMPLED_FRAMES: u32 = 16;
 /// Maximum nesting of textures in the colors of textures.

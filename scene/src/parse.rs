@@ -146,8 +146,12 @@ fn of_outline(text: &str, fault: ScanError) -> (ParseError, ScanErrorKind) {
 fn sound(text: &str) -> Result<Job, ParseError> {
     let (job, key_seconds) = read(text)?;
     if job.is_animated {
-        for frame in frames_to_check(&job.frames, &key_seconds, text.len()) {
-            job.at(frame).map_err(|error| in_later_frame(text, error))?;
+        let instants = job.instants() as usize;
+        if instants > 1 {
+            job.exposure(0).map_err(|error| in_later_frame(text, error))?;
+        }
+        for frame in frames_to_check(&job.frames, &key_seconds, text.len() * instants) {
+            job.exposure(frame).map_err(|error| in_later_frame(text, error))?;
         }
     }
     Ok(job)

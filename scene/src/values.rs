@@ -269,6 +269,9 @@ constant_numbers! {
     /// Frames per second.
     FrameRate: |v| (0.001..=1000.0).contains(&v), "a rate from 0.001 to 1000 frames a second",
         { "type": "number", "minimum": 0.001, "maximum": 1000, "description": "Frames a second." };
+    /// The time that a shutter is open, as a fraction of a frame.
+    Shutter: |v| (0.0..=1.0).contains(&v), "a fraction of a frame from 0 to 1",
+        { "type": "number", "minimum": 0, "maximum": 1, "description": "The time that the shutter is open, as a fraction of a frame." };
     /// A coordinate or an offset that is the same in all frames, in scene units.
     ConstantCoordinate: |v| v.abs() <= MAX_LENGTH, "within ±1e6",
         { "type": "number", "minimum": -1e6, "maximum": 1e6, "description": "A coordinate or an offset, in scene units, the same in all frames." };

@@ -119,7 +119,7 @@ fn job_warnings(job: &Job) -> Vec<String> {
             job.frames.count
         ));
     }
-    if job.frames.count == 1 && job.is_animated() {
+    if job.frames.count == 1 && job.is_animated() && !job.is_blurred() {
         warnings.push("the scene is animated, but the job has one frame: set frames.count to render more".to_owned());
     }
     warnings.extend(job.scene.camera.projection.warning(&job.image));

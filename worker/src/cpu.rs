@@ -9,7 +9,7 @@ use std::sync::Arc;
 use rayon::prelude::*;
 use rayon::{ThreadPool, ThreadPoolBuilder};
 use scene::visits::Visited;
-use scene::{Integrator, Job, JobAtFrame};
+use scene::{Exposure, Integrator, Job};
 
 use crate::cells::FastBuilder;
 use crate::picture_tape::{EVALUATIONS, record_evaluations};
@@ -54,7 +54,7 @@ impl CpuRenderer {
 
     /// Compiles a frame, if that has not been done; returns whether it has cells, which are made as rays enter them.
     pub fn has_cells(&self, job: &Job, frame: u32) -> Result<bool, RenderError> {
-        Ok(self.kernel(&job.at(frame)?)?.table().is_some())
+        Ok(!self.kernel(&job.exposure(frame)?)?.tables().is_empty())
     }
 
     /// Runs work on a thread of its own pool, where its renders run too: with one thread, all on that one.
@@ -102,7 +102,7 @@ impl CpuRenderer {
     /// another once not even one of them had room so.
     fn render_bands<'a>(
         &self,
-        still: &'a JobAtFrame<'_>,
+        exposure: &'a Exposure<'_>,
         mut kernel: Kernel<'a>,
         mut bands: Vec<Band<'_, '_>>,
         cancel: &CancelFlag,
@@ -120,41 +120,48 @@ impl CpuRenderer {
             if cancel.is_cancelled() {
                 return Err(RenderError::Cancelled);
             }
-            let Some(table) = kernel.table().filter(|_| !bands.is_empty()) else { return Ok(()) };
+            let tables = kernel.tables();
+            let Some(full) = tables.iter().find(|table| table.is_full()).filter(|_| !bands.is_empty()) else {
+                return Ok(());
+            };
             if bands.len() == count && !std::mem::take(&mut is_parallel) {
-                return Err(RenderError::many_cells(table));
+                return Err(RenderError::many_cells(full));
             }
             tracing::debug!(rendered = count - bands.len(), left = bands.len(), "the cells had no room: drop them");
-            self.kernels.forget_cells(table);
-            kernel = self.kernel(still)?;
+            tables.iter().for_each(|table| self.kernels.forget_cells(table));
+            kernel = self.kernel(exposure)?;
         }
     }
 
     /// Renders a tile by a kernel.
     fn render_by<'a>(
         &self,
-        still: &'a JobAtFrame<'_>,
+        exposure: &'a Exposure<'_>,
         run: &TileRequest<'_>,
         kernel: Kernel<'a>,
         cancel: &CancelFlag,
         progress: &(dyn Fn(u64) + Sync),
     ) -> Result<TilePixels, RenderError> {
-        let (image, left, width) = (&run.job.image, run.rect.x, run.rect.width as usize);
-        let mut pixels = TilePixels::zeroed(run.rect, image.channels().len());
-        let height = block(kernel.lanes()).1;
+        let (left, width) = (run.rect.x, run.rect.width as usize);
+        let mut pixels = TilePixels::zeroed(run.rect, run.job.image.channels().len());
+        let (height, samples) = (block(kernel.lanes()).1, exposure.samples());
         let band = |(index, planes)| {
             let top = run.rect.y + (index * height) as u32;
-            Band { image, left, top, width, planes, progress: Progress::new(progress), cancel: cancel.flag() }
+            let progress = Progress::new(progress);
+            Band { samples: &samples, left, top, width, planes, progress, cancel: cancel.flag() }
         };
         let bands = bands(&mut pixels.planes, width * height).into_iter().enumerate().map(band).collect();
-        self.render_bands(still, kernel, bands, cancel)?;
+        self.render_bands(exposure, kernel, bands, cancel)?;
         Ok(pixels)
     }
 
-    fn kernel<'a>(&self, still: &'a JobAtFrame<'_>) -> Result<Kernel<'a>, RenderError> {
+    fn kernel<'a>(&self, exposure: &'a Exposure<'_>) -> Result<Kernel<'a>, RenderError> {
+        let reference = |instant| Integrator::of_picture(instant, &self.cells);
         Ok(match self.simd {
-            Simd::Scalar => Kernel::Reference(Box::new(Integrator::of_picture(still, &self.cells)), still.image()),
-            simd => Kernel::Prepared(self.kernels.prepare(still, simd, self.cells)?),
+            Simd::Scalar => {
+                Kernel::Reference(exposure.instants.iter().map(reference).collect(), exposure.last().image())
+            }
+            simd => Kernel::Prepared(self.kernels.prepare(exposure, simd, self.cells)?),
         })
     }
 }
@@ -174,9 +181,9 @@ impl Renderer for CpuRenderer {
         cancel: &CancelFlag,
         progress: &(dyn Fn(u64) + Sync),
     ) -> Result<TilePixels, RenderError> {
-        let still = run.job.at(run.frame)?;
-        let kernel = self.kernel(&still)?;
-        self.render_by(&still, run, kernel, cancel, progress)
+        let exposure = run.job.exposure(run.frame)?;
+        let kernel = self.kernel(&exposure)?;
+        self.render_by(&exposure, run, kernel, cancel, progress)
     }
 
     fn can_record(&self) -> bool {
@@ -189,19 +196,20 @@ impl Renderer for CpuRenderer {
         cancel: &CancelFlag,
         progress: &(dyn Fn(u64) + Sync),
     ) -> Result<(TilePixels, Option<Visited>), RenderError> {
-        let still = run.job.at(run.frame)?;
-        let Some(program) = Integrator::recording(&still) else {
+        let exposure = run.job.exposure(run.frame)?;
+        let still = exposure.last();
+        let Some(program) = Integrator::recording(still) else {
             return Ok((self.render(run, cancel, progress)?, None));
         };
         let visits = program.visits().expect("it records").clone();
         let (kernel, visits) = match self.simd {
-            Simd::Scalar => (Kernel::Reference(Box::new(program), still.image()), visits),
+            Simd::Scalar => (Kernel::Reference(vec![program], still.image()), visits),
             simd => {
-                let (prepared, visits) = self.kernels.recordable(&still, &program, &visits, simd)?.kernel();
+                let (prepared, visits) = self.kernels.recordable(still, &program, &visits, simd)?.kernel();
                 (Kernel::Prepared(prepared), visits)
             }
         };
-        let pixels = self.render_by(&still, run, kernel, cancel, progress)?;
+        let pixels = self.render_by(&exposure, run, kernel, cancel, progress)?;
         Ok((pixels, Some(visits.read())))
     }
 }

@@ -71,7 +71,7 @@ pub struct CudaRenderer {
     programs: Mutex<HashMap<blake3::Hash, Arc<Kernel>>>,
     /// Kernels that divide cells, by their texts.
     divisions: Mutex<HashMap<blake3::Hash, Arc<DivisionKernels>>>,
-    sources: Recent<blake3::Hash, KernelSource>,
+    sources: Recent<blake3::Hash, Vec<KernelSource>>,
     known_cells: KnownCells,
     /// Locked while a frame's launches are created, because they share the kernels' constants.
     launching: Mutex<()>,
@@ -177,10 +177,11 @@ impl CudaRenderer {
 
     /// Prepares the kernel of a tile, and reports the time that took.
     pub fn compile(&self, run: &TileRequest<'_>) -> Result<CompileReport, RenderError> {
-        let source = self.source(run).map_err(|trouble| self.render_error(&trouble))?;
+        let sources = self.sources(run).map_err(|trouble| self.render_error(&trouble))?;
+        let source = &sources[0];
         let start = Instant::now();
         let (program, was_kept) =
-            self.program(&source, run, &CancelFlag::new()).map_err(|trouble| self.render_error(&trouble))?;
+            self.program(source, run, &CancelFlag::new()).map_err(|trouble| self.render_error(&trouble))?;
         let time = start.elapsed();
         let resources =
             self.device.resources(&program.loaded, program.block).map_err(|trouble| self.render_error(&trouble))?;
@@ -272,23 +273,24 @@ impl CudaRenderer {
             .map_err(|trouble| compiler::save_rejected_source(trouble, text, self.cache.folder()))
     }
 
-    /// Kernel source of a frame, with its cells; that of the last frames is kept.
-    fn source(&self, run: &TileRequest<'_>) -> Result<Arc<KernelSource>, CudaError> {
+    /// Kernel sources of a frame, one for each of its instants, with its cells; those of the last frames are kept.
+    fn sources(&self, run: &TileRequest<'_>) -> Result<Arc<Vec<KernelSource>>, CudaError> {
         /// Frames whose tiles may arrive in turns.
         const MAX_SOURCES: usize = 4;
-        let still = run.job.at(run.frame)?;
-        let key = still.pixels_cache_key();
+        let exposure = run.job.exposure(run.frame)?;
+        let key = exposure.pixels_cache_key();
         if let Some(known) = recent::find(&self.sources, |other| *other == key) {
             return Ok(known);
         }
-        let nodes = still.compiled_nodes();
+        let nodes = exposure.last().compiled_nodes();
         if nodes > MAX_NODES {
             return Err(CudaError::TooLarge { nodes, most: MAX_NODES });
         }
-        let together = self.block.map_or(source::samples_together(&still), |_| 1);
-        let mut source = KernelSource::build(&still, together, self.cell_builder)?;
-        source.table = source.table.map(|table| self.known_cells.share(&still, &table));
-        Ok(recent::insert(&self.sources, key, Arc::new(source), MAX_SOURCES))
+        let mut sources = KernelSource::of_exposure(&exposure, self.block.map(|_| 1), self.cell_builder)?;
+        for (source, still) in sources.iter_mut().zip(&exposure.instants) {
+            source.table = source.table.take().map(|table| self.known_cells.share(still, &table));
+        }
+        Ok(recent::insert(&self.sources, key, Arc::new(sources), MAX_SOURCES))
     }
 
     /// Records a lost GPU; returns the CUDA error as a render error.
@@ -342,7 +344,7 @@ impl Renderer for CudaRenderer {
     }
 
     fn prepare(&self, run: &TileRequest<'_>) -> Result<(), RenderError> {
-        self.source(run).map(drop).map_err(|trouble| self.render_error(&trouble))
+        self.sources(run).map(drop).map_err(|trouble| self.render_error(&trouble))
     }
 
     fn overlapping(&self) -> usize {

@@ -42,7 +42,7 @@ impl<'a> Integrator<'a> {
 
 impl<'a> Integrator<'a> {
     /// Prepares the integrator of a picture of one frame that records what its rays ask for; `None` if that is not known:
-    /// of a scene of cells, or one whose surfaces can't be cut into leaves.
+    /// of a frame with motion blur, of a scene of cells, or one whose surfaces can't be cut into leaves.
     pub fn recording(still: &'a JobAtFrame<'_>) -> Option<Self> {
         let own = Self::new(still);
         let program = own.recordable(still)?;
@@ -60,7 +60,7 @@ impl<'a> Integrator<'a> {
     /// The program of a scene whose rays can be recorded.
     pub(crate) fn recordable(&self, still: &'a JobAtFrame<'_>) -> Option<Program<'a>> {
         let scene = still.scene();
-        if program(still).is_some() || scene.objects.iter().any(|object| !object.visible.is_full()) {
+        if still.is_blurred() || program(still).is_some() || scene.objects.iter().any(|object| !object.visible.is_full()) {
             return None;
         }
         let objects: Vec<_> = surfaces_of(scene).map(|index| (index, self.step_scales[index])).collect();

@@ -24,6 +24,7 @@ mod rounded;
 mod scatter;
 mod seams;
 mod shapes;
+mod shutter;
 mod surface;
 mod together;
 mod warnings;

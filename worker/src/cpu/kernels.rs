@@ -7,7 +7,7 @@ use std::sync::atomic::AtomicBool;
 use scene::integrator::Radiance;
 use scene::real::{Real, Table, vec3};
 use scene::visits::Visits;
-use scene::{Image, Integrator, JobAtFrame};
+use scene::{Exposure, Image, Integrator, JobAtFrame};
 
 use super::evaluator::{Evaluator, Frame, Inputs};
 use crate::cells::{FastBuilder, KnownCells};
@@ -37,11 +37,11 @@ pub(super) struct Recordable {
 }
 
 impl Recordable {
-    /// A kernel that writes a new record, and that.
-    pub(super) fn kernel(&self) -> (Arc<Prepared>, Visits) {
+    /// A kernel of one instant that writes a new record, and that.
+    pub(super) fn kernel(&self) -> (Arc<Vec<Prepared>>, Visits) {
         let visits = self.visits.another();
         let inputs = self.evaluator.inputs(&self.tape.clone().with_table(visits.table().clone()));
-        (Arc::new(Prepared { evaluator: self.evaluator.clone(), inputs }), visits)
+        (Arc::new(vec![Prepared { evaluator: self.evaluator.clone(), inputs }]), visits)
     }
 }
 
@@ -50,22 +50,33 @@ impl Recordable {
 pub(super) struct KernelCache {
     by_tape: Recent<Tape, Evaluator>,
     recordable: Recent<blake3::Hash, Recordable>,
-    by_pixels: Recent<blake3::Hash, Prepared>,
+    by_pixels: Recent<blake3::Hash, Vec<Prepared>>,
     cells: KnownCells,
 }
 
 impl KernelCache {
-    /// Evaluator and inputs of a frame.
+    /// Evaluators and inputs of a frame, one for each of its instants.
     pub(super) fn prepare(
+        &self,
+        exposure: &Exposure<'_>,
+        simd: Simd,
+        cells: FastBuilder,
+    ) -> Result<Arc<Vec<Prepared>>, RenderError> {
+        let key = exposure.pixels_cache_key();
+        if let Some(known) = recent::find(&self.by_pixels, |other| *other == key) {
+            return Ok(known);
+        }
+        let instants = exposure.instants.iter().map(|instant| self.prepare_instant(instant, simd, cells));
+        let instants = instants.collect::<Result<Vec<Prepared>, _>>()?;
+        Ok(recent::insert(&self.by_pixels, key, Arc::new(instants), MAX_FRAMES))
+    }
+
+    fn prepare_instant(
         &self,
         still: &JobAtFrame<'_>,
         simd: Simd,
         cells: FastBuilder,
-    ) -> Result<Arc<Prepared>, RenderError> {
-        let key = still.pixels_cache_key();
-        if let Some(known) = recent::find(&self.by_pixels, |other| *other == key) {
-            return Ok(known);
-        }
+    ) -> Result<Prepared, RenderError> {
         let tape = record_picture(still, cells);
         let table = tape.table().map(|table| self.cells.share(still, table));
         let tape = match table {
@@ -74,7 +85,7 @@ impl KernelCache {
         };
         let evaluator = self.evaluator(&tape, simd)?;
         let inputs = evaluator.inputs(&tape);
-        Ok(recent::insert(&self.by_pixels, key, Arc::new(Prepared { evaluator, inputs }), MAX_FRAMES))
+        Ok(Prepared { evaluator, inputs })
     }
 
     /// A frame whose rays are recorded by this integrator.
@@ -110,25 +121,26 @@ impl KernelCache {
 
     /// Forgets a table of cells: the next [`KernelCache::prepare`] of its frames begins with none.
     pub(super) fn forget_cells(&self, table: &Table) {
-        let has_it = |other: &Arc<Prepared>| other.inputs.table().is_some_and(|other| Arc::ptr_eq(other, table));
-        recent::forget(&self.by_pixels, has_it);
+        let is_it = |other: &Prepared| other.inputs.table().is_some_and(|other| Arc::ptr_eq(other, table));
+        recent::forget(&self.by_pixels, |other: &Arc<Vec<Prepared>>| other.iter().any(is_it));
         self.cells.forget(table);
     }
 }
 
-/// Computes packets of pixels of one frame.
+/// Computes packets of pixels of one frame, at each of its instants.
 #[derive(Debug)]
 pub(super) enum Kernel<'a> {
     /// The scalar reference, a pixel at a time.
-    Reference(Box<Integrator<'a>>, &'a Image),
+    Reference(Vec<Integrator<'a>>, &'a Image),
     /// A tape's evaluator.
-    Prepared(Arc<Prepared>),
+    Prepared(Arc<Vec<Prepared>>),
 }
 
 /// A thread's use of a [`Kernel`].
 pub(super) enum Thread<'a> {
-    Reference(&'a Integrator<'a>, &'a Image),
-    Prepared(&'a Prepared, Frame),
+    Reference(&'a [Integrator<'a>], &'a Image),
+    /// With the memory for the evaluator that was used last: in general, all instants have the same one.
+    Prepared(&'a [Prepared], Option<(&'a Arc<Evaluator>, Frame)>),
 }
 
 impl Kernel<'_> {
@@ -136,34 +148,48 @@ impl Kernel<'_> {
     pub(super) fn lanes(&self) -> usize {
         match self {
             Self::Reference(..) => 1,
-            Self::Prepared(prepared) => prepared.evaluator.lanes(),
+            Self::Prepared(prepared) => prepared[0].evaluator.lanes(),
         }
     }
 
-    /// The cells of the scene, if it has any.
-    pub(super) fn table(&self) -> Option<&Table> {
+    /// The cells of the scene at each instant, if it has any.
+    pub(super) fn tables(&self) -> Vec<&Table> {
         match self {
-            Self::Reference(program, _) => program.table(),
-            Self::Prepared(prepared) => prepared.inputs.table(),
+            Self::Reference(programs, _) => programs.iter().filter_map(Integrator::table).collect(),
+            Self::Prepared(prepared) => prepared.iter().filter_map(|one| one.inputs.table()).collect(),
         }
     }
 
     /// Memory for a thread.
     pub(super) fn thread(&self) -> Thread<'_> {
         match self {
-            Self::Reference(program, image) => Thread::Reference(program, image),
-            Self::Prepared(prepared) => Thread::Prepared(prepared, prepared.evaluator.frame()),
+            Self::Reference(programs, image) => Thread::Reference(programs, image),
+            Self::Prepared(prepared) => Thread::Prepared(prepared, None),
         }
     }
 }
 
 impl Thread<'_> {
-    /// Evaluates an entry of [`record_picture`], see [`Evaluator::run`].
-    pub(super) fn run(&mut self, entry: &str, cancel: &AtomicBool, arguments: &[f32], results: &mut [f32]) {
+    /// Evaluates an entry of [`record_picture`] at an instant, see [`Evaluator::run`].
+    pub(super) fn run(
+        &mut self,
+        instant: usize,
+        entry: &str,
+        cancel: &AtomicBool,
+        arguments: &[f32],
+        results: &mut [f32],
+    ) {
         match self {
-            Self::Reference(program, image) => results.copy_from_slice(&reference(program, image, entry, arguments)),
-            Self::Prepared(prepared, frame) => {
-                prepared.evaluator.run(entry, frame, &prepared.inputs, cancel, arguments, results);
+            Self::Reference(programs, image) => {
+                results.copy_from_slice(&reference(&programs[instant], image, entry, arguments));
+            }
+            Self::Prepared(prepared, memory) => {
+                let Prepared { evaluator, inputs } = &prepared[instant];
+                let (_, frame) = match memory {
+                    Some(memory) if Arc::ptr_eq(memory.0, evaluator) => memory,
+                    _ => memory.insert((evaluator, evaluator.frame())),
+                };
+                evaluator.run(entry, frame, inputs, cancel, arguments, results);
             }
         }
     }

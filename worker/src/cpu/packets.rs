@@ -1,8 +1,7 @@
 //! Packets: a block of neighboring pixels rendered together, one per lane.
 
+use std::ops::Range;
 use std::sync::atomic::{AtomicBool, Ordering};
-
-use scene::Image;
 
 use super::kernels::{Kernel, Thread};
 use crate::picture_tape::{ACCUMULATE, LAYERS, MEAN};
@@ -20,7 +19,8 @@ pub(super) fn block(lanes: usize) -> (usize, usize) {
 
 /// Rows of a tile, as high as a packet's block.
 pub(super) struct Band<'a, 'b> {
-    pub(super) image: &'a Image,
+    /// Samples of each instant of the frame.
+    pub(super) samples: &'a [Range<u32>],
     pub(super) left: u32,
     pub(super) top: u32,
     pub(super) width: usize,
@@ -56,14 +56,14 @@ impl Band<'_, '_> {
     pub(super) fn render(mut self, kernel: &Kernel<'_>) -> Option<Self> {
         let lanes = kernel.lanes();
         let mut thread = kernel.thread();
-        let table = kernel.table();
+        let tables = kernel.tables();
         self.progress.finished = 0;
         for column in (0..self.width).step_by(block(lanes).0) {
             if self.cancel.load(Ordering::Relaxed) {
                 return Some(self);
             }
             self.packet(&mut thread, lanes, column);
-            if table.is_some_and(|table| table.is_full()) {
+            if tables.iter().any(|table| table.is_full()) {
                 return Some(self);
             }
         }
@@ -82,7 +82,7 @@ impl Band<'_, '_> {
         let (color, layers) = channels.split_at_mut(CHANNELS * lanes);
         self.radiance(thread, lanes, column, &mut arguments, color);
         if !layers.is_empty() {
-            thread.run(LAYERS, self.cancel, &arguments[..2 * lanes], layers);
+            thread.run(self.samples.len() - 1, LAYERS, self.cancel, &arguments[..2 * lanes], layers);
         }
         for (plane, values) in channels.chunks_exact(lanes).enumerate() {
             for (lane, value) in values.iter().enumerate() {
@@ -103,16 +103,17 @@ impl Band<'_, '_> {
         color: &mut [f32],
     ) {
         let pixels = block(lanes).0.min(self.width - column) * self.rows();
-        let samples = self.image.samples;
-        for first in (0..samples).step_by(SAMPLES_PER_RUN as usize) {
-            let run = SAMPLES_PER_RUN.min(samples - first);
-            arguments[2 * lanes..3 * lanes].fill(first as f32);
-            arguments[3 * lanes..4 * lanes].fill((first + run) as f32);
-            thread.run(ACCUMULATE, self.cancel, arguments, color);
-            arguments[4 * lanes..].copy_from_slice(color);
-            self.progress.add(pixels as u64 * u64::from(run));
+        for (instant, samples) in self.samples.iter().enumerate() {
+            for first in samples.clone().step_by(SAMPLES_PER_RUN as usize) {
+                let run = SAMPLES_PER_RUN.min(samples.end - first);
+                arguments[2 * lanes..3 * lanes].fill(first as f32);
+                arguments[3 * lanes..4 * lanes].fill((first + run) as f32);
+                thread.run(instant, ACCUMULATE, self.cancel, arguments, color);
+                arguments[4 * lanes..].copy_from_slice(color);
+                self.progress.add(pixels as u64 * u64::from(run));
+            }
         }
-        thread.run(MEAN, self.cancel, &arguments[4 * lanes..], color);
+        thread.run(0, MEAN, self.cancel, &arguments[4 * lanes..], color);
     }
 
     /// Rows of the band.

@@ -380,6 +380,16 @@ impl Device {
         launch().map_err(CudaError::driver_error("start a render on the GPU"))
     }
 
+    /// Copies the pixels of a buffer on the GPU, after all launches so far.
+    pub(super) fn copied(&self, buffer: &Buffer) -> Result<CudaSlice<f32>, CudaError> {
+        self.compute.clone_dtod(&buffer.device).map_err(CudaError::driver_error("copy pixels on the GPU"))
+    }
+
+    /// Replaces the pixels of a buffer by a copy of them, after all launches so far.
+    pub(super) fn restore(&self, buffer: &mut Buffer, copy: &CudaSlice<f32>) -> Result<(), CudaError> {
+        self.compute.memcpy_dtod(copy, &mut buffer.device).map_err(CudaError::driver_error("copy pixels on the GPU"))
+    }
+
     /// Starts copying the first numbers of a buffer back, after all launches so far have finished.
     pub(super) fn start_copy(&self, buffer: &mut Buffer, numbers: usize) -> Result<(), CudaError> {
         let mut fetch = || {

@@ -1,6 +1,8 @@
 //! Splits a render into launches: short enough that a cancel takes effect soon, and long enough to keep a GPU
 //! busy. Arithmetic only.
 
+use std::ops::Range;
+
 use super::device::{BlockDim, DeviceTile, LaunchRange};
 use proto::Rect;
 
@@ -130,7 +132,10 @@ impl KernelTimes {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Launches {
     blocks: u32,
-    samples: u32,
+    first_sample: u32,
+    end_sample: u32,
+    /// Whether no other samples of the pixels follow.
+    completes: bool,
     /// Blocks that fill the GPU once.
     resident_blocks: u32,
     /// Blocks in progress, and the sample they have reached.
@@ -150,14 +155,17 @@ impl LaunchRange {
 }
 
 impl Launches {
-    pub(super) fn new(blocks: u32, samples: u32, wave: u32, together: u32) -> Self {
+    /// Launches for some samples of all blocks: the last ones of their pixels if `completes`.
+    pub(super) fn new(blocks: u32, samples: Range<u32>, completes: bool, wave: u32, together: u32) -> Self {
         Self {
             blocks,
-            samples,
+            first_sample: samples.start,
+            end_sample: samples.end,
+            completes,
             resident_blocks: wave.max(1),
             first_block: 0,
             end_block: 0,
-            sample: 0,
+            sample: samples.start,
             max_blocks: blocks,
             together,
         }
@@ -165,7 +173,7 @@ impl Launches {
 
     /// Begins again at a block, which has been launched before.
     pub(super) fn restart(&mut self, first_block: u32) {
-        (self.first_block, self.sample) = (first_block, 0);
+        (self.first_block, self.sample) = (first_block, self.first_sample);
     }
 
     /// Limits all further launches to this many blocks.
@@ -175,27 +183,28 @@ impl Launches {
 
     /// Next launch, if any is left.
     pub(super) fn next(&mut self, cost: &CostModel) -> Option<LaunchRange> {
-        if self.sample == 0 {
+        if self.sample == self.first_sample {
             if self.first_block == self.blocks {
                 return None;
             }
             // Otherwise all samples of some blocks, at least as many as fill the GPU.
-            let fitting = (cost.next_size(self.resident_blocks) / f64::from(self.samples)) as u32;
+            let samples = self.end_sample - self.first_sample;
+            let fitting = (cost.next_size(self.resident_blocks) / f64::from(samples)) as u32;
             let count = fitting.max(self.resident_blocks).min(self.max_blocks);
             self.end_block = self.first_block.saturating_add(count).min(self.blocks);
         }
         let blocks = self.end_block - self.first_block;
         let fitting = (cost.next_size(self.resident_blocks) / f64::from(blocks)) as u32;
         let fitting = (fitting / self.together).max(1).saturating_mul(self.together);
-        let end_sample = self.sample.saturating_add(fitting).min(self.samples);
-        let is_last = end_sample == self.samples;
-        let part =
-            LaunchRange { first_block: self.first_block, blocks, first_sample: self.sample, end_sample, is_last };
-        self.sample = if is_last { 0 } else { end_sample };
-        if is_last {
-            self.first_block = self.end_block;
+        let end_sample = self.sample.saturating_add(fitting).min(self.end_sample);
+        let (first_block, first_sample) = (self.first_block, self.sample);
+        let is_end = end_sample == self.end_sample;
+        if is_end {
+            self.restart(self.end_block);
+        } else {
+            self.sample = end_sample;
         }
-        Some(part)
+        Some(LaunchRange { first_block, blocks, first_sample, end_sample, is_last: is_end && self.completes })
     }
 }
 
@@ -210,7 +219,7 @@ mod tests {
         let groups = spread(blocks / BLOCK_GROUP);
         let order = |turn: u32| groups[(turn / BLOCK_GROUP) as usize] * BLOCK_GROUP + turn % BLOCK_GROUP;
         let mut cost = CostModel::default();
-        let mut launches = Launches::new(blocks, samples, 1000, together);
+        let mut launches = Launches::new(blocks, 0..samples, true, 1000, together);
         let mut rendered = vec![0; blocks as usize];
         let mut longest = 0.0_f64;
         while let Some(part) = launches.next(&cost) {
@@ -246,8 +255,16 @@ mod tests {
     fn a_kernel_of_known_cost_needs_one_launch() {
         let mut cost = CostModel::default();
         cost.observe(LaunchRange { first_block: 0, blocks: 8_100, first_sample: 0, end_sample: 4, is_last: true }, 1.0);
-        let part = Launches::new(8_100, 4, 1056, 4).next(&cost).expect("there is work");
+        let part = Launches::new(8_100, 0..4, true, 1056, 4).next(&cost).expect("there is work");
         assert_eq!((part.blocks, part.end_sample, part.is_last), (8_100, 4, true));
+    }
+
+    #[test]
+    fn samples_of_an_instant_begin_where_those_of_the_one_before_ended() {
+        let mut launches = Launches::new(64, 5..8, false, 1000, 1);
+        let part = launches.next(&CostModel::default()).expect("there is work");
+        assert_eq!((part.first_sample, part.end_sample, part.is_last), (5, 8, false));
+        assert!(launches.next(&CostModel::default()).is_none());
     }
 
     #[test]

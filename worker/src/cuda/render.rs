@@ -11,11 +11,19 @@ use scene::real::Table;
 use super::cells::{Cells, Made};
 use super::device::{self, Buffer, Device, PendingLaunch};
 use super::launches::{self, Launches};
-use super::{CudaError, CudaRenderer, KernelSource, KernelState, lock};
+use super::{CudaError, CudaRenderer, Kernel, KernelSource, KernelState, lock};
 use crate::renderer::{CancelFlag, RenderError, TilePixels, TileRequest};
 
 /// Maximum size of pixel buffers on the GPU or being copied, in numbers.
 const BUFFER_FLOATS: usize = 64 << 20;
+
+/// An instant of a frame, and its kernel.
+struct Instant<'a> {
+    program: &'a Kernel,
+    source: &'a KernelSource,
+    /// Whether it completes the pixels.
+    is_last: bool,
+}
 
 /// Tiles whose pixels are being copied to the host.
 struct InFlight {
@@ -35,7 +43,7 @@ impl CudaRenderer {
         finished: &mut Vec<TilePixels>,
     ) -> Result<(), CudaError> {
         let Some(first) = runs.first() else { return Ok(()) };
-        let source = self.source(first)?;
+        let sources = self.sources(first)?;
         let planes = first.job.image.channels().len();
         let numbers = |run: &TileRequest<'_>| run.rect.pixels() as usize * planes;
         let mut underway: Option<InFlight> = None;
@@ -48,7 +56,7 @@ impl CudaRenderer {
                 total <= most
             });
             let (group, others) = rest.split_at(fitting.count().max(1));
-            let next = self.enqueue(&source, group, cancel);
+            let next = self.enqueue(&sources, group, cancel);
             if let Some(before) = underway.take() {
                 finished.extend(self.collect(before, &first.job.image, progress)?);
             }
@@ -70,7 +78,7 @@ impl CudaRenderer {
     /// Launches the render of some tiles and the copy of their pixels.
     fn enqueue(
         &self,
-        source: &KernelSource,
+        sources: &[KernelSource],
         runs: &[TileRequest<'_>],
         cancel: &CancelFlag,
     ) -> Result<InFlight, CudaError> {
@@ -79,8 +87,31 @@ impl CudaRenderer {
         let planes = image.channels().len();
         let numbers = rects.iter().map(|rect| rect.pixels() as usize).sum::<usize>() * planes;
         let _launching = lock(&self.launching);
-        let (program, _) = self.program(source, &runs[runs.len() / 2], cancel)?;
         let mut buffer = self.take_buffer(numbers)?;
+        for (index, source) in sources.iter().enumerate() {
+            let (program, _) = self.program(source, &runs[runs.len() / 2], cancel)?;
+            let is_last = index + 1 == sources.len();
+            self.launch_instant(&Instant { program: &program, source, is_last }, &rects, planes, &mut buffer, cancel)?;
+            if cancel.is_cancelled() {
+                lock(&self.buffers).push(buffer);
+                return Err(CudaError::Cancelled);
+            }
+        }
+        self.device.start_copy(&mut buffer, numbers)?;
+        Ok(InFlight { rects, buffer })
+    }
+
+    /// Adds the samples of an instant to the pixels of some tiles.
+    fn launch_instant(
+        &self,
+        instant: &Instant<'_>,
+        rects: &[Rect],
+        planes: usize,
+        buffer: &mut Buffer,
+        cancel: &CancelFlag,
+    ) -> Result<(), CudaError> {
+        let Instant { program, source, is_last } = instant;
+        let samples = source.samples.clone();
         let mut known = lock(&program.known);
         let KernelState { cost, parameters, cells } = &mut *known;
         if parameters.take().is_none_or(|given| given != source.parameters) {
@@ -94,22 +125,24 @@ impl CudaRenderer {
             *cells = None;
             *cells = Cells::upload(&self.device, &program.loaded, source, cancel)?;
         }
-        let layout = launches::lay_out(&rects, planes, program.block).ordered(cost, image.samples);
+        let layout = launches::lay_out(rects, planes, program.block).ordered(cost, samples.len() as u32);
         let laid_out = self.device.lay_out(&layout)?;
         let wave = self.device.multiprocessors * (2048 / program.loaded.threads(program.block));
-        let mut launches = Launches::new(layout.blocks, image.samples, wave, source.together);
+        let mut launches = Launches::new(layout.blocks, samples.clone(), *is_last, wave, source.together);
+        // Sums of the instants before, for launches that are repeated.
+        let before = (samples.start > 0 && cells.is_some()).then(|| self.device.copied(buffer)).transpose()?;
         // First block of the launches for which the cells were made from the start.
         let mut cells_from = None;
         let mut flying: VecDeque<(device::LaunchRange, PendingLaunch)> = VecDeque::new();
         loop {
             let part = if cancel.is_cancelled() { None } else { launches.next(cost) };
             if let Some(part) = part {
-                let launched = self.device.launch(&program.loaded, program.block, &laid_out, part, &mut buffer)?;
+                let launched = self.device.launch(&program.loaded, program.block, &laid_out, part, buffer)?;
                 flying.push_back((part, launched));
             }
             // One launch runs while the next is queued.
             if flying.len() == 2 || part.is_none() {
-                let Some((part, launched)) = flying.pop_front() else { break };
+                let Some((part, launched)) = flying.pop_front() else { return Ok(()) };
                 let ms = launched.wait()?;
                 tracing::trace!(?part, ms, "rendered");
                 lock(&self.kernels).add(ms);
@@ -121,10 +154,18 @@ impl CudaRenderer {
                 for (_, launched) in flying.drain(..) {
                     lock(&self.kernels).add(launched.wait()?);
                 }
-                launches.restart(part.first_block);
+                // Launches add to the sums of the instants before, which must be those again.
+                let first_block = match &before {
+                    Some(before) => {
+                        self.device.restore(buffer, before)?;
+                        0
+                    }
+                    None => part.first_block,
+                };
+                launches.restart(first_block);
                 if asking.make_asked(&self.device, &program.loaded, cancel)? == Made::NotAll {
                     // Without those of the launches before, there may be room; if not, for fewer blocks.
-                    if cells_from.replace(part.first_block) == Some(part.first_block) {
+                    if cells_from.replace(first_block) == Some(first_block) {
                         if part.blocks == 1 {
                             return Err(RenderError::many_cells(asking.table()).into());
                         }
@@ -136,12 +177,6 @@ impl CudaRenderer {
                 }
             }
         }
-        if cancel.is_cancelled() {
-            lock(&self.buffers).push(buffer);
-            return Err(CudaError::Cancelled);
-        }
-        self.device.start_copy(&mut buffer, numbers)?;
-        Ok(InFlight { rects, buffer })
     }
 
     /// Waits for pixels and returns them.

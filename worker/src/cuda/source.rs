@@ -1,12 +1,14 @@
 //! Kernel source of a picture: its recorded steps, generated as code inside `kernel.cu`.
 
 use std::fmt::Write;
+use std::ops::Range;
+use std::sync::Arc;
 
 use scene::cells::{BLOCK_CELLS, BOX_LEVELS, BOX_NUMBERS, Division, ROUNDING};
 use scene::real::list::{IS_LAST, IS_UNARY, NO_LEAF, ROW_BITS, ROW_MASK};
 use scene::real::{INDEX_BITS, Table};
 use scene::transport::Transport;
-use scene::{Image, JobAtFrame};
+use scene::{Exposure, Image, JobAtFrame};
 
 use super::launches::BLOCK_GROUP;
 use crate::cells::FastBuilder;
@@ -27,9 +29,11 @@ const INSERTION_POINT: &str = "// ---- the picture ----\n";
 #[derive(Clone, Debug)]
 pub struct KernelSource {
     /// Kernel source; the same for all frames, and for all values of a scene's numbers.
-    pub text: String,
+    pub text: Arc<str>,
     /// Values of the scene's numbers at the frame, which the kernel calls `uniforms`, as bits.
     pub parameters: Vec<u32>,
+    /// The samples of a pixel that are taken with these values.
+    pub(super) samples: Range<u32>,
     /// Source of the kernels that divide the scene's cells, if it has any; the same for most scenes.
     pub division: Option<String>,
     /// Words that the kernel reads by computed indices, if there are any. It asks for those that are missing.
@@ -45,12 +49,39 @@ pub struct KernelSource {
 impl KernelSource {
     /// Kernel source of a job's frame. Fails if its recorded formulas are invalid.
     pub fn new(still: &JobAtFrame<'_>) -> Result<Self, InvalidTape> {
-        Self::build(still, samples_together(still), FastBuilder::UNLIMITED)
+        let samples = 0..still.image().samples;
+        let together = samples_together(still, std::slice::from_ref(&samples));
+        Self::build(still, samples, together, FastBuilder::UNLIMITED)
+    }
+
+    /// Kernel sources of the instants of a frame, all of which have the same text. `block` threads render a pixel, or as
+    /// many as is best.
+    pub(super) fn of_exposure(
+        exposure: &Exposure<'_>,
+        together: Option<u32>,
+        builder: FastBuilder,
+    ) -> Result<Vec<Self>, InvalidTape> {
+        let ranges = exposure.samples();
+        let together = together.unwrap_or_else(|| samples_together(exposure.last(), &ranges));
+        let mut sources: Vec<Self> = Vec::with_capacity(ranges.len());
+        for (still, samples) in exposure.instants.iter().zip(ranges) {
+            let mut source = Self::build(still, samples, together, builder)?;
+            if let Some(first) = sources.first().filter(|first| first.text == source.text) {
+                source.text = first.text.clone();
+            }
+            sources.push(source);
+        }
+        Ok(sources)
     }
 
     /// Kernel source in which neighboring threads render `together` samples of a pixel: a power of two that divides the
     /// number of samples.
-    pub(super) fn build(still: &JobAtFrame<'_>, together: u32, builder: FastBuilder) -> Result<Self, InvalidTape> {
+    pub(super) fn build(
+        still: &JobAtFrame<'_>,
+        samples: Range<u32>,
+        together: u32,
+        builder: FastBuilder,
+    ) -> Result<Self, InvalidTape> {
         let image = still.image();
         let tape = record_picture(still, builder);
         let steps = tape.to_c()?;
@@ -65,7 +96,9 @@ impl KernelSource {
                 "#define UNIFORM_COUNT {numbers}\n#define TOGETHER {together}u\n#define BLOCK_GROUP {BLOCK_GROUP}u\n\
                 {has_table}{has_layers}{before}{}{write_layers}{after}{measure}",
                 steps.code
-            ),
+            )
+            .into(),
+            samples,
             parameters: tape.uniforms().to_vec(),
             division: division.map(|division| division_source(before, division)),
             table: tape.table().cloned(),
@@ -78,10 +111,11 @@ impl KernelSource {
 
 /// How many of a pixel's samples are best rendered together by neighboring threads. With paths, a thread renders all
 /// samples of its pixel, so that it goes on with the next one as soon as a path has ended.
-pub(super) fn samples_together(still: &JobAtFrame<'_>) -> u32 {
+fn samples_together(still: &JobAtFrame<'_>, ranges: &[Range<u32>]) -> u32 {
+    let common = ranges.iter().map(|range| range.len().trailing_zeros()).min().unwrap_or(0);
     match still.scene().integrator {
         Transport::Path(_) => 1,
-        Transport::Direct => (1 << still.image().samples.trailing_zeros()).min(MAX_SAMPLES_TOGETHER),
+        Transport::Direct => (1 << common).min(MAX_SAMPLES_TOGETHER),
     }
 }
 

@@ -9,7 +9,7 @@ use serde_json::{Value, json};
 /// A job with this scene; its image and frames have every field.
 fn job(scene: &Value) -> Value {
     json!({
-        "name": "keys", "priority": 0, "scene": scene, "frames": { "count": 3, "fps": 1 },
+        "name": "keys", "priority": 0, "scene": scene, "frames": { "count": 3, "fps": 1, "shutter": 0 },
         "image": { "width": 8, "height": 8, "samples": 2, "seed": 1, "format": "exr", "bits": 8, "precision": "float",
             "layers": ["depth", "normal", "position", "albedo", "object", "steps"] }
     })

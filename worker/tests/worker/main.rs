@@ -15,6 +15,7 @@ mod fake_renderer;
 mod fake_server;
 mod frames;
 mod lanes;
+mod motion_blur;
 mod pictures;
 mod read_back;
 mod shipped;
