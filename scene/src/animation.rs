@@ -86,7 +86,10 @@ impl JobAtFrame<'_> {
     /// JSON pointer in the document of a node of the scene; both pointers begin with `/scene`.
     pub(crate) fn pointer_in_document(&self, pointer: &str) -> String {
         let in_scene = pointer.strip_prefix("/scene").unwrap_or_default();
-        self.job.written.as_ref().map_or_else(|| pointer.to_owned(), |written| format!("/scene{}", written.pointer(in_scene)))
+        self.job
+            .written
+            .as_ref()
+            .map_or_else(|| pointer.to_owned(), |written| format!("/scene{}", written.pointer(in_scene)))
     }
 }
 

@@ -153,7 +153,9 @@ impl Exposure<'_> {
         let of_instant = |instant: &JobAtFrame<'_>| instant.instant_key_of_version(PICTURE_VERSION);
         match &self.instants[..] {
             [only] => of_instant(only),
-            instants => hash(&instants.iter().map(|instant| of_instant(instant).to_hex().to_string()).collect::<Vec<_>>()),
+            instants => {
+                hash(&instants.iter().map(|instant| of_instant(instant).to_hex().to_string()).collect::<Vec<_>>())
+            }
         }
     }
 }

@@ -6,6 +6,7 @@ mod emitters;
 mod light_path;
 mod lighting;
 mod media;
+mod media_path;
 mod path;
 mod pick;
 mod ray_kinds;

@@ -166,7 +166,11 @@ pub struct Frames {
 
 impl Default for Frames {
     fn default() -> Self {
-        Self { count: 1, fps: FrameRate::new(24.0).expect("24 is in range"), shutter: Shutter::new(0.0).expect("0 is in range") }
+        Self {
+            count: 1,
+            fps: FrameRate::new(24.0).expect("24 is in range"),
+            shutter: Shutter::new(0.0).expect("0 is in range"),
+        }
     }
 }
 

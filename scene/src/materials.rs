@@ -28,6 +28,7 @@ pub use shadow_catcher::ShadowCatcher;
 pub use surface::Surface;
 pub use texture::Texture;
 pub use unlit::{Flat, Normals};
+pub(crate) use volume::MediumScattering;
 pub use volume::{Clouds, MediumMaterial, Volume};
 
 pub use crate::kinds::{Example, HasExamples};

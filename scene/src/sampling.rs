@@ -74,6 +74,11 @@ impl<R: Real> Sampler<R> {
         Self { bounce, ..*self }
     }
 
+    /// The bounces before this one.
+    pub fn bounce(&self) -> R {
+        self.bounce
+    }
+
     /// Two numbers, 0 to 1 excluding 1, for one purpose. The pairs of different purposes and bounces are independent.
     pub fn get_2d(&self, purpose: u32) -> (R, R) {
         let key = self.bounce.uniform_bits(frame_key(self.frame_key, purpose.wrapping_add(1)));

@@ -60,7 +60,10 @@ impl<'a> Integrator<'a> {
     /// The program of a scene whose rays can be recorded.
     pub(crate) fn recordable(&self, still: &'a JobAtFrame<'_>) -> Option<Program<'a>> {
         let scene = still.scene();
-        if still.is_blurred() || program(still).is_some() || scene.objects.iter().any(|object| !object.visible.is_full()) {
+        if still.is_blurred()
+            || program(still).is_some()
+            || scene.objects.iter().any(|object| !object.visible.is_full())
+        {
             return None;
         }
         let objects: Vec<_> = surfaces_of(scene).map(|index| (index, self.step_scales[index])).collect();

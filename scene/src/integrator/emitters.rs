@@ -2,9 +2,9 @@
 
 use std::f32::consts::PI;
 
+use super::Integrator;
 use super::lighting::{OF_LIGHT, ON_LIGHT};
 use super::sky_table::{SkyDirection, SkyTable};
-use super::{Hit, Integrator};
 use crate::backgrounds::Backdrop;
 use crate::camera::Ray;
 use crate::lights::{LightBody, LightSource, NEVER, PlacedLight, direction_around};
@@ -248,10 +248,10 @@ impl Integrator<'_> {
         })
     }
 
-    /// Light at a point off a surface from one light, chosen by strength.
+    /// Light at a point off a surface with a normal, or in a medium, from one light, chosen by strength.
     pub(super) fn next_event<R: Real>(
         &self,
-        hit: &Hit<R>,
+        normal: Option<Vec3<R>>,
         here: &Vertex<R>,
         near: R,
         dice: &Sampler<R>,
@@ -263,7 +263,7 @@ impl Integrator<'_> {
         let pair = dice.get_2d(ON_LIGHT);
         let black = vec3(zero, zero, zero);
         let mut chosen = LightRay {
-            direction: hit.normal,
+            direction: normal.unwrap_or(vec3(zero, zero + 1.0, zero)),
             distance: farthest,
             arriving: black,
             density: zero,
@@ -287,11 +287,12 @@ impl Integrator<'_> {
             });
             before = after;
         }
-        let faces = hit.normal.dot(chosen.direction).above(0.0) & chosen.arriving.max_element().above(0.0);
-        let (arriving, evaluations) = R::when(faces, (black, zero), || {
+        let shines = chosen.arriving.max_element().above(0.0);
+        let shines = normal.map_or(shines, |normal| normal.dot(chosen.direction).above(0.0) & shines);
+        let (arriving, evaluations) = R::when(shines, (black, zero), || {
             let lit = chosen.casts_shadows.below(0.5);
             let (visible, evaluations) =
-                R::when(!lit, (zero.constant(1.0), zero), || self.light_visibility(here.position, near, &chosen));
+                R::when(!lit, (zero.constant(1.0), zero), || self.light_visibility(p, near, &chosen, dice));
             (chosen.arriving * visible, evaluations)
         });
         NextEvent { direction: chosen.direction, arriving, density: chosen.density, evaluations }
@@ -334,8 +335,17 @@ impl Integrator<'_> {
 
     /// Fraction of the light of an emitter that reaches a point off a surface by the tolerance `near`, and the number of
     /// distance evaluations.
-    fn light_visibility<R: Real>(&self, origin: Vec3<R>, near: R, light: &LightRay<R>) -> (R, R) {
+    fn light_visibility<R: Real>(&self, origin: Vec3<R>, near: R, light: &LightRay<R>, dice: &Sampler<R>) -> (R, R) {
         let shadows = self.of_shadow_rays();
+        let (length, visible, evaluations) = self.light_occlusion(shadows, origin, near, light);
+        let Some(media) = &shadows.media else { return (visible, evaluations) };
+        let ray = Ray { origin, direction: light.direction };
+        let left = R::when(visible.above(0.0), visible, || shadows.tracked_transmittance(media, &ray, length, dice));
+        (left, evaluations)
+    }
+
+    /// The distance of what shines, 1 if nothing is nearer, else 0; and the number of distance evaluations.
+    fn light_occlusion<R: Real>(&self, shadows: &Self, origin: Vec3<R>, near: R, light: &LightRay<R>) -> (R, R, R) {
         let arguments = ((near, origin), (light.direction, light.distance), light.emitter);
         near.call(shadows.names.light_visibility, arguments, |((near, origin), (direction, distance), emitter)| {
             let zero = near.constant(0.0);
@@ -345,23 +355,17 @@ impl Integrator<'_> {
             let is_blocked = self.emitters.bodies().fold(zero.above(0.0), |is_blocked, (index, _, body)| {
                 is_blocked | (body.shape.distance_along(&ray).lt(distance) & !is(index))
             });
-            R::when(!is_blocked, (zero, zero), || {
+            R::when(!is_blocked, (distance, zero, zero), || {
                 let objects = self.emitters.objects();
                 let object = objects.fold(zero.constant(-1.0), |object, (index, own)| {
                     R::select(is(index), zero.constant(own.index as f32), object)
                 });
-                let (length, visible, evaluations) = if self.emitters.has_objects() {
+                if self.emitters.has_objects() {
                     let of_light = object.below(-0.5);
                     let lit = R::when(of_light, (distance, zero, zero), || shadows.is_clear(&ray, near, distance));
                     R::when(!of_light, lit, || shadows.meets_object(&ray, near, object))
                 } else {
                     shadows.is_clear(&ray, near, distance)
-                };
-                match &shadows.media {
-                    None => (visible, evaluations),
-                    Some(media) => R::when(visible.above(0.0), (visible, evaluations), || {
-                        (shadows.transmittance(media, &ray, length), evaluations)
-                    }),
                 }
             })
         })

@@ -9,6 +9,7 @@ use super::lighting::{OF_DIRECTION, OF_LOBE, OF_ROULETTE};
 use super::{Hit, Integrator, Radiance};
 use crate::backgrounds::Backdrop;
 use crate::camera::Ray;
+use crate::lights::NEVER;
 use crate::limits::MAX_SAMPLES;
 use crate::march::{MarchResult, Tolerance};
 use crate::materials::bsdf::Geometry;
@@ -26,24 +27,24 @@ const UNRIVALED: f32 = -1.0;
 
 /// State of a path after some bounces.
 #[derive(Clone, Copy)]
-struct LightPath<R: Real> {
-    ray: Ray<R>,
+pub(super) struct LightPath<R: Real> {
+    pub(super) ray: Ray<R>,
     /// Tolerance at the start of the ray.
-    epsilon: R,
+    pub(super) epsilon: R,
     /// Distance from the camera along the path.
-    t: R,
+    pub(super) t: R,
     /// Fraction of the light at the path's end that reaches the camera, over the densities of the path.
-    throughput: Vec3<R>,
-    color: Vec3<R>,
+    pub(super) throughput: Vec3<R>,
+    pub(super) color: Vec3<R>,
     /// Fraction of the background straight behind that reaches the camera.
-    background_weight: R,
-    evaluations: R,
-    bounce: R,
+    pub(super) background_weight: R,
+    pub(super) evaluations: R,
+    pub(super) bounce: R,
     /// Density of the ray's direction, or [`UNRIVALED`].
-    density: R,
+    pub(super) density: R,
     /// Where the ray comes from.
-    from: Vertex<R>,
-    is_active: MaskValue<R>,
+    pub(super) from: Vertex<R>,
+    pub(super) is_active: MaskValue<R>,
 }
 
 bundle!(LightPath {
@@ -70,6 +71,16 @@ impl<R: Real> LightPath<R> {
     fn weight(&self, rival: R) -> R {
         let one = rival.constant(1.0);
         R::select(self.density.below(0.0), one, self.density / (self.density + rival).at_least(1e-30))
+    }
+
+    /// Ends paths of little throughput at random: whether the path goes on after its vertex, and its throughput then.
+    pub(super) fn after_roulette(&self, throughput: Vec3<R>, dice: &Sampler<R>) -> (R::Mask, Vec3<R>) {
+        let one = self.bounce.constant(1.0);
+        let brightest = throughput.max_element();
+        let survival = (brightest * SURVIVAL_PER_THROUGHPUT).at_least(MIN_SURVIVAL).at_most(1.0);
+        let survival = R::select(self.bounce.below(FIRST_ROULETTE - 0.5), one, survival);
+        let goes_on = dice.get_2d(OF_ROULETTE).0.lt(survival) & brightest.above(0.0);
+        (goes_on, throughput * (one / survival))
     }
 }
 
@@ -151,11 +162,14 @@ impl Integrator<'_> {
         let length = distance.min(surface);
         let mut path = path;
         path.evaluations = path.evaluations + marched.evaluations;
-        if let Some(crossed) = self.crossed_media(&path.ray, length, &dice) {
-            path.color = path.color + path.throughput.mul_elementwise(crossed.color);
-            path.throughput = path.throughput * crossed.transmittance;
-            path.background_weight = path.background_weight * crossed.transmittance;
-            path.evaluations = path.evaluations + crossed.evaluations;
+        let collision = self.media.as_ref().map(|media| (media, self.free_flight(media, &path.ray, length, &dice)));
+        let length = collision.map_or(length, |(_, collision)| collision.min(length));
+        if let Some(fog) = &self.scene.fog {
+            let clear = fog.transmittance(&path.ray, length);
+            let veil = self.fog_color(fog, path.ray.direction) * (zero.constant(1.0) - clear);
+            path.color = path.color + path.throughput.mul_elementwise(veil);
+            path.throughput = path.throughput * clear;
+            path.background_weight = path.background_weight * clear;
         }
         let rival = self.density_of_sky(path.ray.direction, &path.from);
         let sky = self.radiance_of_sky(path.ray.direction, path.background_weight) * path.weight(rival);
@@ -166,7 +180,14 @@ impl Integrator<'_> {
             is_active: MaskValue(zero.above(0.0)),
             ..path
         };
-        R::when(marched.hit.0 & !meets_light, ended, || self.bounce(path, &marched, max_bounces, &dice))
+        let collides = collision.map_or(zero.above(0.0), |(_, t)| t.below(NEVER));
+        let next = R::when(marched.hit.0 & !meets_light & !collides, ended, || {
+            self.bounce(path, &marched, max_bounces, &dice)
+        });
+        match collision {
+            None => next,
+            Some((media, t)) => R::when(collides, next, || self.scatter_in_media(path, media, t, max_bounces, &dice)),
+        }
     }
 
     /// Tolerance at the start of a ray from a hit. Roots of smooth surfaces are exact, and the ray starts as near to them
@@ -215,7 +236,8 @@ impl Integrator<'_> {
             let near = self.start_tolerance(&met);
             // Where rays start that go on on this side of the surface: lights are sampled from there as well.
             let here = self.vertex(hit.normal.mul_add(near * 4.0, hit.position));
-            let NextEvent { direction, arriving, density, evaluations } = self.next_event(&hit, &here, near, dice);
+            let NextEvent { direction, arriving, density, evaluations } =
+                self.next_event(Some(hit.normal), &here, near, dice);
             let lit = bsdf.evaluate(lobes, seen, direction);
             let weight = R::select(density.above(0.0), density / (density + lit.density).at_least(1e-30), zero + 1.0);
             let color = lit.value.mul_elementwise(arriving) * weight;
@@ -229,15 +251,12 @@ impl Integrator<'_> {
             // Straight transmission leaves the background visible.
             let straight = is_transmitted & (bsdf.ior - 1.0).abs().below(1e-4);
             let see_through = R::select(straight, path.background_weight * onward.weight.mean(), zero);
-            let brightest = throughput.max_element();
-            let survival = (brightest * SURVIVAL_PER_THROUGHPUT).at_least(MIN_SURVIVAL).at_most(1.0);
-            let survival = R::select(path.bounce.below(FIRST_ROULETTE - 0.5), zero + 1.0, survival);
-            let goes_on = dice.get_2d(OF_ROULETTE).0.lt(survival) & brightest.above(0.0);
+            let (goes_on, throughput) = path.after_roulette(throughput, dice);
             LightPath {
                 ray,
                 epsilon: near,
                 t: hit.t,
-                throughput: throughput * (survival.constant(1.0) / survival),
+                throughput,
                 color,
                 background_weight: see_through + through,
                 evaluations: path.evaluations + evaluations,

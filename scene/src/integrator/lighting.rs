@@ -24,6 +24,8 @@ pub(super) const ON_LIGHT: u32 = 5;
 pub(super) const ON_LENS: u32 = 7;
 /// Whether a path goes on.
 pub(super) const OF_ROULETTE: u32 = 6;
+/// Along rays toward lights.
+pub(super) const IN_SHADOWING_MEDIA: u32 = 8;
 const OF_LIGHTS: u32 = 16;
 /// Distance evaluations of one normal.
 pub(super) const NORMAL_EVALUATIONS: f32 = 4.0;

@@ -1,6 +1,7 @@
 //! Participating media: emission, scattering and absorption along a ray through clouds and volumes.
 //!
-//! Transmittance follows the Beer-Lambert law. Only single scattering of direct light is computed.
+//! Transmittance follows the Beer-Lambert law. Only single scattering of direct light is computed here: `media_path.rs`
+//! follows paths through media.
 
 use super::Integrator;
 use super::lighting::sample_lights;
@@ -17,9 +18,11 @@ use crate::visible::RayKind;
 /// Media of a scene.
 #[derive(Clone, Debug)]
 pub(super) struct Media<'a> {
-    all: Vec<Medium<'a>>,
+    pub(super) all: Vec<Medium<'a>>,
     /// Bounds of all media.
-    bounds: Bounds,
+    pub(super) bounds: Bounds,
+    /// Upper bound of the extinction of all media together.
+    pub(super) majorant: f32,
     /// Maximum number of steps of a camera ray through media.
     max_steps: u32,
     /// Maximum number of steps of a ray toward a light.
@@ -28,9 +31,9 @@ pub(super) struct Media<'a> {
 
 /// An object with a medium material.
 #[derive(Clone, Debug)]
-struct Medium<'a> {
+pub(super) struct Medium<'a> {
     object: usize,
-    material: MediumMaterial<'a>,
+    pub(super) material: MediumMaterial<'a>,
     /// Length of a step inside.
     step: f32,
 }
@@ -81,7 +84,8 @@ impl<'a> Media<'a> {
             max_steps += filling.steps();
             light_steps = light_steps.max(filling.light_steps());
         }
-        (!all.is_empty()).then(|| Self { all, bounds: view.with_margin(bounds), max_steps, light_steps })
+        let majorant = all.iter().map(|medium| medium.material.density()).sum();
+        (!all.is_empty()).then(|| Self { all, bounds: view.with_margin(bounds), majorant, max_steps, light_steps })
     }
 }
 
@@ -251,14 +255,14 @@ impl Integrator<'_> {
     }
 
     /// Total extinction of the media at `p`.
-    fn extinction<R: Real>(&self, media: &Media<'_>, p: Vec3<R>) -> R {
-        let zero = p.x.constant(0.0);
-        let mut sum = zero;
-        for medium in &media.all {
-            let depth = -self.object_distance(medium.object, p);
-            let own = R::when(depth.above(0.0), zero, || medium.material.extinction(p, depth));
-            sum = sum + own;
-        }
-        sum
+    pub(super) fn extinction<R: Real>(&self, media: &Media<'_>, p: Vec3<R>) -> R {
+        let own = media.all.iter().map(|medium| self.extinction_of(medium, p));
+        own.fold(p.x.constant(0.0), |sum, own| sum + own)
+    }
+
+    /// Extinction of a medium at `p`.
+    pub(super) fn extinction_of<R: Real>(&self, medium: &Medium<'_>, p: Vec3<R>) -> R {
+        let depth = -self.object_distance(medium.object, p);
+        R::when(depth.above(0.0), p.x.constant(0.0), || medium.material.extinction(p, depth))
     }
 }

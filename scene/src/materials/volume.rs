@@ -50,10 +50,11 @@ pub enum Mapping {
 
 /// A medium inside an object that scatters and absorbs light: smoke, mist, lit clouds.
 ///
-/// Transmittance follows the Beer-Lambert law, with single scattering by the phase function of L. G. Henyey and J. L.
-/// Greenstein, "Diffuse radiation in the galaxy", Astrophysical Journal 93, 1941. Further orders are approximated as
-/// in Magnus Wrenninge et al., "Oz: the great and volumetric", SIGGRAPH 2013 talks: each order has half the light of
-/// the previous one, half its optical depth, and half its anisotropy.
+/// With the integrator `path`, light is scattered any number of times; `orders`, `steps` and `light_steps` have no effect
+/// then. With `direct`, transmittance follows the Beer-Lambert law, with single scattering by the phase function of
+/// L. G. Henyey and J. L. Greenstein, "Diffuse radiation in the galaxy", Astrophysical Journal 93, 1941. Further orders
+/// are approximated as in Magnus Wrenninge et al., "Oz: the great and volumetric", SIGGRAPH 2013 talks: each order has
+/// half the light of the previous one, half its optical depth, and half its anisotropy.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
 pub struct Volume {
@@ -100,6 +101,17 @@ pub enum MediumMaterial<'a> {
     Clouds(&'a Clouds),
     /// A volume.
     Volume(&'a Volume),
+}
+
+/// How a medium scatters paths of light.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct MediumScattering {
+    /// Fraction of the light that goes on.
+    pub albedo: Vec3<f32>,
+    /// Emitted radiance per unit of extinction.
+    pub emission: Vec3<f32>,
+    /// The mean cosine of scattered light.
+    pub anisotropy: f32,
 }
 
 impl HasExamples for Clouds {
@@ -156,6 +168,19 @@ impl MediumMaterial<'_> {
         match self {
             Self::Clouds(clouds) => Vec3::uniform(like, clouds.color.get()),
             Self::Volume(volume) => Vec3::uniform(like, volume.emission.get()),
+        }
+    }
+
+    /// How paths are scattered.
+    pub(crate) fn scattering(&self) -> MediumScattering {
+        let black = vec3(0.0, 0.0, 0.0);
+        match self {
+            Self::Clouds(clouds) => MediumScattering { albedo: clouds.color.get(), emission: black, anisotropy: 0.0 },
+            Self::Volume(volume) => MediumScattering {
+                albedo: volume.albedo.get(),
+                emission: volume.emission.get(),
+                anisotropy: volume.anisotropy.get(),
+            },
         }
     }
 

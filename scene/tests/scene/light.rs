@@ -6,7 +6,7 @@ use scene::{Integrator, parse};
 use serde_json::{Value, json};
 
 /// Mean of a pixel's channel over seeds, and its standard deviation.
-fn estimate(job: &Value, samples: u32, seeds: u32) -> ([f64; 3], [f64; 3]) {
+pub(crate) fn estimate(job: &Value, samples: u32, seeds: u32) -> ([f64; 3], [f64; 3]) {
     let (mut sum, mut squares) = ([0.0; 3], [0.0; 3]);
     for seed in 0..seeds {
         let mut job = job.clone();
@@ -26,7 +26,7 @@ fn estimate(job: &Value, samples: u32, seeds: u32) -> ([f64; 3], [f64; 3]) {
 }
 
 /// Fails unless a pixel has a known value, within three standard deviations and what `f32` and the march round.
-fn assert_is(job: &Value, wanted: [f64; 3]) {
+pub(crate) fn assert_is(job: &Value, wanted: [f64; 3]) {
     let (mean, deviation) = estimate(job, 640, 16);
     for ((mean, deviation), wanted) in mean.into_iter().zip(deviation).zip(wanted) {
         let tolerance = 3.0 * deviation + 1e-4 * wanted;
@@ -35,7 +35,7 @@ fn assert_is(job: &Value, wanted: [f64; 3]) {
     }
 }
 
-fn assert_equal(jobs: &[(&str, Value)]) {
+pub(crate) fn assert_equal(jobs: &[(&str, Value)]) {
     let seen: Vec<_> = jobs.iter().map(|(name, job)| (name, estimate(job, 1024, 24))).collect();
     for (name, (mean, deviation)) in &seen {
         for (other_name, (other, other_deviation)) in &seen {
@@ -49,7 +49,7 @@ fn assert_equal(jobs: &[(&str, Value)]) {
     }
 }
 
-fn job(max_bounces: u32, rest: Value) -> Value {
+pub(crate) fn job(max_bounces: u32, rest: Value) -> Value {
     let mut scene = json!({
         "integrator": { "path": { "max_bounces": max_bounces } },
         "camera": { "position": [0.1, 0.2, 0.3], "look_at": [0.4, -1, 0.6] },

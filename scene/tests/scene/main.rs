@@ -13,6 +13,7 @@ mod kinds;
 mod large;
 mod lens;
 mod light;
+mod light_in_media;
 mod materials;
 mod noise;
 mod old_jobs;

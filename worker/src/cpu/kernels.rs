@@ -71,12 +71,7 @@ impl KernelCache {
         Ok(recent::insert(&self.by_pixels, key, Arc::new(instants), MAX_FRAMES))
     }
 
-    fn prepare_instant(
-        &self,
-        still: &JobAtFrame<'_>,
-        simd: Simd,
-        cells: FastBuilder,
-    ) -> Result<Prepared, RenderError> {
+    fn prepare_instant(&self, still: &JobAtFrame<'_>, simd: Simd, cells: FastBuilder) -> Result<Prepared, RenderError> {
         let tape = record_picture(still, cells);
         let table = tape.table().map(|table| self.cells.share(still, table));
         let tape = match table {

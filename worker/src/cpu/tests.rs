@@ -24,9 +24,9 @@ fn cells_that_do_not_fit_are_made_again() {
     for simd in [Simd::Auto, Simd::Portable] {
         let renderer = CpuRenderer::new(Some(2), simd).expect("threads");
         let (pixels, rays) = render(&renderer, &job).expect("it has room");
-        let still = job.at(0).expect("a valid frame");
-        let kernel = renderer.kernel(&still).expect("a valid tape");
-        let bytes = kernel.table().expect("cells").used() * size_of::<u32>();
+        let exposure = job.exposure(0).expect("a valid frame");
+        let kernel = renderer.kernel(&exposure).expect("a valid tape");
+        let bytes = kernel.tables()[0].used() * size_of::<u32>();
         let limited = |bytes| render(&CpuRenderer::new(Some(2), simd).expect("threads").with_cell_memory(bytes), &job);
         for percent in [90, 80] {
             let limited = limited(bytes * percent / 100);
@@ -56,8 +56,8 @@ fn frames_share_cells_while_no_shape_moves() {
     for (first, is_shared) in [(still, true), (moving, false)] {
         let (job, kept) = (turning(first), CpuRenderer::new(Some(2), Simd::Auto).expect("threads"));
         let table = |frame: u32| {
-            let still = job.at(frame).expect("a valid frame");
-            Arc::as_ptr(kept.kernel(&still).expect("a valid tape").table().expect("cells"))
+            let exposure = job.exposure(frame).expect("a valid frame");
+            Arc::as_ptr(kept.kernel(&exposure).expect("a valid tape").tables()[0])
         };
         let first_table = table(0);
         for frame in 0..3 {

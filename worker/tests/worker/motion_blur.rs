@@ -84,7 +84,8 @@ fn a_blurred_frame_has_the_same_bits_on_every_path_and_in_tiles() {
         // As much memory for cells as some of the tile's instants need.
         let small = CpuRenderer::new(Some(2), Simd::Auto).expect("it renders").with_cell_memory(1 << 20);
         assert_eq!(bits(&render(&small, &blurred, whole).planes), want, "{scene}");
-        let (rect, renderer) = (Rect { x: 7, y: 5, width: 9, height: 6 }, CpuRenderer::new(Some(1), Simd::Auto).unwrap());
+        let (rect, renderer) =
+            (Rect { x: 7, y: 5, width: 9, height: 6 }, CpuRenderer::new(Some(1), Simd::Auto).unwrap());
         let tile = render(&renderer, &blurred, rect);
         let rows = (rect.y..rect.y + rect.height).flat_map(|y| (rect.x..rect.x + rect.width).map(move |x| (x, y)));
         let places: Vec<usize> = rows.map(|(x, y)| (y * WIDTH + x) as usize).collect();

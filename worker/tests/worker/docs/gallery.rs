@@ -33,7 +33,7 @@ const PARTS: [(&str, &str, &str); 4] = [
 const WIDTH: u32 = 400;
 const MAX_SAMPLES: u32 = 12;
 /// Of a job with paths of light, which has more noise.
-const MAX_SAMPLES_OF_PATHS: u32 = 192;
+const MAX_SAMPLES_OF_PATHS: u32 = 96;
 
 fn jobs(folder: &Path) -> Vec<(String, Job)> {
     let entries = std::fs::read_dir(folder).expect("there are scenes");
