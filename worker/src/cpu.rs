@@ -128,7 +128,9 @@ impl CpuRenderer {
                 return Err(RenderError::many_cells(full));
             }
             tracing::debug!(rendered = count - bands.len(), left = bands.len(), "the cells had no room: drop them");
-            tables.iter().for_each(|table| self.kernels.forget_cells(table));
+            for table in tables {
+                self.kernels.forget_cells(table);
+            }
             kernel = self.kernel(exposure)?;
         }
     }

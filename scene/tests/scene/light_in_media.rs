@@ -28,7 +28,7 @@ fn what_absorbs_transmits_as_beer_and_lambert_say() {
     assert_is(&job(4, ball(&black(json!({})), white())), [(-1.4_f64).exp(); 3]);
     // The density rises to the center.
     assert_is(&job(4, ball(&black(json!({ "edge": 1 })), white())), [(-0.7_f64).exp(); 3]);
-    // What glows and absorbs: emission · (1 − transmittance).
+    // A medium that glows and absorbs: emission · (1 − transmittance).
     let glows = black(json!({ "emission": [2, 1, 0.5] }));
     let share = 1.0 - (-1.4_f64).exp();
     assert_is(&job(0, ball(&glows, json!({}))), [2.0 * share, share, 0.5 * share]);
