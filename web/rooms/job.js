@@ -27,6 +27,7 @@ import { session } from '/ui/session.js';
 const TILES_MS = 1200;
 
 class JobRoom extends Room {
+  #isGone = false;
   /** @type {Job | null} */
   job = null;
   #tilesTimer = 0;
@@ -146,7 +147,9 @@ class JobRoom extends Room {
   }
 
   #gone() {
-    if (this.signal.aborted) return;
+    // The event and a read in progress may both find out.
+    if (this.signal.aborted || this.#isGone) return;
+    this.#isGone = true;
     toast(`${this.job?.name ?? 'The job'} has been deleted`);
     location.hash = '#/jobs';
   }
