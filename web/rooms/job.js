@@ -42,6 +42,7 @@ class JobRoom extends Room {
 
   enter() {
     this.setTitle('Job');
+    this.#isGone = false;
     this.heading = heading('Job');
     this.head = h('div', { class: 'room-head job-title' }, h('a', { href: '#/jobs', class: 'back', 'aria-label': 'All jobs' }, icon('back'), 'Jobs'), this.heading);
     append(this, [this.head]);
