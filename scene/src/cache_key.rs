@@ -63,7 +63,8 @@ impl JobAtFrame<'_> {
         hash(self.scene())
     }
 
-    /// Hash of everything that decides the frame's pixels at one of its instants, but for surfaces and the materials of surfaces.
+    /// Hash of everything that decides the frame's pixels at one of its instants, but for surfaces and the materials of
+    /// surfaces.
     pub(crate) fn key_without_surfaces(&self) -> blake3::Hash {
         self.with_scene(self.scene().without_surfaces()).instant_key_of_version(PICTURE_VERSION)
     }

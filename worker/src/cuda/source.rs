@@ -54,8 +54,8 @@ impl KernelSource {
         Self::build(still, samples, together, FastBuilder::UNLIMITED)
     }
 
-    /// Kernel sources of the instants of a frame, all of which have the same text. `block` threads render a pixel, or as
-    /// many as is best.
+    /// Kernel sources of the instants of a frame, all of which have the same text. `together` neighboring threads
+    /// render a pixel's samples, or as many as is best.
     pub(super) fn of_exposure(
         exposure: &Exposure<'_>,
         together: Option<u32>,
