@@ -13,7 +13,7 @@ const POLL_MS = 40;
 export const program = process.argv[2];
 
 /** Environment without flags of the program. */
-const environment = Object.fromEntries(Object.entries(process.env).filter(([name]) => !name.startsWith('SDFARM_')));
+export const environment = Object.fromEntries(Object.entries(process.env).filter(([name]) => !name.startsWith('SDFARM_')));
 
 /** Waits until a function returns something true; what it last returned or threw is in the error. */
 export async function until(what, check, deadline = DEADLINE_MS) {

@@ -3,7 +3,7 @@
 import assert from 'node:assert/strict';
 import { createServer } from 'node:http';
 import { checkAccessibility, inRoom, open } from '../browser.js';
-import { Farm, freePort, smallJob, until } from '../farm.js';
+import { environment, Farm, freePort, program, smallJob, until } from '../farm.js';
 
 const HOSTILE = '<img src=x onerror="document.title=\'owned\'"><script>document.title="owned"</script>';
 
@@ -186,7 +186,7 @@ export async function hostile_names_are_text_in_every_room() {
   assert.equal(await page.title(), `${HOSTILE} – sdfarm`);
   // A worker's name is free text, and so is what it says of an error.
   const { spawn } = await import('node:child_process');
-  const worker = spawn(process.argv[2], ['worker', '--server', farm.address, '--name', HOSTILE, '--device', 'cpu', '--threads', '1'], { stdio: 'ignore' });
+  const worker = spawn(program, ['worker', '--server', farm.address, '--name', HOSTILE, '--device', 'cpu', '--threads', '1'], { env: environment, stdio: 'ignore' });
   try {
     await until('the worker', async () => (await farm.get('/v1/workers')).workers.some((each) => each.name.includes('<img')), 60_000);
     await page.goto(`${farm.address}/#/farm`);
