@@ -106,9 +106,12 @@ impl<'a> Original<'a> {
                 }
             });
             for rect in rects {
-                let request = TileRequest { job: self.job, frame: self.frame, rect };
+                let request = TileRequest { job: self.job, frame: self.frame, rect: self.spec.rendered_for(rect) };
                 match renderer.render(&request, cancel, &|_| ()) {
-                    Ok(tile) => compare(&stored, &tile_values(&self.spec, &tile)?, rect, &mut checked),
+                    Ok(tile) => {
+                        let tile = self.spec.finished_tile(tile, rect);
+                        compare(&stored, &tile_values(&self.spec, &tile)?, rect, &mut checked);
+                    }
                     Err(RenderError::Cancelled) if is_late() && !checked.tiles.is_empty() => break,
                     Err(RenderError::Cancelled) => anyhow::bail!("not even one tile was rendered in time"),
                     Err(other) => return Err(other.into()),
@@ -140,7 +143,7 @@ impl<'a> Original<'a> {
     /// Tiles as a farm renders them: they cover the picture, and are large, so that little is prepared again.
     fn render_tiles(&self) -> Vec<Rect> {
         let image = &self.job.image;
-        let (width, height, samples) = (image.width, image.height, image.samples);
+        let (width, height, samples) = (image.width, image.height, image.samples.max());
         Tiling { width, height, samples, pixel_bytes: image.pixel_bytes(), tile_edge: None }.tiles()
     }
 

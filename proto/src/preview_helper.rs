@@ -242,12 +242,25 @@ pub enum PictureLayer {
     Object,
     /// Steps of the rays, as a heat map.
     Steps,
+    /// Samples of the pixels, as a heat map.
+    Samples,
+    /// The colors before the denoiser.
+    Noisy,
 }
 
 impl PictureLayer {
     /// All of them, in the order of their names in the schema of jobs.
-    pub const ALL: [Self; 7] =
-        [Self::Color, Self::Depth, Self::Normal, Self::Position, Self::Albedo, Self::Object, Self::Steps];
+    pub const ALL: [Self; 9] = [
+        Self::Color,
+        Self::Depth,
+        Self::Normal,
+        Self::Position,
+        Self::Albedo,
+        Self::Object,
+        Self::Steps,
+        Self::Samples,
+        Self::Noisy,
+    ];
 
     /// Its name in JSON.
     pub fn name(self) -> &'static str {
@@ -259,6 +272,8 @@ impl PictureLayer {
             Self::Albedo => "albedo",
             Self::Object => "object",
             Self::Steps => "steps",
+            Self::Samples => "samples",
+            Self::Noisy => "noisy",
         }
     }
 
@@ -272,6 +287,8 @@ impl PictureLayer {
             Self::Albedo => Some(Layer::Albedo),
             Self::Object => Some(Layer::Object),
             Self::Steps => Some(Layer::Steps),
+            Self::Samples => Some(Layer::Samples),
+            Self::Noisy => Some(Layer::Noisy),
         }
     }
 }

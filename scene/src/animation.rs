@@ -29,11 +29,15 @@ pub struct Exposure<'a> {
 }
 
 impl Exposure<'_> {
-    /// The samples of a pixel that are taken at each instant, in the order of the instants.
-    pub fn samples(&self) -> Vec<Range<u32>> {
-        let (samples, count) = (u64::from(self.last().image.samples), self.instants.len() as u64);
-        let first = |instant: u64| (samples * instant / count) as u32;
-        (0..count).map(|instant| first(instant)..first(instant + 1)).collect()
+    /// The samples of a pixel in each round ([`Image::rounds`]), and of them those that are taken at each
+    /// instant, in the order of the instants.
+    pub fn samples(&self) -> Vec<Vec<Range<u32>>> {
+        let count = self.instants.len() as u64;
+        let of_round = |round: Range<u32>| {
+            let first = |instant: u64| round.start + (round.len() as u64 * instant / count) as u32;
+            (0..count).map(|instant| first(instant)..first(instant + 1)).collect()
+        };
+        self.last().image.rounds().into_iter().map(of_round).collect()
     }
 
     /// The last instant, in the middle of the exposure.
@@ -125,9 +129,10 @@ impl Job {
         self.is_animated && self.frames.shutter.get() > 0.0
     }
 
-    /// Number of instants at which a frame is exposed.
+    /// Number of instants at which a frame is exposed, each of which has a sample of every round.
     pub(crate) fn instants(&self) -> u32 {
-        if self.is_blurred() { self.image.samples.min(MAX_INSTANTS) } else { 1 }
+        let first_round = self.image.rounds().first().map_or(1, |round| round.end);
+        if self.is_blurred() { first_round.min(MAX_INSTANTS) } else { 1 }
     }
 
     /// Evaluates the job at the instants of a frame, evenly spread over the time that the shutter is open.

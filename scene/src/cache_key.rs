@@ -5,6 +5,7 @@ use serde::Serialize;
 use crate::PICTURE_VERSION;
 use crate::animation::{Exposure, JobAtFrame};
 use crate::job::{Bits, Crop, Format, Image, Job, Layer, Precision, ToneMap};
+use crate::sample_count::SampleCount;
 use crate::scene::Scene;
 use crate::values::{ExposureStops, FrameRate};
 
@@ -15,7 +16,9 @@ struct CanonicalPixels<'a> {
     scene: &'a Scene,
     width: u32,
     height: u32,
-    samples: u32,
+    samples: &'a SampleCount,
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    denoise: bool,
     seed: u32,
     frame: u32,
     layers: &'a [Layer],
@@ -88,6 +91,7 @@ impl JobAtFrame<'_> {
             height,
             samples,
             seed,
+            denoise,
             layers,
             crop,
             region: _,
@@ -102,7 +106,8 @@ impl JobAtFrame<'_> {
             scene: self.scene(),
             width: *width,
             height: *height,
-            samples: *samples,
+            samples,
+            denoise: *denoise,
             seed: *seed,
             frame: self.frame(),
             layers,
@@ -128,6 +133,7 @@ impl JobAtFrame<'_> {
             height: _,
             samples: _,
             seed: _,
+            denoise: _,
             layers: _,
             region: _,
             crop: _,
@@ -191,7 +197,7 @@ mod tests {
         let changes: [(&Job, Change); 10] = [
             (&png, |image| image.width = 9),
             (&png, |image| image.height = 9),
-            (&png, |image| image.samples = 5),
+            (&png, |image| image.samples = 5.into()),
             (&png, |image| image.seed = 1),
             (&png, |image| image.bits = Bits::Sixteen),
             (&png, |image| image.tone_map = ToneMap::Filmic),

@@ -3,6 +3,7 @@
 
 mod by_cells;
 mod emitters;
+mod guides;
 mod light_path;
 mod lighting;
 mod media;
@@ -32,6 +33,7 @@ use crate::transport::{PathSettings, Transport};
 use crate::visible::RayKind;
 use crate::visits::Visits;
 use emitters::Emitters;
+pub use guides::Guides;
 use media::Media;
 use ray_kinds::CallNames;
 use scene_distance::AlongRay;
@@ -72,7 +74,7 @@ pub struct Integrator<'a> {
     resolution: Tolerance,
     /// Maximum of half the edge of the tetrahedron for normals.
     normal_epsilon: Tolerance,
-    /// Half the height that a sample covers: half a pixel's height over the square root of the number of samples.
+    /// Half the height that a sample covers: half a pixel's height over the square root of the least number of samples.
     seen: Tolerance,
     /// Indices of the surfaces with fine detail, whose normals are averaged over a pixel.
     fine: Vec<usize>,
@@ -118,6 +120,8 @@ pub struct Aovs<R> {
     pub object: R,
     /// Steps of the march.
     pub steps: R,
+    /// Greatest number of samples of the pixel.
+    pub samples: R,
 }
 
 /// A hit: a point on a surface.
@@ -210,10 +214,10 @@ impl<'a> Integrator<'a> {
             tolerance: view.tolerance(),
             resolution: view.resolution(),
             normal_epsilon: view.normal_epsilon(),
-            seen: view.footprint().scaled(1.0 / Real::sqrt(image.samples as f32)),
+            seen: view.footprint().scaled(1.0 / Real::sqrt(image.samples.min() as f32)),
             view,
             origin: image.origin(),
-            samples: image.samples,
+            samples: image.samples.max(),
             frame_key: frame_key(image.seed, still.frame()),
         }
     }
@@ -277,7 +281,8 @@ impl<'a> Integrator<'a> {
             let albedo = self.albedo(&hit, &ray, object);
             (hit.t, hit.normal, ray.at(hit.t), albedo, object)
         });
-        Aovs { depth, normal, position, albedo, object, steps: marched.steps }
+        let samples = x.uniform(self.samples as f32);
+        Aovs { depth, normal, position, albedo, object, steps: marched.steps, samples }
     }
 
     /// Ray of a sample of a pixel: through its center if it is the only one.

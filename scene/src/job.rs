@@ -2,12 +2,14 @@
 
 mod region;
 
+use std::ops::Range;
 use std::sync::Arc;
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Deserializer, Serialize};
 
-use crate::limits::{MAX_EDGE_PX, MAX_FRAMES, MAX_SAMPLES};
+use crate::limits::{MAX_EDGE_PX, MAX_FRAMES};
+use crate::sample_count::SampleCount;
 use crate::scene::Scene;
 use crate::seek::Seek;
 use crate::shapes::WrittenNodes;
@@ -53,13 +55,16 @@ pub struct Image {
     #[schemars(range(min = 1, max = MAX_EDGE_PX))]
     pub height: u32,
     /// Rays per pixel.
-    #[serde(default = "default_samples", deserialize_with = "samples")]
-    #[schemars(range(min = 1, max = MAX_SAMPLES))]
-    pub samples: u32,
+    #[serde(default = "default_samples")]
+    pub samples: SampleCount,
     /// Seed of the sampler: another seed gives other noise.
     #[serde(default, deserialize_with = "seed")]
     #[schemars(range(min = 0, max = u32::MAX))]
     pub seed: u32,
+    /// Whether the denoiser averages the light of neighboring pixels that see the same surface, as far as noise explains
+    /// the difference between them.
+    #[serde(default)]
+    pub denoise: bool,
     /// File format.
     #[serde(default)]
     pub format: Format,
@@ -147,6 +152,10 @@ pub enum Layer {
     Object,
     /// `steps`: steps of the march.
     Steps,
+    /// `samples`: the samples of the pixel, which differ with adaptive ones.
+    Samples,
+    /// `noisy.R noisy.G noisy.B`: the colors before the denoiser.
+    Noisy,
 }
 
 /// Number and rate of the pictures.
@@ -163,6 +172,19 @@ pub struct Frames {
     /// time of the frame.
     pub shutter: Shutter,
 }
+
+/// The channels of a rendered pixel that only the denoiser reads: albedo, normal and inverse depth
+/// ([`crate::integrator::Guides`]), and the standard error of the brightness.
+pub const GUIDE_CHANNELS: [&str; 8] = [
+    "guide.albedo.R",
+    "guide.albedo.G",
+    "guide.albedo.B",
+    "guide.normal.X",
+    "guide.normal.Y",
+    "guide.normal.Z",
+    "guide.inverse_depth",
+    "guide.error",
+];
 
 impl Default for Frames {
     fn default() -> Self {
@@ -191,6 +213,8 @@ impl Layer {
             Self::Albedo => &["albedo.R", "albedo.G", "albedo.B"],
             Self::Object => &["id"],
             Self::Steps => &["steps"],
+            Self::Samples => &["samples"],
+            Self::Noisy => &["noisy.R", "noisy.G", "noisy.B"],
         }
     }
 }
@@ -202,9 +226,45 @@ impl Image {
         ["R", "G", "B", "A"].iter().chain(layers).copied().collect()
     }
 
-    /// Bytes of a finished pixel, each channel an `f32`.
+    /// The channels of a rendered pixel: those of a finished one, and [`GUIDE_CHANNELS`] if the picture is denoised.
+    pub fn rendered_channels(&self) -> Vec<&'static str> {
+        let guides = self.is_denoised().then_some(GUIDE_CHANNELS);
+        self.channels().into_iter().chain(guides.into_iter().flatten()).collect()
+    }
+
+    /// Whether it is denoised: a preview may have too few samples for that.
+    pub fn is_denoised(&self) -> bool {
+        self.denoise && self.samples.max() > 1
+    }
+
+    /// Whether a rendered pixel has more channels than its color.
+    pub fn has_layers(&self) -> bool {
+        self.rendered_channels().len() > 4
+    }
+
+    /// The samples of each round. All pixels have those of the first two.
+    pub fn rounds(&self) -> Vec<Range<u32>> {
+        match self.samples {
+            // The difference of its halves tells a pixel's noise.
+            SampleCount::Fixed(count) if self.is_denoised() => vec![0..count / 2, count / 2..count],
+            _ => self.samples.rounds(),
+        }
+    }
+
+    /// Index among the rendered channels of the standard error of the brightness, if the picture is denoised.
+    pub fn error_plane(&self) -> Option<usize> {
+        self.is_denoised().then(|| self.rendered_channels().len() - 1)
+    }
+
+    /// Index among the channels of the number of samples, if that is stored.
+    pub fn samples_plane(&self) -> Option<usize> {
+        let name = Layer::Samples.channels()[0];
+        self.channels().iter().position(|channel| *channel == name)
+    }
+
+    /// Bytes of a rendered pixel, each channel an `f32`.
     pub fn pixel_bytes(&self) -> u32 {
-        4 * self.channels().len() as u32
+        4 * self.rendered_channels().len() as u32
     }
 
     /// Whether a display transform is applied to the scene's light.
@@ -212,9 +272,9 @@ impl Image {
         self.exposure.get() != 0.0 || self.exposure.is_animated() || self.tone_map != ToneMap::None
     }
 
-    /// Camera rays of a picture.
+    /// Camera rays of a picture: with adaptive samples, as many as it may have.
     pub fn rays(&self) -> u64 {
-        self.pixels() * u64::from(self.samples)
+        self.pixels() * u64::from(self.samples.max())
     }
 
     /// Number of pixels.
@@ -288,16 +348,12 @@ fn default_exposure() -> ExposureStops {
     ExposureStops::new(0.0).expect("0 is in range")
 }
 
-fn default_samples() -> u32 {
-    4
+fn default_samples() -> SampleCount {
+    SampleCount::Fixed(4)
 }
 
 fn image_edge<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u32, D::Error> {
     integer_in_range(deserializer, 1, MAX_EDGE_PX, "pixels")
-}
-
-fn samples<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u32, D::Error> {
-    integer_in_range(deserializer, 1, MAX_SAMPLES, "samples")
 }
 
 fn seed<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u32, D::Error> {

@@ -36,6 +36,7 @@ mod pick;
 pub mod profiles;
 mod provenance;
 pub mod real;
+pub mod sample_count;
 pub mod sampling;
 pub mod scene;
 pub mod schema;
@@ -58,6 +59,7 @@ pub use job::{Bits, Crop, Format, Frames, Image, Job, Layer, Precision, Region, 
 pub use parse::{error_in_frame, parse, plain_json, set_value};
 pub use pick::{Pick, pick};
 pub use provenance::Provenance;
+pub use sample_count::{AdaptiveSamples, SampleCount};
 pub use scene::Scene;
 pub use schema::{editor_schema, schema};
 

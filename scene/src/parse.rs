@@ -31,12 +31,13 @@ use serde::de::IgnoredAny;
 use crate::animation::{FrameError, frames_to_check};
 use crate::document::{JobDocument, NamedShapes, Resolved};
 use crate::error::{ParseError, ValidationError};
-use crate::job::{Format, Job, ToneMap};
+use crate::job::{Format, Job, Layer, ToneMap};
 use crate::json_scan::{self, ScanError, ScanErrorKind};
 use crate::lights::PlacedLight;
 use crate::limits::{
     MAX_JSON_DEPTH, MAX_KEY_BYTES, MAX_LIGHTS, MAX_MATERIALS, MAX_NAME_CHARS, MAX_NODE_DEPTH, MAX_PIXELS, MAX_RAYS,
 };
+use crate::sample_count::AdaptiveSamples;
 use crate::seek::{FrameTime, Seek};
 
 /// Maximum number of errors in one response.
@@ -314,6 +315,23 @@ fn image(document: &JobDocument, fault: &mut impl FnMut(&str, String)) {
         fault(
             "/image",
             format!("has {rays} rays: a job may have at most {MAX_RAYS}; use fewer pixels, samples or frames"),
+        );
+    }
+    if let Some((key, message)) = image.samples.adaptive().and_then(AdaptiveSamples::error_between) {
+        fault(&format!("/image/samples/adaptive/{key}"), message);
+    }
+    if image.denoise && image.samples.max() < 2 {
+        fault(
+            "/image/denoise",
+            "needs 2 samples or more, whose difference tells their noise: set samples to 16, or leave denoise out"
+                .to_owned(),
+        );
+    }
+    let noisy = image.layers.iter().position(|layer| *layer == Layer::Noisy);
+    if let Some(index) = noisy.filter(|_| !image.denoise) {
+        fault(
+            &format!("/image/layers/{index}"),
+            "has the colors before the denoiser: set denoise to true, or leave this layer out".to_owned(),
         );
     }
     if image.format == Format::Png && !image.layers.is_empty() {

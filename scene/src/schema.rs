@@ -337,7 +337,10 @@ mod tests {
     fn words_become_an_enum_with_descriptions() {
         let schema = schema();
         let layer = &schema["$defs"]["Layer"];
-        assert_eq!(layer["enum"], json!(["depth", "normal", "position", "albedo", "object", "steps"]));
+        assert_eq!(
+            layer["enum"],
+            json!(["depth", "normal", "position", "albedo", "object", "steps", "samples", "noisy"])
+        );
         assert!(
             layer["description"].as_str().is_some_and(|about| about.contains("- `\"depth\"`: `Z`: distance")),
             "{layer}"

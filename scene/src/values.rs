@@ -272,6 +272,9 @@ constant_numbers! {
     /// The time that a shutter is open, as a fraction of a frame.
     Shutter: |v| (0.0..=1.0).contains(&v), "a fraction of a frame from 0 to 1",
         { "type": "number", "minimum": 0, "maximum": 1, "description": "The time that the shutter is open, as a fraction of a frame." };
+    /// Error of a pixel, on the scale of a display from 0 to 1.
+    ErrorGoal: |v| (0.0001..=1.0).contains(&v), "an error from 0.0001 to 1",
+        { "type": "number", "minimum": 0.0001, "maximum": 1, "description": "Error of a pixel, on the scale of a display from 0 to 1." };
     /// A coordinate or an offset that is the same in all frames, in scene units.
     ConstantCoordinate: |v| v.abs() <= MAX_LENGTH, "within ±1e6",
         { "type": "number", "minimum": -1e6, "maximum": 1e6, "description": "A coordinate or an offset, in scene units, the same in all frames." };
@@ -335,9 +338,13 @@ pub(crate) fn integer_in_range<'de, D: Deserializer<'de>>(
     high: u32,
     what: &str,
 ) -> Result<u32, D::Error> {
-    let value = integer(d)?;
+    in_range(integer(d)?, low, high, what)
+}
+
+/// An integer `what`, if it is from `low` to `high`.
+pub(crate) fn in_range<E: Error>(value: i64, low: u32, high: u32, what: &str) -> Result<u32, E> {
     u32::try_from(value)
         .ok()
         .filter(|value| (low..=high).contains(value))
-        .ok_or_else(|| D::Error::custom(format_args!("must be {low} to {high} {what}, not {value}")))
+        .ok_or_else(|| E::custom(format_args!("must be {low} to {high} {what}, not {value}")))
 }

@@ -29,7 +29,7 @@ impl TilePlan {
         Self {
             width_px: job.image.width,
             height_px: job.image.height,
-            samples: job.image.samples,
+            samples: job.image.samples.max(),
             pixel_bytes: job.image.pixel_bytes(),
             edge_px,
             frames: job.frames.count,

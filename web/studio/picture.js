@@ -13,6 +13,8 @@ const LAYERS = /** @type {const} */ ([
   ['albedo', 'Albedo'],
   ['object', 'Objects'],
   ['steps', 'Steps'],
+  ['samples', 'Samples'],
+  ['noisy', 'Before the denoiser'],
   ['position', 'Positions'],
 ]);
 

@@ -1,5 +1,6 @@
 //! The CPU renderer: rayon over small blocks of a tile, one packet of pixels at a time.
 
+mod blocks;
 mod evaluator;
 mod kernels;
 mod packets;
@@ -8,11 +9,13 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 use rayon::{ThreadPool, ThreadPoolBuilder};
+use scene::sample_count::BLOCK_PX;
 use scene::visits::Visited;
 use scene::{Exposure, Integrator, Job};
 
 use crate::cells::FastBuilder;
 use crate::picture_tape::{EVALUATIONS, record_evaluations};
+use crate::rounds::Rounds;
 use crate::simd::Simd;
 use crate::{CancelFlag, RenderError, Renderer, TilePixels, TileRequest};
 use kernels::{Kernel, KernelCache};
@@ -73,7 +76,7 @@ impl CpuRenderer {
         let tape = record_evaluations(&run.job.at(run.frame)?);
         let evaluator = Evaluator::new(&tape, self.simd)?;
         let (inputs, lanes) = (evaluator.inputs(&tape), evaluator.lanes());
-        let (cancel, samples) = (CancelFlag::new(), run.job.image.samples);
+        let (cancel, samples) = (CancelFlag::new(), run.job.image.samples.max());
         let of_row = |row: u32| {
             let (mut frame, mut sum) = (evaluator.frame(), 0);
             let (mut place, mut counts) = (vec![row as f32; 4 * lanes], vec![0.0; lanes]);
@@ -145,12 +148,13 @@ impl CpuRenderer {
         progress: &(dyn Fn(u64) + Sync),
     ) -> Result<TilePixels, RenderError> {
         let (left, width) = (run.rect.x, run.rect.width as usize);
-        let mut pixels = TilePixels::zeroed(run.rect, run.job.image.channels().len());
-        let (height, samples) = (block(kernel.lanes()).1, exposure.samples());
+        let mut pixels = TilePixels::zeroed(run.rect, run.job.image.rendered_channels().len());
+        let (rounds, samples) = (Rounds::of(exposure.last().image()), exposure.samples());
+        let height = if rounds.is_some() { BLOCK_PX as usize } else { block(kernel.lanes()).1 };
         let band = |(index, planes)| {
             let top = run.rect.y + (index * height) as u32;
-            let progress = Progress::new(progress);
-            Band { samples: &samples, left, top, width, planes, progress, cancel: cancel.flag() }
+            let (progress, cancel) = (Progress::new(progress), cancel.flag());
+            Band { samples: &samples, rounds, left, top, width, planes, progress, cancel }
         };
         let bands = bands(&mut pixels.planes, width * height).into_iter().enumerate().map(band).collect();
         self.render_bands(exposure, kernel, bands, cancel)?;

@@ -4,6 +4,7 @@
 //! Only `cuda/device.rs`, `cuda/device/table.rs` and `cuda/compiler.rs` are unsafe; this module has no formula of a
 //! picture.
 
+mod active_blocks;
 mod cache;
 mod cells;
 mod compiler;
@@ -224,7 +225,7 @@ impl CudaRenderer {
         let start = Instant::now();
         let division = source.division.as_ref().map(|text| self.division_kernels(text, cancel)).transpose()?;
         // A cached kernel that cannot be loaded, for example by another driver, is compiled again.
-        let has_layers = !sample.job.image.layers.is_empty();
+        let has_layers = sample.job.image.has_layers();
         let load = |code: &[u8]| self.device.load(code, source.together, has_layers, division.as_ref());
         let kept = self.cache.get(key).and_then(|kept| Some((load(&kept.code).ok()?, kept.block)));
         let was_kept = kept.is_some();

@@ -72,7 +72,8 @@ pub fn render_frame(
 fn tiles(job: &Job, edge: Option<u32>) -> Vec<Rect> {
     let image = &job.image;
     let pixel_bytes = image.pixel_bytes();
-    Tiling { width: image.width, height: image.height, samples: image.samples, pixel_bytes, tile_edge: edge }.tiles()
+    Tiling { width: image.width, height: image.height, samples: image.samples.max(), pixel_bytes, tile_edge: edge }
+        .tiles()
 }
 
 fn frame_bytes(job: &Job) -> u64 {

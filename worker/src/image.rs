@@ -10,7 +10,10 @@ pub mod stored;
 
 use std::io::{self, Seek, Write};
 
+use proto::Rect;
+
 use ::scene::color::DisplayTransform;
+use ::scene::sample_count::BLOCK_PX;
 use ::scene::{Bits, Format, JobAtFrame, Precision};
 
 pub use encoders::{EncodeThreads, Encoders};
@@ -20,7 +23,8 @@ pub use scene::Provenance;
 /// Name of the PNG chunk and of the EXR attribute that store a picture's provenance.
 pub const PROVENANCE_KEYWORD: &str = "sdfarm";
 
-use crate::renderer::CancelFlag;
+use crate::denoise::{DenoisedPlanes, DenoisedRows, MARGIN_PX};
+use crate::renderer::{CancelFlag, TilePixels};
 use crate::stitch::{RowSource, StitchError};
 use crate::tape::InvalidTape;
 
@@ -43,6 +47,8 @@ pub struct PictureSpec {
     pub display_transform: DisplayTransform,
     /// Alpha is 1 in every pixel.
     pub opaque: bool,
+    /// The planes that the denoiser reads and replaces, if the picture is denoised.
+    denoised: Option<DenoisedPlanes>,
     /// Camera matrices and frame rate for the header of an EXR.
     pub metadata: Metadata,
     /// Provenance.
@@ -62,8 +68,32 @@ impl PictureSpec {
             precision: image.precision,
             display_transform: DisplayTransform::new(image),
             opaque: !still.scene().is_transparent(),
+            denoised: DenoisedPlanes::of(image),
             metadata: Metadata::new(still),
             provenance: Provenance::new(still),
+        }
+    }
+
+    /// The pixels that must be rendered for those of a rectangle: more if the denoiser reads its neighbors.
+    pub fn rendered_for(&self, rect: Rect) -> Rect {
+        if self.denoised.is_none() {
+            return rect;
+        }
+        // Blocks of adaptive samples begin at multiples of their size.
+        let reach = MARGIN_PX.next_multiple_of(BLOCK_PX);
+        let (x, y) = (rect.x.saturating_sub(reach), rect.y.saturating_sub(reach));
+        let end = |start: u32, length: u32, edge: u32| {
+            (start + length).next_multiple_of(BLOCK_PX).saturating_add(reach).min(edge)
+        };
+        let (right, bottom) = (end(rect.x, rect.width, self.width), end(rect.y, rect.height, self.height));
+        Rect { x, y, width: right - x, height: bottom - y }
+    }
+
+    /// The pixels of a rectangle, from those of [`Self::rendered_for`].
+    pub fn finished_tile(&self, rendered: TilePixels, rect: Rect) -> TilePixels {
+        match self.denoised {
+            None => rendered,
+            Some(planes) => planes.finished_tile(rendered, rect),
         }
     }
 
@@ -86,6 +116,14 @@ impl PictureSpec {
         out: &mut (impl Write + Seek + Send),
         cancel: &CancelFlag,
     ) -> Result<(), ImageError> {
+        let mut denoised;
+        let source = match self.denoised {
+            None => source,
+            Some(planes) => {
+                denoised = DenoisedRows::new(source, planes, self.width);
+                &mut denoised
+            }
+        };
         match self.format {
             Format::Png => png::write(self, threads, source, out, cancel, png::band_rows(threads)),
             Format::Exr => exr::write(self, threads, source, out, cancel, exr::band_rows(self, threads)),

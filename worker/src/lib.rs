@@ -11,6 +11,7 @@ mod c_program;
 pub mod cells;
 pub mod cpu;
 pub mod cuda;
+mod denoise;
 pub mod frame;
 pub mod image;
 mod picture_tape;
@@ -19,6 +20,7 @@ mod portable;
 mod random_formula;
 mod recent;
 pub mod renderer;
+mod rounds;
 pub mod simd;
 #[cfg(test)]
 #[path = "../../tests/skip.rs"]

@@ -1,10 +1,10 @@
 //! Records the formulas of a picture, for every compiler.
 
 use scene::color::{DisplayTransform, level_of_256, srgb_from_linear};
-use scene::integrator::{Aovs, Radiance};
+use scene::integrator::{Aovs, Guides, Radiance};
 use scene::real::{Real, vec3};
 use scene::sampling::thresholds;
-use scene::{Integrator, JobAtFrame, Layer};
+use scene::{Image, Integrator, JobAtFrame, Layer};
 
 use crate::cells::FastBuilder;
 use crate::tape::{Expr, Recording, Tape, record};
@@ -36,8 +36,8 @@ pub(crate) fn record_entries(program: &Integrator<'_>, still: &JobAtFrame<'_>) -
     record(|recording| {
         accumulate(recording, program);
         recording.entry(MEAN, |all| channels(program.mean(sum(all))).to_vec());
-        if !image.layers.is_empty() {
-            recording.entry(LAYERS, |[x, y]| layer_channels(&program.aovs(x, y), &image.layers));
+        if image.has_layers() {
+            recording.entry(LAYERS, |[x, y]| layer_channels(program, image, x, y));
         }
     })
 }
@@ -92,12 +92,30 @@ pub(crate) fn channels<R: Real>(light: Radiance<R>) -> [R; 4] {
     [light.color.x, light.color.y, light.color.z, light.alpha]
 }
 
-/// The channels of layers.
-pub(crate) fn layer_channels<R: Real>(met: &Aovs<R>, layers: &[Layer]) -> Vec<R> {
+/// The channels of a pixel's layers, and what guides the denoiser.
+pub(crate) fn layer_channels<R: Real>(program: &Integrator<'_>, image: &Image, x: R, y: R) -> Vec<R> {
+    let mut channels = Vec::new();
+    if !image.layers.is_empty() {
+        channels.extend(channels_of(&program.aovs(x, y), &image.layers));
+    }
+    if image.is_denoised() {
+        let Guides { albedo, normal, inverse_depth } = program.guides(x, y);
+        channels.extend(<[_; 3]>::from(albedo));
+        channels.extend(<[_; 3]>::from(normal));
+        // The error follows from the samples.
+        channels.extend([inverse_depth, x.constant(0.0)]);
+    }
+    channels
+}
+
+fn channels_of<R: Real>(met: &Aovs<R>, layers: &[Layer]) -> Vec<R> {
     let of_layer = |&layer: &Layer| match layer {
         Layer::Depth => vec![met.depth],
         Layer::Object => vec![met.object],
         Layer::Steps => vec![met.steps],
+        Layer::Samples => vec![met.samples],
+        // The denoiser replaces them.
+        Layer::Noisy => vec![met.samples.constant(0.0); 3],
         Layer::Normal => <[_; 3]>::from(met.normal).to_vec(),
         Layer::Position => <[_; 3]>::from(met.position).to_vec(),
         Layer::Albedo => <[_; 3]>::from(met.albedo).to_vec(),

@@ -48,6 +48,11 @@ impl RowBand {
         band
     }
 
+    /// The planes of its rows.
+    pub(crate) fn into_planes(self) -> Vec<Vec<f32>> {
+        self.planes
+    }
+
     /// One row of one plane, to be written; the row is counted from the band's top.
     pub(crate) fn row_mut(&mut self, plane: usize, row: usize) -> &mut [f32] {
         &mut self.planes[plane][row * self.width..][..self.width]

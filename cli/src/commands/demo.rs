@@ -74,7 +74,7 @@ pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
         arguments.scene,
         image.width,
         image.height,
-        counted(image.samples, "sample")
+        counted(image.samples.max(), "sample")
     ));
     let start = Instant::now();
 

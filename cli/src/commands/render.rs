@@ -118,7 +118,7 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
             frame: *frame,
             width: job.image.width,
             height: job.image.height,
-            samples: job.image.samples,
+            samples: job.image.samples.max(),
             device: renderer.device(),
             render_ms: rounding::seconds(times.render.as_secs_f64() * 1e3),
             encode_ms: rounding::seconds(times.encode.as_secs_f64() * 1e3),
@@ -202,7 +202,7 @@ pub(crate) fn check_frame(job: &Job, frame: u32) -> anyhow::Result<()> {
 }
 
 fn rays(job: &Job) -> u64 {
-    u64::from(job.image.width) * u64::from(job.image.height) * u64::from(job.image.samples)
+    u64::from(job.image.width) * u64::from(job.image.height) * u64::from(job.image.samples.max())
 }
 
 /// Makes the first signal a cancel, and the second one delete the temporary file and end the process.

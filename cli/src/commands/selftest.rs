@@ -135,14 +135,14 @@ fn with_layers(mut job: Job, width: Option<u32>) -> Job {
     job.image.layers = LAYERS.to_vec();
     if let Some(width) = width {
         let height = (job.image.height * width / job.image.width).max(1);
-        job.image = Image { width, height, samples: 2, ..job.image };
+        job.image = Image { width, height, samples: 2.into(), ..job.image };
     }
     job
 }
 
 fn render(renderer: &dyn Renderer, job: &Job, edge: Option<u32>) -> Result<Vec<TilePixels>, RenderError> {
     let image = &job.image;
-    let (width, height, samples, pixel_bytes) = (image.width, image.height, image.samples, image.pixel_bytes());
+    let (width, height, samples, pixel_bytes) = (image.width, image.height, image.samples.max(), image.pixel_bytes());
     let rects = Tiling { width, height, samples, pixel_bytes, tile_edge: edge }.tiles();
     let runs: Vec<TileRequest<'_>> = rects.into_iter().map(|rect| TileRequest { job, frame: 0, rect }).collect();
     renderer.render_tiles(&runs, &CancelFlag::new(), &|_| {})

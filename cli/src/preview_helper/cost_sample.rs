@@ -89,7 +89,7 @@ fn measure(job: &Job, frame: u32, renderers: &[CpuRenderer], limit: Duration) ->
     let picture = PictureSpec::new(&still);
     let mut job = job.clone();
     if job.image.layers.is_empty() {
-        job.image.samples = job.image.samples.min(MAX_SAMPLES);
+        job.image.samples = job.image.samples.max().min(MAX_SAMPLES).into();
     }
     let program_start = Instant::now();
     let moved = job.at(frame)?;
@@ -101,7 +101,7 @@ fn measure(job: &Job, frame: u32, renderers: &[CpuRenderer], limit: Duration) ->
         // Cells are made by one ray a pixel nearly as much as by several, so that this reaches more of them.
         let mut single = job.clone();
         if single.image.layers.is_empty() {
-            single.image.samples = 1;
+            single.image.samples = 1.into();
         }
         first.has_cells(&single, frame)?;
         let making = Pass::render(&single, frame, renderers, limit / 2, &rects)?;

@@ -8,9 +8,9 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, bail, ensure};
 use proto::Rect;
-use proto::preview_helper::{AboutPicture, Drawing, HelperPicture};
+use proto::preview_helper::{AboutPicture, Drawing, HelperPicture, PictureLayer};
 use scene::color::DisplayTransform;
-use scene::{Format, Image, Job};
+use scene::{Format, Image, Job, Layer};
 use worker::image::{Encoders, PictureSpec};
 use worker::stitch::TileRows;
 use worker::{CancelFlag, CpuRenderer, RenderError, Renderer, Simd, TilePixels, TileRequest};
@@ -48,12 +48,12 @@ pub(super) fn draw(mut job: Job, frame: u32, drawing: &Drawing) -> anyhow::Resul
         job.image = resized(&written, drawing, width_px);
         let is_last = width_px <= LAST_PX;
         if is_last && width_px < whole.width {
-            job.image.samples = 1;
+            job.image.samples = 1.into();
         }
         let attempt = Attempt { limit: if is_last { limit + LAST_MORE } else { limit }, gives_up_early: !is_last };
         match attempt.render(&renderer, &job, frame)? {
             Outcome::Finished(pixels) => {
-                let pictured = Pictured { job: &job, frame, drawing, pixels };
+                let pictured = Pictured { job: &job, frame, pixels };
                 return if width_px == whole.width {
                     pictured.exactly(renderer.threads())
                 } else {
@@ -79,8 +79,12 @@ fn resized(written: &Image, drawing: &Drawing, width_px: u32) -> Image {
     let columns = u64::from(width_px).min((MAX_HEIGHT_PX * width / height).max(1));
     let rows = ((height * columns * 2 + width) / (width * 2)).clamp(1, MAX_HEIGHT_PX);
     image.resize(columns as u32, rows as u32);
-    image.samples = drawing.samples;
-    (image.format, image.layers) = match drawing.layer.of_exr() {
+    // Where adaptive samples went is seen with these alone.
+    if drawing.layer != PictureLayer::Samples {
+        image.samples = drawing.samples.into();
+    }
+    image.denoise &= drawing.layer == PictureLayer::Color;
+    (image.format, image.layers) = match drawing.layer.of_exr().filter(|layer| *layer != Layer::Noisy) {
         None => (Format::Png, Vec::new()),
         Some(layer) => (Format::Exr, vec![layer]),
     };
@@ -140,11 +144,10 @@ impl Attempt {
     }
 }
 
-/// Pixels of a frame, and what they are to show.
+/// Pixels of a frame.
 struct Pictured<'a> {
     job: &'a Job,
     frame: u32,
-    drawing: &'a Drawing,
     pixels: TilePixels,
 }
 
@@ -152,15 +155,18 @@ impl Pictured<'_> {
     /// The picture that a job of this size has.
     fn exactly(&self, threads: usize) -> anyhow::Result<HelperPicture> {
         if let Some(picture) = self.layer()? {
-            return picture.encode(self.pixels.rect.width, self.job.image.samples);
+            return picture.encode(self.pixels.rect.width, self.job.image.samples.max());
         }
         let spec = PictureSpec::new(&self.job.at(self.frame)?);
         let mut png = Cursor::new(Vec::new());
         let tiles = std::slice::from_ref(&self.pixels);
         Encoders::new(threads)?
             .run(|threads| spec.write_on(threads, &mut TileRows(tiles), &mut png, &CancelFlag::new()))?;
-        let about =
-            AboutPicture { rendered_px: spec.width, samples: self.job.image.samples, range: [Vec::new(), Vec::new()] };
+        let about = AboutPicture {
+            rendered_px: spec.width,
+            samples: self.job.image.samples.max(),
+            range: [Vec::new(), Vec::new()],
+        };
         Ok(HelperPicture { about, png: png.into_inner() })
     }
 
@@ -168,20 +174,21 @@ impl Pictured<'_> {
     fn scaled_up(&self, whole: &Image) -> anyhow::Result<HelperPicture> {
         let rendered_px = self.pixels.rect.width;
         if let Some(picture) = self.layer()? {
-            return picture.scaled_up(whole.width, whole.height).encode(rendered_px, self.job.image.samples);
+            return picture.scaled_up(whole.width, whole.height).encode(rendered_px, self.job.image.samples.max());
         }
         let still = self.job.at(self.frame)?;
         let (transform, opaque) = (DisplayTransform::new(still.image()), !still.scene().is_transparent());
         let canvas = Canvas::new(whole.width, whole.height, whole.width);
         let scaled = coarse::scaled(&self.pixels, transform, opaque, canvas.size());
         ensure!(scaled.is_some(), "the pixels are not those of the frame");
-        let about = AboutPicture { rendered_px, samples: self.job.image.samples, range: [Vec::new(), Vec::new()] };
+        let about =
+            AboutPicture { rendered_px, samples: self.job.image.samples.max(), range: [Vec::new(), Vec::new()] };
         Ok(HelperPicture { about, png: canvas.png(scaled.as_ref())? })
     }
 
     /// The layer as a picture; `None` for colors.
     fn layer(&self) -> anyhow::Result<Option<LayerPicture>> {
-        let Some(layer) = self.drawing.layer.of_exr() else { return Ok(None) };
+        let Some(&layer) = self.job.image.layers.first() else { return Ok(None) };
         let colors = self.pixels.planes.len().checked_sub(layer.channels().len());
         let planes = colors.map(|colors| &self.pixels.planes[colors..]).context("the frame lacks the layer")?;
         let Rect { width, height, .. } = self.pixels.rect;
@@ -191,8 +198,6 @@ impl Pictured<'_> {
 
 #[cfg(test)]
 mod tests {
-    use proto::preview_helper::PictureLayer;
-
     use super::*;
 
     fn image(width: u32, height: u32) -> Image {
@@ -204,7 +209,7 @@ mod tests {
         let drawing = |width_px| Drawing { width_px, samples: 3, layer: PictureLayer::Color, limit_ms: 500 };
         let size = |[width, height]: [u32; 2], width_px| {
             let image = resized(&image(width, height), &drawing(width_px), width_px);
-            assert_eq!((image.samples, image.layers.len()), (3, 0));
+            assert_eq!((image.samples.max(), image.layers.len()), (3, 0));
             [image.width, image.height]
         };
         assert_eq!(size([1920, 1080], 480), [480, 270]);

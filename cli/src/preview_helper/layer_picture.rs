@@ -52,9 +52,9 @@ pub(super) fn shown(layer: Layer, planes: &[Vec<f32>], [width, height]: [u32; 2]
                 if most > least { (position[axis] - least) / (most - least) } else { 0.5 }
             }),
         },
-        Layer::Albedo => triple(index).map(srgb_from_linear),
+        Layer::Albedo | Layer::Noisy => triple(index).map(srgb_from_linear),
         Layer::Object => object_color(channel(0, index)),
-        Layer::Steps => heat(if range[1][0] > 0.0 { channel(0, index) / range[1][0] } else { 0.0 }),
+        Layer::Steps | Layer::Samples => heat(if range[1][0] > 0.0 { channel(0, index) / range[1][0] } else { 0.0 }),
     };
     let pixels = RgbImage::from_fn(width, height, |x, y| {
         let byte = |level: f32| if level.is_nan() { 0 } else { (level.clamp(0.0, 1.0) * 255.0 + 0.5) as u8 };
@@ -103,8 +103,8 @@ fn range(layer: Layer, planes: &[Vec<f32>]) -> [Vec<f32>; 2] {
             };
             planes.iter().map(inner).collect()
         }
-        Layer::Steps => vec![[0.0, ends(&planes[0])[1]]],
-        Layer::Normal | Layer::Albedo | Layer::Object => Vec::new(),
+        Layer::Steps | Layer::Samples => vec![[0.0, ends(&planes[0])[1]]],
+        Layer::Normal | Layer::Albedo | Layer::Object | Layer::Noisy => Vec::new(),
     };
     [0, 1].map(|end| each.iter().map(|ends| ends[end]).collect())
 }

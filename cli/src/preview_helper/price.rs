@@ -17,7 +17,7 @@ use super::cost_sample::sample;
 pub(crate) fn price(text: &str, job: &Job, threads: usize, plan: PricePlan) -> anyhow::Result<PriceSample> {
     let cost = sample(job, threads, plan.sample_ms)?;
     let image = &job.image;
-    let (width, height, samples) = (image.width, image.height, image.samples);
+    let (width, height, samples) = (image.width, image.height, image.samples.max());
     let tiling = Tiling { width, height, samples, pixel_bytes: image.pixel_bytes(), tile_edge: None };
     let frames = u64::from(job.frames.count);
     let (rays, tiles) = (job.rays_per_frame() * frames, tiling.tiles().len() as u64 * frames);

@@ -68,7 +68,7 @@ fn genuine(path: &PathBuf, kind: Kind, renderer: &CpuRenderer) -> Genuine {
     let mut job = scene::parse(&std::fs::read(path).expect("readable")).expect("a valid job");
     let image = &mut job.image;
     image.resize(88, 70);
-    image.samples = 1;
+    image.samples = 1.into();
     image.layers.clear();
     (image.format, image.bits, image.precision) = match kind {
         Kind::Png8 => (Format::Png, Bits::Eight, Precision::Half),

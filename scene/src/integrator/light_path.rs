@@ -192,7 +192,7 @@ impl Integrator<'_> {
 
     /// Tolerance at the start of a ray from a hit. Roots of smooth surfaces are exact, and the ray starts as near to them
     /// as rounding and speed allow, so that light from nearby does not shift.
-    fn start_tolerance<R: Real>(&self, hit: &Hit<R>) -> R {
+    pub(super) fn start_tolerance<R: Real>(&self, hit: &Hit<R>) -> R {
         let Tolerance { slope, floor } = self.tolerance;
         let t = hit.t;
         if !self.fine.is_empty() {

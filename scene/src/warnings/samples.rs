@@ -5,6 +5,7 @@ use serde_json::Value;
 use crate::job::{Bits, Format, Image};
 use crate::lights::Light;
 use crate::materials::Shade;
+use crate::sample_count::SampleCount;
 use crate::scene::Scene;
 
 /// Rays per pixel with which edges are accurate to a level of 8 bits.
@@ -13,7 +14,7 @@ const MIN_SAMPLES: u32 = 256;
 /// More samples than a picture without noise can show.
 pub(super) fn too_many(scene: &Scene, image: &Image) -> Option<String> {
     let is_coarse = image.format == Format::Png && image.bits == Bits::Eight;
-    let samples = image.samples;
+    let SampleCount::Fixed(samples) = image.samples else { return None };
     if samples <= MIN_SAMPLES || !is_coarse || has_noise(scene) {
         return None;
     }

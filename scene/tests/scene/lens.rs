@@ -201,7 +201,7 @@ fn a_lens_that_reaches_into_an_object_is_reported() {
 fn many_samples_of_a_lens_are_no_waste() {
     let of = |camera: Value| {
         let mut job = job(&camera, &[[0.0; 3]], 1);
-        job.image.samples = 1024;
+        job.image.samples = 1024.into();
         job.warnings()
     };
     assert!(of(json!({}))[0].contains("samples"));

@@ -30,7 +30,7 @@ fn old_jobs_say_what_they_said() {
             }
         };
         let image = &job.image;
-        write!(answers, "\n{name}: {} × {}, {} samples", image.width, image.height, image.samples)
+        write!(answers, "\n{name}: {} × {}, {} samples", image.width, image.height, image.samples.max())
             .expect("writing to a string");
         for frame in [0, job.frames.count - 1].into_iter().take(if job.is_animated() { 2 } else { 1 }) {
             match job.at(frame) {

@@ -34,7 +34,7 @@ fn row(job: &Job, frame: u32) -> Vec<f32> {
     let integrators: Vec<Integrator<'_>> = exposure.instants.iter().map(Integrator::new).collect();
     let pixel = |x: u32| {
         let black = Radiance { color: vec3(0.0, 0.0, 0.0), alpha: 0.0, evaluations: 0.0 };
-        let parts = integrators.iter().zip(exposure.samples());
+        let parts = integrators.iter().zip(exposure.samples().concat());
         let sum = parts.fold(black, |sum, (integrator, samples)| {
             integrator.accumulate(x as f32, (SIZE / 2) as f32, samples.start as f32, samples.end as f32, sum)
         });
@@ -67,7 +67,7 @@ fn instants_are_evenly_spread_and_end_in_the_middle() {
         // The right edge of the square is at the time since the start of the frame.
         let at = |still: &JobAtFrame<'_>| (still.scene().objects[0].shape.bounds(0.0).max.x * 1e4).round() / 1e4;
         let times: Vec<f32> = exposure.instants.iter().map(at).collect();
-        (times, exposure.samples())
+        (times, exposure.samples().concat())
     };
     let (times, samples) = exposed(4);
     assert_eq!((times, samples), (vec![0.4375, 0.0625, 0.1875, 0.3125], vec![0..1, 1..2, 2..3, 3..4]));
@@ -76,6 +76,21 @@ fn instants_are_evenly_spread_and_end_in_the_middle() {
     assert_eq!(times.len(), 64);
     assert!(samples.windows(2).all(|pair| pair[0].end == pair[1].start) && samples[63].end == 100);
     assert!(samples.iter().all(|samples| (1..=2).contains(&samples.len())));
+}
+
+#[test]
+fn every_round_of_adaptive_samples_has_samples_of_all_instants() {
+    let mut job = job(&json!({ "count": 2, "fps": 1, "shutter": 0.5 }), 4);
+    job.image.samples =
+        serde_json::from_value(json!({ "adaptive": { "min": 16, "max": 64 } })).expect("a valid number");
+    let exposure = job.exposure(1).expect("a valid frame");
+    assert_eq!(exposure.instants.len(), 8);
+    let rounds = exposure.samples();
+    let lengths: Vec<Vec<usize>> =
+        rounds.iter().map(|round| round.iter().map(ExactSizeIterator::len).collect()).collect();
+    assert_eq!(lengths, [vec![1; 8], vec![1; 8], vec![2; 8], vec![4; 8]]);
+    let all = rounds.concat();
+    assert!(all.windows(2).all(|pair| pair[0].end == pair[1].start) && all[31].end == 64);
 }
 
 #[test]

@@ -216,7 +216,8 @@ impl BatchExecutor {
         device.acquire().await;
         let (rects, holds): (Vec<Rect>, Vec<LeaseHandle>) =
             places.iter().map(|TileTask { rect, hold }| (*rect, hold.clone())).unzip();
-        let rays = rects.iter().map(|rect| rect.pixels()).sum::<u64>() as f64 * f64::from(frame.job.image.samples);
+        let rays =
+            rects.iter().map(|rect| rect.pixels()).sum::<u64>() as f64 * f64::from(frame.job.image.samples.max());
         let stop = CancelOnDrop::default();
         let (renderer, job, number, cancel) = (self.renderer.clone(), frame.job.clone(), frame.number, stop.0.clone());
         let records = frame.recording.is_some() && renderer.can_record();

@@ -202,7 +202,7 @@ fn reference(program: &Integrator<'_>, image: &Image, entry: &str, arguments: &[
             channels(program.accumulate(x, y, first, end, sum(&arguments[4..]))).to_vec()
         }
         (MEAN, all) => channels(program.mean(sum(all))).to_vec(),
-        (LAYERS, &[x, y]) => layer_channels(&program.aovs(x, y), &image.layers),
+        (LAYERS, &[x, y]) => layer_channels(program, image, x, y),
         _ => panic!("{entry} has other arguments"),
     }
 }

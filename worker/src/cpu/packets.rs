@@ -3,13 +3,13 @@
 use std::ops::Range;
 use std::sync::atomic::{AtomicBool, Ordering};
 
+use super::blocks;
 use super::kernels::{Kernel, Thread};
 use crate::picture_tape::{ACCUMULATE, LAYERS, MEAN};
+use crate::rounds::{CHANNELS, Rounds};
 
 /// Samples of a packet's pixels that are summed between two reports of progress.
 pub(super) const SAMPLES_PER_RUN: u32 = 64;
-/// Channels of every picture: red, green, blue, alpha.
-const CHANNELS: usize = 4;
 
 /// Columns and rows of a packet's block: as square as its lanes allow.
 pub(super) fn block(lanes: usize) -> (usize, usize) {
@@ -19,8 +19,10 @@ pub(super) fn block(lanes: usize) -> (usize, usize) {
 
 /// Rows of a tile, as high as a packet's block.
 pub(super) struct Band<'a, 'b> {
-    /// Samples of each instant of the frame.
-    pub(super) samples: &'a [Range<u32>],
+    /// Samples of each round, at each instant of the frame.
+    pub(super) samples: &'a [Vec<Range<u32>>],
+    /// The rules of the rounds; `None` if there is one.
+    pub(super) rounds: Option<Rounds<'a>>,
     pub(super) left: u32,
     pub(super) top: u32,
     pub(super) width: usize,
@@ -41,7 +43,7 @@ impl<'a> Progress<'a> {
         Self { report, finished: 0, reported: 0 }
     }
 
-    fn add(&mut self, rays: u64) {
+    pub(super) fn add(&mut self, rays: u64) {
         self.finished += rays;
         if self.finished > self.reported {
             (self.report)(self.finished - self.reported);
@@ -58,11 +60,15 @@ impl Band<'_, '_> {
         let mut thread = kernel.thread();
         let tables = kernel.tables();
         self.progress.finished = 0;
-        for column in (0..self.width).step_by(block(lanes).0) {
+        let step = if self.rounds.is_some() { blocks::columns(lanes) } else { block(lanes).0 };
+        for column in (0..self.width).step_by(step) {
             if self.cancel.load(Ordering::Relaxed) {
                 return Some(self);
             }
-            self.packet(&mut thread, lanes, column);
+            match self.rounds {
+                None => self.packet(&mut thread, lanes, column),
+                Some(rules) => self.blocks(&mut thread, lanes, column, &rules),
+            }
             if tables.iter().any(|table| table.is_full()) {
                 return Some(self);
             }
@@ -82,7 +88,7 @@ impl Band<'_, '_> {
         let (color, layers) = channels.split_at_mut(CHANNELS * lanes);
         self.radiance(thread, lanes, column, &mut arguments, color);
         if !layers.is_empty() {
-            thread.run(self.samples.len() - 1, LAYERS, self.cancel, &arguments[..2 * lanes], layers);
+            thread.run(self.last_instant(), LAYERS, self.cancel, &arguments[..2 * lanes], layers);
         }
         for (plane, values) in channels.chunks_exact(lanes).enumerate() {
             for (lane, value) in values.iter().enumerate() {
@@ -103,7 +109,7 @@ impl Band<'_, '_> {
         color: &mut [f32],
     ) {
         let pixels = block(lanes).0.min(self.width - column) * self.rows();
-        for (instant, samples) in self.samples.iter().enumerate() {
+        for (instant, samples) in self.samples[0].iter().enumerate() {
             for first in samples.clone().step_by(SAMPLES_PER_RUN as usize) {
                 let run = SAMPLES_PER_RUN.min(samples.end - first);
                 arguments[2 * lanes..3 * lanes].fill(first as f32);
@@ -116,8 +122,13 @@ impl Band<'_, '_> {
         thread.run(0, MEAN, self.cancel, &arguments[4 * lanes..], color);
     }
 
+    /// The instant of the layers.
+    pub(super) fn last_instant(&self) -> usize {
+        self.samples[0].len() - 1
+    }
+
     /// Rows of the band.
-    fn rows(&self) -> usize {
+    pub(super) fn rows(&self) -> usize {
         self.planes[0].len() / self.width
     }
 

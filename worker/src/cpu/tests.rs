@@ -20,7 +20,7 @@ fn render(renderer: &CpuRenderer, job: &Job) -> Result<(TilePixels, u64), Render
 #[test]
 fn cells_that_do_not_fit_are_made_again() {
     let job = scene::parse(many(3000).as_bytes()).expect("a valid job");
-    let job = job.clone().with_image(scene::Image { width: 32, height: 160, samples: 1, ..job.image });
+    let job = job.clone().with_image(scene::Image { width: 32, height: 160, samples: 1.into(), ..job.image });
     for simd in [Simd::Auto, Simd::Portable] {
         let renderer = CpuRenderer::new(Some(2), simd).expect("threads");
         let (pixels, rays) = render(&renderer, &job).expect("it has room");

@@ -123,6 +123,8 @@ pub(super) struct DeviceTile {
     pub(super) first_block: u32,
     pub(super) columns: u32,
     pub(super) start: u64,
+    pub(super) pitch: u64,
+    pub(super) plane: u64,
 }
 
 // SAFETY: it is plain integers, in C's order and with C's padding.
@@ -194,6 +196,9 @@ pub(super) struct Buffer {
     copied: CudaEvent,
 }
 
+/// Copy of the pixels of a buffer, on the GPU.
+pub(super) type SavedPixels = CudaSlice<f32>;
+
 /// Blocks and samples of a launch.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct LaunchRange {
@@ -201,7 +206,10 @@ pub(super) struct LaunchRange {
     pub(super) blocks: u32,
     pub(super) first_sample: u32,
     pub(super) end_sample: u32,
+    /// Whether the sums of the pixels become their means.
     pub(super) is_last: bool,
+    /// Whether the layers of the pixels are rendered.
+    pub(super) has_layers: bool,
 }
 
 /// Launch in progress.
@@ -369,7 +377,7 @@ impl Device {
             // SAFETY: the arguments match those of `render` in kernel.cu in number, order and type. It writes
             // only pixels of the tiles, which the caller placed inside the buffer.
             unsafe { render.launch(config(program.threads(block))) }?;
-            if let Some(layers) = program.layers.as_ref().filter(|_| part.is_last) {
+            if let Some(layers) = program.layers.as_ref().filter(|_| part.has_layers) {
                 let mut render = self.compute.launch_builder(layers);
                 render.arg(tiles).arg(&count).arg(&blocks).arg(&mut out.device);
                 // SAFETY: as above, for `layers`.
@@ -381,12 +389,12 @@ impl Device {
     }
 
     /// Copies the pixels of a buffer on the GPU, after all launches so far.
-    pub(super) fn copied(&self, buffer: &Buffer) -> Result<CudaSlice<f32>, CudaError> {
+    pub(super) fn copied(&self, buffer: &Buffer) -> Result<SavedPixels, CudaError> {
         self.compute.clone_dtod(&buffer.device).map_err(CudaError::driver_error("copy pixels on the GPU"))
     }
 
     /// Replaces the pixels of a buffer by a copy of them, after all launches so far.
-    pub(super) fn restore(&self, buffer: &mut Buffer, copy: &CudaSlice<f32>) -> Result<(), CudaError> {
+    pub(super) fn restore(&self, buffer: &mut Buffer, copy: &SavedPixels) -> Result<(), CudaError> {
         self.compute.memcpy_dtod(copy, &mut buffer.device).map_err(CudaError::driver_error("copy pixels on the GPU"))
     }
 

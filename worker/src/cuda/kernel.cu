@@ -122,8 +122,8 @@ struct Tile {
     unsigned x, y, width, height;
     // Number of blocks of all earlier tiles; blocks per row of this tile.
     unsigned first_block, columns;
-    // Index of its first number in the result; its planes follow one another.
-    unsigned long long start;
+    // Index of its first number in the result, and distances there from one row and from one plane to the next.
+    unsigned long long start, pitch, plane;
 };
 
 struct Pixel {
@@ -160,8 +160,8 @@ INLINE_FN Pixel pixel_of(const Tile* tiles, unsigned tile_count, const Blocks& b
     Pixel pixel;
     pixel.x = (float)(tile.x + column);
     pixel.y = (float)(tile.y + row);
-    pixel.stride = (unsigned long long)tile.width * tile.height;
-    pixel.offset = tile.start + (unsigned long long)row * tile.width + column;
+    pixel.stride = tile.plane;
+    pixel.offset = tile.start + row * tile.pitch + column;
     // The last group may have blocks that are in no tile.
     pixel.is_inside = column < tile.width && row < tile.height && index < blocks.columns * blocks.rows;
     return pixel;

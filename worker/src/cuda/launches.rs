@@ -15,7 +15,27 @@ pub(super) const BLOCK_GROUP: u32 = 64;
 /// Samples of a kernel's first launch.
 const FIRST_SAMPLES: u32 = 4;
 
-/// Tiles divided into blocks, with their pixels stored consecutively.
+/// A rectangle of a tile's pixels.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Piece {
+    pub(super) rect: Rect,
+    pub(super) tile: Rect,
+    /// Index of the tile's first number.
+    pub(super) start: u64,
+}
+
+/// All pixels of some tiles, which are stored consecutively, each as this many planes.
+pub(super) fn whole(tiles: &[Rect], planes: usize) -> Vec<Piece> {
+    let mut start = 0;
+    let piece = |&tile: &Rect| {
+        let piece = Piece { rect: tile, tile, start };
+        start += tile.pixels() * planes as u64;
+        piece
+    };
+    tiles.iter().map(piece).collect()
+}
+
+/// Pieces of tiles divided into blocks.
 #[derive(Clone, Debug)]
 pub(super) struct LaunchLayout {
     pub(super) tiles: Vec<DeviceTile>,
@@ -25,26 +45,28 @@ pub(super) struct LaunchLayout {
     pub(super) groups: Vec<u32>,
 }
 
-/// Divides tiles into blocks. Groups that are launched together are far apart, so that no launch costs much more than
-/// another because of the part of the picture it renders.
-pub(super) fn lay_out(rects: &[Rect], planes: usize, block: BlockDim) -> LaunchLayout {
-    let (mut first_block, mut start) = (0, 0);
-    let tiles = rects
+/// Divides pieces of tiles into blocks. Groups that are launched together are far apart, so that no launch costs much
+/// more than another because of the part of the picture it renders.
+pub(super) fn lay_out(pieces: &[Piece], block: BlockDim) -> LaunchLayout {
+    let mut first_block = 0;
+    let tiles = pieces
         .iter()
-        .map(|rect| {
+        .map(|&Piece { rect, tile, start }| {
             let columns = rect.width.div_ceil(block.columns);
-            let tile = DeviceTile {
+            let pitch = u64::from(tile.width);
+            let laid_out = DeviceTile {
                 x: rect.x,
                 y: rect.y,
                 width: rect.width,
                 height: rect.height,
                 first_block,
                 columns,
-                start,
+                start: start + u64::from(rect.y - tile.y) * pitch + u64::from(rect.x - tile.x),
+                pitch,
+                plane: tile.pixels(),
             };
             first_block += columns * rect.height.div_ceil(block.rows);
-            start += rect.pixels() * planes as u64;
-            tile
+            laid_out
         })
         .collect();
     let groups = first_block.div_ceil(BLOCK_GROUP);
@@ -128,14 +150,22 @@ impl KernelTimes {
     }
 }
 
+/// Work of the last launch of each pixel, beside adding samples.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Ends {
+    /// Divides the sums by the number of samples.
+    pub(super) mean: bool,
+    /// Renders the layers.
+    pub(super) layers: bool,
+}
+
 /// Launches of a render, in order.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Launches {
     blocks: u32,
     first_sample: u32,
     end_sample: u32,
-    /// Whether no other samples of the pixels follow.
-    completes: bool,
+    ends: Ends,
     /// Blocks that fill the GPU once.
     resident_blocks: u32,
     /// Blocks in progress, and the sample they have reached.
@@ -155,13 +185,13 @@ impl LaunchRange {
 }
 
 impl Launches {
-    /// Launches for some samples of all blocks: the last ones of their pixels if `completes`.
-    pub(super) fn new(blocks: u32, samples: Range<u32>, completes: bool, wave: u32, together: u32) -> Self {
+    /// Launches for some samples of all blocks.
+    pub(super) fn new(blocks: u32, samples: Range<u32>, ends: Ends, wave: u32, together: u32) -> Self {
         Self {
             blocks,
             first_sample: samples.start,
             end_sample: samples.end,
-            completes,
+            ends,
             resident_blocks: wave.max(1),
             first_block: 0,
             end_block: 0,
@@ -171,9 +201,15 @@ impl Launches {
         }
     }
 
-    /// Begins again at a block, which has been launched before.
+    /// Begins again with all samples at a block, which has been launched before.
     pub(super) fn restart(&mut self, first_block: u32) {
         (self.first_block, self.sample) = (first_block, self.first_sample);
+    }
+
+    /// Begins again with a launch, whose pixels have the samples before it.
+    pub(super) fn repeat(&mut self, part: LaunchRange) {
+        (self.first_block, self.end_block) = (part.first_block, part.first_block + part.blocks);
+        self.sample = part.first_sample;
     }
 
     /// Limits all further launches to this many blocks.
@@ -204,13 +240,17 @@ impl Launches {
         } else {
             self.sample = end_sample;
         }
-        Some(LaunchRange { first_block, blocks, first_sample, end_sample, is_last: is_end && self.completes })
+        let Ends { mean, layers } = self.ends;
+        let (is_last, has_layers) = (is_end && mean, is_end && layers);
+        Some(LaunchRange { first_block, blocks, first_sample, end_sample, is_last, has_layers })
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    const ALL: Ends = Ends { mean: true, layers: true };
 
     /// Simulates all launches on a GPU that takes `ms` for a sample of a block; returns the longest launch.
     fn longest_launch(blocks: u32, samples: u32, ms: impl Fn(u32) -> f64) -> f64 {
@@ -219,7 +259,7 @@ mod tests {
         let groups = spread(blocks / BLOCK_GROUP);
         let order = |turn: u32| groups[(turn / BLOCK_GROUP) as usize] * BLOCK_GROUP + turn % BLOCK_GROUP;
         let mut cost = CostModel::default();
-        let mut launches = Launches::new(blocks, 0..samples, true, 1000, together);
+        let mut launches = Launches::new(blocks, 0..samples, ALL, 1000, together);
         let mut rendered = vec![0; blocks as usize];
         let mut longest = 0.0_f64;
         while let Some(part) = launches.next(&cost) {
@@ -246,6 +286,29 @@ mod tests {
     }
 
     #[test]
+    fn repeated_launches_render_every_sample_once_more_and_no_other() {
+        let (blocks, samples) = (512, 40);
+        let (mut launches, mut cost) = (Launches::new(blocks, 0..samples, ALL, 64, 1), CostModel::default());
+        let mut rendered = vec![0; blocks as usize];
+        let (mut turn, mut repeated) = (0_u32, 0);
+        while let Some(part) = launches.next(&cost) {
+            let own = part.first_block as usize..(part.first_block + part.blocks) as usize;
+            assert!(rendered[own.clone()].iter().all(|&done| done == part.first_sample));
+            cost.observe(part, 12.0);
+            turn = turn.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            if turn >> 30 == 0 {
+                // It asked for cells: its sums are those before it.
+                repeated += 1;
+                launches.repeat(part);
+                continue;
+            }
+            rendered[own].fill(part.end_sample);
+        }
+        assert!(repeated > 10, "{repeated} launches were repeated");
+        assert!(rendered.iter().all(|&done| done == samples));
+    }
+
+    #[test]
     fn a_picture_with_an_expensive_part_is_split_evenly() {
         let sky_then_fractal = |block: u32| if block < 30_000 { 2e-6 } else { 4e-5 };
         assert!(longest_launch(60_000, 256, sky_then_fractal) <= 50.0);
@@ -254,24 +317,43 @@ mod tests {
     #[test]
     fn a_kernel_of_known_cost_needs_one_launch() {
         let mut cost = CostModel::default();
-        cost.observe(LaunchRange { first_block: 0, blocks: 8_100, first_sample: 0, end_sample: 4, is_last: true }, 1.0);
-        let part = Launches::new(8_100, 0..4, true, 1056, 4).next(&cost).expect("there is work");
+        cost.observe(
+            LaunchRange {
+                first_block: 0,
+                blocks: 8_100,
+                first_sample: 0,
+                end_sample: 4,
+                is_last: true,
+                has_layers: true,
+            },
+            1.0,
+        );
+        let part = Launches::new(8_100, 0..4, ALL, 1056, 4).next(&cost).expect("there is work");
         assert_eq!((part.blocks, part.end_sample, part.is_last), (8_100, 4, true));
     }
 
     #[test]
     fn samples_of_an_instant_begin_where_those_of_the_one_before_ended() {
-        let mut launches = Launches::new(64, 5..8, false, 1000, 1);
+        let mut launches = Launches::new(64, 5..8, Ends { mean: false, layers: true }, 1000, 1);
         let part = launches.next(&CostModel::default()).expect("there is work");
-        assert_eq!((part.first_sample, part.end_sample, part.is_last), (5, 8, false));
+        assert_eq!((part.first_sample, part.end_sample, part.is_last, part.has_layers), (5, 8, false, true));
         assert!(launches.next(&CostModel::default()).is_none());
     }
 
     #[test]
     fn tiles_are_consecutive_in_blocks_and_numbers() {
         let rects = [Rect { x: 0, y: 0, width: 33, height: 9 }, Rect { x: 64, y: 32, width: 32, height: 32 }];
-        let LaunchLayout { tiles, blocks, .. } = lay_out(&rects, 5, BlockDim { columns: 16, rows: 8 });
+        let LaunchLayout { tiles, blocks, .. } = lay_out(&whole(&rects, 5), BlockDim { columns: 16, rows: 8 });
         assert_eq!((tiles[0].columns, tiles[1].first_block, tiles[1].start), (3, 6, 33 * 9 * 5));
         assert_eq!(blocks, BLOCK_GROUP, "6 and 8 blocks are less than a group");
+    }
+
+    #[test]
+    fn a_piece_is_stored_in_its_tile() {
+        let tile = Rect { x: 64, y: 32, width: 33, height: 20 };
+        let piece = Piece { rect: Rect { x: 72, y: 48, width: 16, height: 4 }, tile, start: 1000 };
+        let laid_out = lay_out(&[piece], BlockDim { columns: 8, rows: 8 }).tiles[0];
+        assert_eq!((laid_out.start, laid_out.pitch, laid_out.plane), (1000 + 16 * 33 + 8, 33, 660));
+        assert_eq!((laid_out.x, laid_out.width, laid_out.columns), (72, 16, 2));
     }
 }

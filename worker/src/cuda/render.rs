@@ -1,6 +1,7 @@
 //! The launches that render some tiles, and the copies of their pixels.
 
 use std::collections::VecDeque;
+use std::ops::Range;
 use std::sync::TryLockError;
 
 use proto::Rect;
@@ -8,27 +9,39 @@ use rayon::prelude::*;
 use scene::Image;
 use scene::real::Table;
 
+use super::active_blocks::{ActiveBlocks, FinishedTile};
 use super::cells::{Cells, Made};
-use super::device::{self, Buffer, Device, PendingLaunch};
-use super::launches::{self, Launches};
+use super::device::{Buffer, Device, LaunchRange, PendingLaunch, SavedPixels};
+use super::launches::{self, Ends, Launches, Piece};
 use super::{CudaError, CudaRenderer, Kernel, KernelSource, KernelState, lock};
 use crate::renderer::{CancelFlag, RenderError, TilePixels, TileRequest};
+use crate::rounds::Rounds;
 
 /// Maximum size of pixel buffers on the GPU or being copied, in numbers.
 const BUFFER_FLOATS: usize = 64 << 20;
 
-/// An instant of a frame, and its kernel.
+/// The samples of a round at an instant of a frame, and its kernel.
 struct Instant<'a> {
     program: &'a Kernel,
     source: &'a KernelSource,
-    /// Whether it completes the pixels.
-    is_last: bool,
+    samples: Range<u32>,
+    ends: Ends,
+}
+
+/// A launch in progress.
+struct Flying {
+    part: LaunchRange,
+    /// The sums before it, if it may have to be repeated.
+    sums: Option<SavedPixels>,
+    launched: PendingLaunch,
 }
 
 /// Tiles whose pixels are being copied to the host.
 struct InFlight {
     rects: Vec<Rect>,
     buffer: Buffer,
+    /// The tiles with the host's additions, if their samples were taken in rounds.
+    finished: Option<Vec<FinishedTile>>,
 }
 
 impl CudaRenderer {
@@ -44,7 +57,7 @@ impl CudaRenderer {
     ) -> Result<(), CudaError> {
         let Some(first) = runs.first() else { return Ok(()) };
         let sources = self.sources(first)?;
-        let planes = first.job.image.channels().len();
+        let planes = first.job.image.rendered_channels().len();
         let numbers = |run: &TileRequest<'_>| run.rect.pixels() as usize * planes;
         let mut underway: Option<InFlight> = None;
         let mut rest = runs;
@@ -84,34 +97,50 @@ impl CudaRenderer {
     ) -> Result<InFlight, CudaError> {
         let image = &runs[0].job.image;
         let rects: Vec<Rect> = runs.iter().map(|run| run.rect).collect();
-        let planes = image.channels().len();
+        let planes = image.rendered_channels().len();
         let numbers = rects.iter().map(|rect| rect.pixels() as usize).sum::<usize>() * planes;
         let _launching = lock(&self.launching);
         let mut buffer = self.take_buffer(numbers)?;
-        for (index, source) in sources.iter().enumerate() {
-            let (program, _) = self.program(source, &runs[runs.len() / 2], cancel)?;
-            let is_last = index + 1 == sources.len();
-            self.launch_instant(&Instant { program: &program, source, is_last }, &rects, planes, &mut buffer, cancel)?;
-            if cancel.is_cancelled() {
-                lock(&self.buffers).push(buffer);
-                return Err(CudaError::Cancelled);
+        let mut blocks = Rounds::of(image).map(|rules| ActiveBlocks::new(rules, &rects, planes));
+        let mut pieces = launches::whole(&rects, planes);
+        for round in 0..sources[0].samples.len() {
+            for (index, source) in sources.iter().enumerate() {
+                let (program, _) = self.program(source, &runs[runs.len() / 2], cancel)?;
+                let is_last = index + 1 == sources.len();
+                let ends = Ends { mean: is_last && blocks.is_none(), layers: is_last && round == 0 };
+                let samples = source.samples[round].clone();
+                let instant = Instant { program: &program, source, samples, ends };
+                self.launch_instant(&instant, &pieces, &mut buffer, cancel)?;
+                if cancel.is_cancelled() {
+                    lock(&self.buffers).push(buffer);
+                    return Err(CudaError::Cancelled);
+                }
+            }
+            let Some(blocks) = &mut blocks else { continue };
+            self.device.start_copy(&mut buffer, numbers)?;
+            let end = sources.last().map_or(0, |last| last.samples[round].end);
+            blocks.end_round(round, end, Device::wait_copy(&buffer)?);
+            pieces = blocks.pieces();
+            if pieces.is_empty() {
+                break;
             }
         }
-        self.device.start_copy(&mut buffer, numbers)?;
-        Ok(InFlight { rects, buffer })
+        let finished = blocks.map(ActiveBlocks::finish);
+        if finished.is_none() {
+            self.device.start_copy(&mut buffer, numbers)?;
+        }
+        Ok(InFlight { rects, buffer, finished })
     }
 
     /// Adds the samples of an instant to the pixels of some tiles.
     fn launch_instant(
         &self,
         instant: &Instant<'_>,
-        rects: &[Rect],
-        planes: usize,
+        pieces: &[Piece],
         buffer: &mut Buffer,
         cancel: &CancelFlag,
     ) -> Result<(), CudaError> {
-        let Instant { program, source, is_last } = instant;
-        let samples = source.samples.clone();
+        let Instant { program, source, samples, ends } = instant;
         let mut known = lock(&program.known);
         let KernelState { cost, parameters, cells } = &mut *known;
         if parameters.take().is_none_or(|given| given != source.parameters) {
@@ -125,24 +154,27 @@ impl CudaRenderer {
             *cells = None;
             *cells = Cells::upload(&self.device, &program.loaded, source, cancel)?;
         }
-        let layout = launches::lay_out(rects, planes, program.block).ordered(cost, samples.len() as u32);
+        let layout = launches::lay_out(pieces, program.block).ordered(cost, samples.len() as u32);
         let laid_out = self.device.lay_out(&layout)?;
         let wave = self.device.multiprocessors * (2048 / program.loaded.threads(program.block));
-        let mut launches = Launches::new(layout.blocks, samples.clone(), *is_last, wave, source.together);
-        // Sums of the instants before, for launches that are repeated.
+        let mut launches = Launches::new(layout.blocks, samples.clone(), *ends, wave, source.together);
+        // Sums before the samples, for launches that are repeated from the start because cells had no room.
         let before = (samples.start > 0 && cells.is_some()).then(|| self.device.copied(buffer)).transpose()?;
         // First block of the launches for which the cells were made from the start.
         let mut cells_from = None;
-        let mut flying: VecDeque<(device::LaunchRange, PendingLaunch)> = VecDeque::new();
+        let mut flying: VecDeque<Flying> = VecDeque::new();
         loop {
             let part = if cancel.is_cancelled() { None } else { launches.next(cost) };
             if let Some(part) = part {
+                // A launch that asks for cells is repeated: without its samples in the sums.
+                let sums =
+                    (cells.is_some() && part.first_sample > 0).then(|| self.device.copied(buffer)).transpose()?;
                 let launched = self.device.launch(&program.loaded, program.block, &laid_out, part, buffer)?;
-                flying.push_back((part, launched));
+                flying.push_back(Flying { part, sums, launched });
             }
             // One launch runs while the next is queued.
             if flying.len() == 2 || part.is_none() {
-                let Some((part, launched)) = flying.pop_front() else { return Ok(()) };
+                let Some(Flying { part, sums, launched }) = flying.pop_front() else { return Ok(()) };
                 let ms = launched.wait()?;
                 tracing::trace!(?part, ms, "rendered");
                 lock(&self.kernels).add(ms);
@@ -151,10 +183,17 @@ impl CudaRenderer {
                     cost.observe(part, ms);
                     continue;
                 };
-                for (_, launched) in flying.drain(..) {
+                for Flying { launched, .. } in flying.drain(..) {
                     lock(&self.kernels).add(launched.wait()?);
                 }
-                // Launches add to the sums of the instants before, which must be those again.
+                if asking.make_asked(&self.device, &program.loaded, cancel)? != Made::NotAll {
+                    if let Some(sums) = &sums {
+                        self.device.restore(buffer, sums)?;
+                    }
+                    launches.repeat(part);
+                    continue;
+                }
+                // Without those of the launches before, there may be room; if not, for fewer blocks.
                 let first_block = match &before {
                     Some(before) => {
                         self.device.restore(buffer, before)?;
@@ -163,18 +202,15 @@ impl CudaRenderer {
                     None => part.first_block,
                 };
                 launches.restart(first_block);
-                if asking.make_asked(&self.device, &program.loaded, cancel)? == Made::NotAll {
-                    // Without those of the launches before, there may be room; if not, for fewer blocks.
-                    if cells_from.replace(first_block) == Some(first_block) {
-                        if part.blocks == 1 {
-                            return Err(RenderError::many_cells(asking.table()).into());
-                        }
-                        launches.limit(part.blocks / 2);
+                if cells_from.replace(first_block) == Some(first_block) {
+                    if part.blocks == 1 {
+                        return Err(RenderError::many_cells(asking.table()).into());
                     }
-                    tracing::debug!(?part, "the cells had no room: drop them");
-                    *cells = None;
-                    *cells = Cells::upload(&self.device, &program.loaded, source, cancel)?;
+                    launches.limit(part.blocks / 2);
                 }
+                tracing::debug!(?part, "the cells had no room: drop them");
+                *cells = None;
+                *cells = Cells::upload(&self.device, &program.loaded, source, cancel)?;
             }
         }
     }
@@ -186,27 +222,31 @@ impl CudaRenderer {
         image: &Image,
         progress: &(dyn Fn(u64) + Sync),
     ) -> Result<Vec<TilePixels>, CudaError> {
-        let InFlight { rects, buffer } = underway;
-        let planes = image.channels().len();
+        let InFlight { rects, buffer, finished } = underway;
+        let planes = image.rendered_channels().len();
         let mut rest = Device::wait_copy(&buffer)?;
-        let parts: Vec<(Rect, &[f32])> = rects
+        let mut additions = finished.map(Vec::into_iter);
+        let parts: Vec<(Rect, &[f32], Option<FinishedTile>)> = rects
             .into_iter()
             .map(|rect| {
                 let (own, others) = rest.split_at(rect.pixels() as usize * planes);
                 rest = others;
-                (rect, own)
+                (rect, own, additions.as_mut().and_then(Iterator::next))
             })
             .collect();
         // While the next tiles render, nothing waits for these but encoding, which needs the other cores.
         let is_overlapped = matches!(self.launching.try_lock(), Err(TryLockError::WouldBlock));
-        let arrange = |(rect, numbers): (Rect, &[f32])| {
+        let arrange = |(rect, numbers, addition): (Rect, &[f32], Option<FinishedTile>)| {
             let length = rect.pixels() as usize;
-            let planes = if is_overlapped {
+            let mut planes: Vec<Vec<f32>> = if is_overlapped {
                 numbers.chunks(length).map(|plane| self.copy_plane(plane)).collect()
             } else {
                 numbers.par_chunks(length).map(|plane| self.copy_plane(plane)).collect()
             };
-            progress(rect.pixels() * u64::from(image.samples));
+            if let Some(addition) = addition {
+                addition.finish(&mut planes);
+            }
+            progress(rect.pixels() * u64::from(image.samples.max()));
             TilePixels { rect, planes }
         };
         let finished = if is_overlapped {

@@ -32,8 +32,8 @@ pub struct KernelSource {
     pub text: Arc<str>,
     /// Values of the scene's numbers at the frame, which the kernel calls `uniforms`, as bits.
     pub parameters: Vec<u32>,
-    /// The samples of a pixel that are taken with these values.
-    pub(super) samples: Range<u32>,
+    /// The samples of a pixel that are taken with these values, in each round.
+    pub(super) samples: Vec<Range<u32>>,
     /// Source of the kernels that divide the scene's cells, if it has any; the same for most scenes.
     pub division: Option<String>,
     /// Words that the kernel reads by computed indices, if there are any. It asks for those that are missing.
@@ -49,8 +49,8 @@ pub struct KernelSource {
 impl KernelSource {
     /// Kernel source of a job's frame. Fails if its recorded formulas are invalid.
     pub fn new(still: &JobAtFrame<'_>) -> Result<Self, InvalidTape> {
-        let samples = 0..still.image().samples;
-        let together = samples_together(still, std::slice::from_ref(&samples));
+        let samples = still.image().rounds();
+        let together = samples_together(still, &samples);
         Self::build(still, samples, together, FastBuilder::UNLIMITED)
     }
 
@@ -61,10 +61,11 @@ impl KernelSource {
         together: Option<u32>,
         builder: FastBuilder,
     ) -> Result<Vec<Self>, InvalidTape> {
-        let ranges = exposure.samples();
-        let together = together.unwrap_or_else(|| samples_together(exposure.last(), &ranges));
-        let mut sources: Vec<Self> = Vec::with_capacity(ranges.len());
-        for (still, samples) in exposure.instants.iter().zip(ranges) {
+        let rounds = exposure.samples();
+        let together = together.unwrap_or_else(|| samples_together(exposure.last(), &rounds.concat()));
+        let mut sources: Vec<Self> = Vec::with_capacity(exposure.instants.len());
+        for (index, still) in exposure.instants.iter().enumerate() {
+            let samples = rounds.iter().map(|round| round[index].clone()).collect();
             let mut source = Self::build(still, samples, together, builder)?;
             if let Some(first) = sources.first().filter(|first| first.text == source.text) {
                 source.text = first.text.clone();
@@ -78,7 +79,7 @@ impl KernelSource {
     /// number of samples.
     pub(super) fn build(
         still: &JobAtFrame<'_>,
-        samples: Range<u32>,
+        samples: Vec<Range<u32>>,
         together: u32,
         builder: FastBuilder,
     ) -> Result<Self, InvalidTape> {
@@ -158,7 +159,7 @@ fn cell_constants() -> String {
 /// Source before and after the steps if the job requests layers: the define that enables them, and the function
 /// that writes them.
 fn layers(image: &Image) -> (String, String) {
-    let count: usize = image.layers.iter().map(|layer| layer.channels().len()).sum();
+    let count = image.rendered_channels().len() - 4;
     if count == 0 {
         return (String::new(), String::new());
     }

@@ -30,7 +30,7 @@ impl CudaRenderer {
             let (width, height) = (run.rect.width.min(edge), run.rect.height.min(edge));
             let (x, y) = (run.rect.x + (run.rect.width - width) / 2, run.rect.y + (run.rect.height - height) / 2);
             let piece = Rect { x, y, width, height };
-            let mut buffer = self.device.buffer(piece.pixels() as usize * run.job.image.channels().len())?;
+            let mut buffer = self.device.buffer(piece.pixels() as usize * run.job.image.rendered_channels().len())?;
             // The first run warms up, and shows whether the part is large enough.
             let mut ms = self.time_block_dim(loaded, BLOCK_DIMS[0], piece, run, &mut buffer)?;
             while let Some(cells) = &mut table
@@ -73,11 +73,18 @@ impl CudaRenderer {
         run: &TileRequest<'_>,
         buffer: &mut Buffer,
     ) -> Result<f64, CudaError> {
-        let layout = launches::lay_out(&[piece], run.job.image.channels().len(), block).row_major();
+        let layout =
+            launches::lay_out(&launches::whole(&[piece], run.job.image.rendered_channels().len()), block).row_major();
         let laid_out = self.device.lay_out(&layout)?;
-        let end_sample = run.job.image.samples.min(MAX_SAMPLES_TOGETHER);
-        let part =
-            device::LaunchRange { first_block: 0, blocks: layout.blocks, first_sample: 0, end_sample, is_last: true };
+        let end_sample = run.job.image.samples.max().min(MAX_SAMPLES_TOGETHER);
+        let part = device::LaunchRange {
+            first_block: 0,
+            blocks: layout.blocks,
+            first_sample: 0,
+            end_sample,
+            is_last: true,
+            has_layers: true,
+        };
         self.device.launch(loaded, block, &laid_out, part, buffer)?.wait()
     }
 }

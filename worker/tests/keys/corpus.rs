@@ -11,7 +11,7 @@ fn job(scene: &Value) -> Value {
     json!({
         "name": "keys", "priority": 0, "scene": scene, "frames": { "count": 3, "fps": 1, "shutter": 0 },
         "image": { "width": 8, "height": 8, "samples": 2, "seed": 1, "format": "exr", "bits": 8, "precision": "float",
-            "layers": ["depth", "normal", "position", "albedo", "object", "steps"] }
+            "layers": ["depth", "normal", "position", "albedo", "object", "steps", "samples"] }
     })
 }
 
@@ -80,7 +80,10 @@ pub(crate) fn jobs() -> Vec<Value> {
     scenes.extend(shapes().iter().map(|shape| scene(shape, &gray(), &sun(), &gradient())));
     scenes.push(named_shapes());
     scenes.extend(moving());
-    [plain(), png(), graded(), ungraded(), layered()].into_iter().chain(scenes.iter().map(job)).collect()
+    [plain(), png(), graded(), ungraded(), layered(), adaptive(), denoised()]
+        .into_iter()
+        .chain(scenes.iter().map(job))
+        .collect()
 }
 
 /// A PNG whose colors are too bright for it.
@@ -105,6 +108,27 @@ fn layered() -> Value {
     job["image"]["layers"] = json!(["depth", "object"]);
     job["image"]["region"] = json!([1, 2, 5, 4]);
     job["scene"]["objects"][0]["name"] = json!("ball");
+    job
+}
+
+/// Four blocks of pixels, each with as many samples as its noise needs.
+fn adaptive() -> Value {
+    let lights = json!([{ "sphere": { "position": [0.2, 2, 1], "radius": 0.5, "color": [4, 4, 4] } }]);
+    let mut job = job(&scene(&ball(), &gray(), &lights, &gradient()));
+    for (key, value) in [("width", json!(16)), ("height", json!(16)), ("layers", json!(["samples"]))] {
+        job["image"][key] = value;
+    }
+    job["image"]["denoise"] = json!(false);
+    job["image"]["samples"] = json!({ "adaptive": { "min": 8, "max": 32, "error": 0.02 } });
+    job
+}
+
+/// A denoised picture with the colors before the denoiser.
+fn denoised() -> Value {
+    let mut job = adaptive();
+    job["image"]["samples"] = json!(4);
+    job["image"]["denoise"] = json!(true);
+    job["image"]["layers"] = json!(["noisy"]);
     job
 }
 

@@ -105,7 +105,12 @@ fn change(
         *changed.pointer_mut(&position.pointer).unwrap() = value.clone();
         let Some(after) = shot(renderer, &changed) else { continue };
         let place = format!("{} from {} to {value} in {job}", position.pointer, position.value);
-        assert_eq!(before.bytes != after.bytes, before.key != after.key, "cache keys and bytes: {place}");
+        // A slightly different goal changes no block's number of samples, in most pictures.
+        let may_agree = position.pointer.starts_with("/image/samples/adaptive") && before.bytes == after.bytes;
+        assert!(
+            may_agree || (before.bytes != after.bytes) == (before.key != after.key),
+            "cache keys and bytes: {place}"
+        );
         if before.pixels != after.pixels {
             assert_ne!(before.pixels_key, after.pixels_key, "pixels differ: {place}");
             let in_scene = position.pointer.starts_with("/scene") && before.scene_hash == after.scene_hash;

@@ -96,7 +96,7 @@ template <typename Thread> static void run_block(Thread thread) {
 /// The job in a small size, with every layer.
 fn small(shipped: &Shipped) -> Job {
     let job = shipped.job();
-    let image = Image { width: 60, height: 40, samples: 3, layers: LAYERS.to_vec(), ..job.image.clone() };
+    let image = Image { width: 60, height: 40, samples: 3.into(), layers: LAYERS.to_vec(), ..job.image.clone() };
     job.with_image(image)
 }
 
@@ -134,7 +134,7 @@ fn render_on_host(job: &Job, folder: &Path, program_of: fn(&str) -> String) -> T
     let source = KernelSource::new(&job.at(0).expect("a shipped scene is valid")).expect("a recorded tape is valid");
     let program = compile_text(&program_of(&source.text), folder);
     let planes = job.image.channels().len();
-    let Image { width, height, samples, .. } = job.image;
+    let Image { width, height, ref samples, .. } = job.image;
     let mut input: Vec<u8> = source.parameters.iter().flat_map(|bits| bits.to_ne_bytes()).collect();
     let words = |table: &Table| {
         table.make_all();
@@ -143,7 +143,8 @@ fn render_on_host(job: &Job, folder: &Path, program_of: fn(&str) -> String) -> T
     let table = source.table.as_ref().map(words).unwrap_or_default();
     input.extend((table.len() as u32).to_ne_bytes());
     input.extend(table.iter().flat_map(|word| word.to_ne_bytes()));
-    for word in [planes as u32, samples, 0, 0, width, height, 0, width.div_ceil(8), 0, 0] {
+    let tile = [0, 0, width, height, 0, width.div_ceil(8), 0, 0, width, 0, width * height, 0];
+    for word in [planes as u32, samples.max()].into_iter().chain(tile) {
         input.extend(word.to_ne_bytes());
     }
     let mut child =
@@ -275,7 +276,7 @@ fn source_compiled_by_the_host_is_bit_identical() {
 #[test]
 fn samples_that_a_warp_renders_together_are_bit_identical() {
     let jobs = in_small(&few()[..2]).into_iter().map(|(name, job)| {
-        let image = Image { samples: 8, ..job.image.clone() };
+        let image = Image { samples: 8.into(), ..job.image.clone() };
         (name, job.with_image(image))
     });
     let lens = jobs_with_lenses().into_iter().take(1).map(|job| ("a lens".to_owned(), job));

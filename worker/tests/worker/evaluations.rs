@@ -202,7 +202,7 @@ fn counts_are_the_calls_where_everything_meets() {
 #[test]
 fn counts_of_many_samples_are_exact() {
     let few = scene::parse(EVERYTHING.as_bytes()).expect("a valid job");
-    let image = Image { width: 2, height: 1, samples: 130, ..few.image.clone() };
+    let image = Image { width: 2, height: 1, samples: 130.into(), ..few.image.clone() };
     let job = few.with_image(image);
     assert_eq!(counted(&job), calls(&job));
 }

@@ -83,7 +83,7 @@ impl Renderer for FakeRenderer {
         if cancel.is_cancelled() {
             return Err(RenderError::Cancelled);
         }
-        progress(run.rect.pixels() * u64::from(run.job.image.samples));
+        progress(run.rect.pixels() * u64::from(run.job.image.samples.max()));
         Ok(pixels(run.job, run.frame, run.rect))
     }
 }

@@ -62,6 +62,8 @@ fn reference(program: &Integrator<'_>, image: &Image, x: u32, y: u32) -> Vec<f32
             Layer::Albedo => channels.extend(<[f32; 3]>::from(met.albedo)),
             Layer::Object => channels.push(met.object),
             Layer::Steps => channels.push(met.steps),
+            Layer::Samples => channels.push(met.samples),
+            Layer::Noisy => channels.extend([0.0; 3]),
         }
     }
     channels

@@ -1,5 +1,6 @@
 //! Tests of the worker crate: pictures, blobs, frames, the agent, every arithmetic, the generated pages.
 
+mod adaptive;
 mod agent;
 mod animation;
 mod bench;

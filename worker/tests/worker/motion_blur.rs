@@ -60,7 +60,7 @@ fn defined(job: &Job) -> Vec<Vec<f32>> {
     let mut planes = vec![Vec::new(); 6];
     for (x, y) in (0..HEIGHT).flat_map(|y| (0..WIDTH).map(move |x| (x as f32, y as f32))) {
         let black = Radiance { color: vec3(0.0, 0.0, 0.0), alpha: 0.0, evaluations: 0.0 };
-        let parts = integrators.iter().zip(exposure.samples());
+        let parts = integrators.iter().zip(exposure.samples().concat());
         let sum = parts.fold(black, |sum, (integrator, samples)| {
             integrator.accumulate(x, y, samples.start as f32, samples.end as f32, sum)
         });

@@ -133,7 +133,8 @@ fn the_bytes_of_a_picture_are_pinned() {
     ];
     let hashes = pinned.each_ref().map(|(job, _)| {
         let provenance = Provenance { scene: "0".repeat(64), picture_version: 1, frame: 0, seed: 0, objects: None };
-        let picture = PictureSpec { provenance, ..PictureSpec::new(&job.at(0).unwrap()) };
+        let mut picture = PictureSpec::new(&job.at(0).unwrap());
+        picture.provenance = provenance;
         let tiles = tiles(job, &[Rect::full(70, 50)]);
         let mut out = Cursor::new(Vec::new());
         picture.write(&mut TileRows(&tiles), &mut out, &CancelFlag::new()).unwrap();

@@ -5,8 +5,8 @@ use std::path::Path;
 use scene::{Bits, Format, Image, Job, Layer, Precision};
 
 /// Every layer an EXR may have.
-pub(crate) const LAYERS: [Layer; 6] =
-    [Layer::Depth, Layer::Normal, Layer::Position, Layer::Albedo, Layer::Object, Layer::Steps];
+pub(crate) const LAYERS: [Layer; 7] =
+    [Layer::Depth, Layer::Normal, Layer::Position, Layer::Albedo, Layer::Object, Layer::Steps, Layer::Samples];
 
 /// A job file.
 pub(crate) struct Shipped {
@@ -40,7 +40,7 @@ impl Shipped {
 /// The job in another size, with the same aspect ratio.
 fn sized(job: Job, width: u32, samples: u32) -> Job {
     let height = (job.image.height * width / job.image.width).max(1);
-    let image = Image { width, height, samples, ..job.image.clone() };
+    let image = Image { width, height, samples: samples.into(), ..job.image.clone() };
     job.with_image(image)
 }
 

@@ -2,7 +2,7 @@
 
 use proto::preview_helper::CostSample;
 use proto::tile::Tiling;
-use scene::{Bits, Format, Image, Job, Precision};
+use scene::{Bits, Format, Image, Job, Precision, SampleCount};
 use serde_json::{Value, json};
 
 /// Number of server cores that render as fast as one H200: it takes 0.40 ms for `five-spheres`, and 16 cores take
@@ -43,7 +43,7 @@ impl Outlook {
     /// Outlook of a job on `threads` threads; without a sample its time is unknown.
     pub(super) fn new(job: &Job, threads: usize, sample: Option<&CostSample>) -> Self {
         let image = job.image.clone();
-        let Image { width, height, samples, .. } = image;
+        let (width, height, samples) = (image.width, image.height, image.samples.max());
         let frames = u64::from(job.frames.count);
         let tiling = Tiling { width, height, samples, pixel_bytes: image.pixel_bytes(), tile_edge: None };
         let (rays, tiles) = (job.rays_per_frame() * frames, tiling.tiles().len() as u64 * frames);
@@ -70,7 +70,11 @@ impl Outlook {
 
     /// Formats the outlook as lines for users.
     pub(super) fn lines(&self) -> Vec<String> {
-        let Image { width, height, samples, .. } = self.image;
+        let Image { width, height, ref samples, .. } = self.image;
+        let (samples, most) = match samples {
+            SampleCount::Fixed(samples) => (count(u64::from(*samples), "sample"), ""),
+            SampleCount::Adaptive(adaptive) => (format!("{} to {} samples", adaptive.min, adaptive.max), "at most "),
+        };
         let mut lines = vec![
             format!(
                 "scene: {} in {}, {}, {}",
@@ -79,16 +83,12 @@ impl Outlook {
                 count(self.materials as u64, "material"),
                 count(self.lights as u64, "light")
             ),
-            format!(
-                "pictures: {} of {width}×{height}, {} a pixel",
-                count(u64::from(self.frames), "frame"),
-                count(u64::from(samples), "sample")
-            ),
-            format!("work: {} in {}", count(self.rays, "camera ray"), count(self.tiles, "tile")),
+            format!("pictures: {} of {width}×{height}, {samples} a pixel", count(u64::from(self.frames), "frame")),
+            format!("work: {most}{} in {}", count(self.rays, "camera ray"), count(self.tiles, "tile")),
         ];
         lines.push(match self.judged {
             Some(Judged { core_seconds, sample_rays, .. }) => format!(
-                "time: about {} of one core, {} on the {} of this machine, {} on an H200; estimated from {}",
+                "time: {most}about {} of one core, {} on the {} of this machine, {} on an H200; estimated from {}",
                 duration(core_seconds),
                 duration(self.seconds_here(core_seconds)),
                 count(self.threads as u64, "core"),

@@ -29,7 +29,7 @@ pub(super) fn measure(
     let [columns, rows] = grid(job.image.width, job.image.height);
     let steps = steps(job, renderers, limit / 2, [columns, rows])?;
     let mut single = job.clone();
-    single.image.samples = 1;
+    single.image.samples = 1.into();
     let rects = blocks(job.image.width, job.image.height, [columns, rows]);
     // Whatever is prepared once is prepared before.
     Pass::render(&single, 0, renderers, limit, &rects[..1])?;
@@ -120,9 +120,10 @@ fn fill(blocks: &[Block], job: &Job, [columns, rows]: [u32; 2], steps: &[f64]) -
 fn steps(job: &Job, renderers: &[CpuRenderer], limit: Duration, [columns, rows]: [u32; 2]) -> anyhow::Result<Vec<f64>> {
     let mut small = job.clone();
     small.image.resize(columns * STEPS_PX, rows * STEPS_PX);
-    small.image.samples = 1;
+    small.image.samples = 1.into();
     small.image.format = Format::Exr;
     small.image.layers = vec![Layer::Steps];
+    small.image.denoise = false;
     let mut steps = vec![0.0; columns as usize * rows as usize];
     let Some(renderer) = renderers.first() else { return Ok(steps) };
     let cancel = CancelFlag::new();

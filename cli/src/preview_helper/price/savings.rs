@@ -5,8 +5,8 @@ use std::time::{Duration, Instant};
 
 use proto::Rect;
 use proto::price::Saving;
-use scene::Job;
 use scene::color::{DisplayTransform, srgb_from_linear};
+use scene::{Job, SampleCount};
 use serde_json::Value;
 use worker::{CpuRenderer, TilePixels};
 
@@ -52,14 +52,14 @@ pub(super) fn find(
     core_seconds: f64,
 ) -> anyhow::Result<Vec<Saving>> {
     let start = Instant::now();
-    let samples = job.image.samples.min(MAX_SAMPLES);
+    let samples = job.image.samples.max().min(MAX_SAMPLES);
     let rects = chosen_blocks(job, ray_seconds * f64::from(samples), renderers.len());
     let frame = job.frames.count / 2;
     // A pass is cancelled after twice its limit, and a try has three.
     let pass_limit = limit / 10;
     let sampled = |job: &Job, samples: u32| {
         let mut job = job.clone();
-        job.image.samples = samples;
+        job.image.samples = samples.into();
         job
     };
     let base = Trial::run(&sampled(job, samples), frame, renderers, pass_limit, &rects)?;
@@ -85,7 +85,7 @@ pub(super) fn find(
         let mut change = trial.change_from(&base, &job.image, job.is_transparent());
         if is_samples {
             // Noise falls with the root of the number of rays; fewer than the job's were tried.
-            change *= (f64::from(samples) / f64::from(job.image.samples)).sqrt();
+            change *= (f64::from(samples) / f64::from(job.image.samples.max())).sqrt();
         }
         savings.push(saving(&candidate, share, core_seconds, Some(change)));
     }
@@ -123,8 +123,10 @@ fn lowered(text: &str, candidate: &Candidate) -> Option<Job> {
 /// The numbers that may be lowered, those that often save most first.
 fn candidates(document: &Value, job: &Job) -> Vec<Candidate> {
     let mut found = Vec::new();
-    let samples = f64::from(job.image.samples);
-    if samples >= 2.0 {
+    if let SampleCount::Fixed(samples) = job.image.samples
+        && samples >= 2
+    {
+        let samples = f64::from(samples);
         found.push(Candidate {
             path: "image.samples".to_owned(),
             from: Some(samples),
@@ -231,7 +233,7 @@ impl Trial {
             [Pass::render(job, frame, renderers, limit, rects)?, Pass::render(job, frame, renderers, limit, rects)?];
         let per_ray = |pass: &Pass| pass.seconds / pass.rays.max(1) as f64;
         let pixels: f64 = rects.iter().map(|rect| rect.pixels() as f64).sum();
-        let seconds = per_ray(&first).min(per_ray(&second)) * pixels * f64::from(job.image.samples);
+        let seconds = per_ray(&first).min(per_ray(&second)) * pixels * f64::from(job.image.samples.max());
         let mut tiles: Vec<TilePixels> = second.blocks.into_iter().map(|block| block.pixels).collect();
         tiles.sort_by_key(|tile| (tile.rect.y, tile.rect.x));
         Ok(Self { seconds, tiles })

@@ -181,7 +181,7 @@ mod tests {
         assert!(paths.len() > 30, "{} scenes", paths.len());
         for path in paths {
             let job = scene::parse(&std::fs::read(&path).expect("a job file")).expect("a valid job");
-            let image = Image { samples: 2, layers: ALL_LAYERS.to_vec(), ..job.image.clone() };
+            let image = Image { samples: 2.into(), layers: ALL_LAYERS.to_vec(), ..job.image.clone() };
             let (x, y) = (image.width as f32 / 2.0, image.height as f32 / 2.0);
             let job = job.with_image(image);
             let tape = record_picture(&job.at(0).expect("a valid frame"), FastBuilder::UNLIMITED);

@@ -87,7 +87,7 @@ fn through(lens: &str) -> Job {
     );
     let mut job = stage(&scene, [240, 180]);
     // Few of the rays of a blurred lamp meet it.
-    job.image.samples = 512;
+    job.image.samples = 512.into();
     job
 }
 

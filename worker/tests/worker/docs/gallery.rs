@@ -52,8 +52,15 @@ fn jobs(folder: &Path) -> Vec<(String, Job)> {
 fn small(job: Job) -> Job {
     let height = (WIDTH * job.image.height).div_ceil(job.image.width);
     let is_of_paths = job.scene.integrator != Transport::Direct;
-    let samples = job.image.samples.min(if is_of_paths { MAX_SAMPLES_OF_PATHS } else { MAX_SAMPLES });
-    let image = Image { width: WIDTH, height, samples, format: Format::Png, layers: Vec::new(), ..job.image.clone() };
+    let samples = job.image.samples.max().min(if is_of_paths { MAX_SAMPLES_OF_PATHS } else { MAX_SAMPLES });
+    let image = Image {
+        width: WIDTH,
+        height,
+        samples: samples.into(),
+        format: Format::Png,
+        layers: Vec::new(),
+        ..job.image.clone()
+    };
     job.with_image(image)
 }
 
@@ -64,7 +71,8 @@ pub(crate) fn page() -> Page {
         page.text += heading;
         for (name, job) in jobs(&root.join(folder)) {
             let file = format!("pictures/gallery/{pictures}{name}.png");
-            let Image { width, height, samples, .. } = job.image;
+            let Image { width, height, ref samples, .. } = job.image;
+            let samples = samples.max();
             let frames = if job.frames.count > 1 { format!(", {} frames", job.frames.count) } else { String::new() };
             write!(
                 page.text,

@@ -1,0 +1,58 @@
+//! How pictures end whose samples are taken in rounds: those with adaptive samples, and those that are denoised.
+//!
+//! One code for all devices: it decides with the sums of a block's pixels, and turns them into the block's numbers.
+
+use scene::sample_count::standard_error;
+use scene::{AdaptiveSamples, Image};
+
+/// Channels of every picture: red, green, blue, alpha.
+pub(crate) const CHANNELS: usize = 4;
+
+/// Sums of the samples of a pixel: red, green, blue, alpha.
+pub(crate) type Sums = [f32; CHANNELS];
+
+/// The rules of a picture.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Rounds<'a> {
+    adaptive: Option<&'a AdaptiveSamples>,
+    max_samples: u32,
+    samples_plane: Option<usize>,
+    error_plane: Option<usize>,
+}
+
+impl<'a> Rounds<'a> {
+    /// The rules of a picture; `None` if all its samples are taken at once.
+    pub(crate) fn of(image: &'a Image) -> Option<Self> {
+        (image.rounds().len() > 1).then(|| Self {
+            adaptive: image.samples.adaptive(),
+            max_samples: image.samples.max(),
+            samples_plane: image.samples_plane(),
+            error_plane: image.error_plane(),
+        })
+    }
+
+    /// Greatest number of samples of a pixel.
+    pub(crate) fn max_samples(&self) -> u32 {
+        self.max_samples
+    }
+
+    /// Whether a block whose pixels have these sums, of the samples before a round and after it, needs no more than the
+    /// `count` that it has after the round. No block is done after the first.
+    pub(crate) fn is_done(&self, round: usize, count: u32, sums: impl Iterator<Item = (Sums, Sums)>) -> bool {
+        round > 0 && (count == self.max_samples || self.adaptive.is_some_and(|goal| goal.is_done(count, sums)))
+    }
+
+    /// Numbers of a finished pixel that do not follow from its sums: pairs of a plane and a number. Its last round
+    /// doubled its samples to `count`, but for an odd one.
+    pub(crate) fn extras(&self, count: u32, before: Sums, sum: Sums) -> impl Iterator<Item = (usize, f32)> {
+        let samples = self.samples_plane.map(|plane| (plane, count as f32));
+        let error = self.error_plane.map(|plane| (plane, standard_error([count / 2, count], before, sum)));
+        samples.into_iter().chain(error)
+    }
+}
+
+/// The color of a pixel from the sums of its samples.
+pub(crate) fn mean(count: u32, sum: Sums) -> Sums {
+    let share = 1.0 / count as f32;
+    sum.map(|sum| sum * share)
+}
