@@ -50,6 +50,8 @@ export async function open(farm, hash = '#/jobs', { size = DESKTOP, theme = 'lig
   });
   page.on('pageerror', (error) => faults.push(`error: ${error.stack ?? error}`));
   page.on('dialog', (dialog) => (faults.push(`a dialog of the browser: ${dialog.message()}`), void dialog.dismiss()));
+  // With a listener from the start, because one that is added with a key press may be too late for it.
+  page.on('filechooser', () => {});
   page.on('request', (request) => {
     const url = new URL(request.url());
     if (!['blob:', 'data:'].includes(url.protocol) && url.origin !== farm.address) faults.push(`a request to another host: ${request.url()}`);
