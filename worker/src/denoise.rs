@@ -34,6 +34,8 @@ const ALBEDO_REACH: f32 = 0.5;
 const DEPTH_REACH: f32 = 0.1;
 /// Difference of two brightnesses from which on noise does not explain it, in standard deviations.
 const NOISE_REACH: f32 = 4.0;
+/// Variance of a neighbor over the pixel's own that is believed at most.
+const MAX_NOISE_RATIO: f32 = 4.0;
 /// Brightness over the mean of a pixel's neighbors from which on it is an outlier, in their standard deviations.
 const OUTLIER_REACH: f32 = 3.0;
 /// Least albedo that light is divided by.
@@ -252,7 +254,9 @@ impl Guides<'_> {
             let reach = DEPTH_REACH * depth[x].max(depths[x]) + 1e-12;
             let of_depth = biweight((off_plane * off_plane) / (reach * reach));
             let difference = bright[x] - brights[x];
-            let noise = (NOISE_REACH * NOISE_REACH) * (variance[x] + variances[x]) + 1e-12;
+            // A neighbor's noise explains no more than a few times the pixel's own, so that bright edges do not leak.
+            let variances = variance[x] + variances[x].min(MAX_NOISE_RATIO * variance[x]);
+            let noise = (NOISE_REACH * NOISE_REACH) * variances + 1e-12;
             let of_light = biweight((difference * difference) / noise);
             let w = kernel * ((of_normal * of_albedo) * (of_depth * of_light));
             red[x] += w * reds[x];

@@ -64,6 +64,29 @@ fn what_scatters_all_light_vanishes_in_a_white_sky() {
     }
 }
 
+/// A glass shape and a medium in the same shape: subsurface scattering.
+#[test]
+fn what_scatters_all_light_under_a_glass_skin_vanishes_in_a_white_sky() {
+    let skin = json!({ "surface": { "base_color": [1, 1, 1], "roughness": 0, "transmission": 1, "ior": 1.1 } });
+    for anisotropy in [0.0, 0.6] {
+        let medium = json!({ "volume": { "density": 1.5, "albedo": [1, 1, 1], "anisotropy": anisotropy } });
+        let mut scene = ball(&medium, json!({ "background": { "color": [1, 1, 1] } }));
+        scene["objects"]
+            .as_array_mut()
+            .expect("objects")
+            .push(json!({ "material": skin, "shape": { "sphere": { "radius": 1 } } }));
+        let (mean, deviation) = estimate(&job(32, scene.clone()), 1024, 8);
+        // Paths of more than 32 bounces are cut off.
+        assert!(mean.iter().all(|&mean| (mean - 1.0).abs() < 6e-3), "{mean:?} ± {deviation:?}");
+        // It is no clear glass: little of a light of radiance 1 behind it is seen.
+        scene["background"] = json!({ "color": [0, 0, 0] });
+        scene["lights"] = json!([{ "disc": { "position": [0, 0, -9], "direction": [0, 0, 1], "radius": 0.2,
+            "color": [0.04, 0.04, 0.04], "visible": true } }]);
+        let (seen, _) = estimate(&job(32, scene), 1024, 8);
+        assert!((seen[0] - (-3.0_f64).exp()).abs() < 0.01, "{seen:?}");
+    }
+}
+
 #[test]
 fn media_are_lit_alike_however_lights_are_found() {
     for anisotropy in [0.0, 0.7, -0.4] {
