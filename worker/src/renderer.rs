@@ -126,7 +126,8 @@ pub struct TileRequest<'a> {
     pub job: &'a scene::Job,
     /// The frame, from 0.
     pub frame: u32,
-    /// The tile's pixels.
+    /// The tile's pixels. Blocks of adaptive samples begin at its corner, so that is at multiples of
+    /// [`scene::sample_count::BLOCK_PX`] in a picture.
     pub rect: Rect,
 }
 
