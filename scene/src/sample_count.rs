@@ -92,7 +92,7 @@ impl SampleCount {
         }
     }
 
-    /// The samples of each round. All pixels have those of the first two.
+    /// The samples of each round: one, or those of [`AdaptiveSamples`], of which all pixels have the first two.
     pub fn rounds(&self) -> Vec<Range<u32>> {
         match self {
             Self::Fixed(count) => std::iter::once(0..*count).collect(),

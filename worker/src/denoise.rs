@@ -92,11 +92,12 @@ impl Region {
         let color = std::array::from_fn(|channel| {
             self.color[channel].iter().zip(&divisors[channel]).map(|(light, divisor)| light / divisor).collect()
         });
-        let variance = (0..self.error.len()).map(|pixel| {
+        let own_variance = (0..self.error.len()).map(|pixel| {
             let error = self.error[pixel] / brightness(std::array::from_fn(|channel| divisors[channel][pixel]));
             error * error
         });
-        let variance = blurred(&variance.collect::<Vec<f32>>(), self.width, self.height);
+        let own_variance: Vec<f32> = own_variance.collect();
+        let variance = blurred(&own_variance, self.width, self.height);
         let guides = Guides {
             width: self.width,
             height: self.height,
@@ -106,7 +107,7 @@ impl Region {
             slopes: slopes(&self.inverse_depth, self.width),
         };
         let mut light = Light { color, variance };
-        light.hold_outliers(self.width, self.height);
+        light.hold_outliers(&own_variance, self.width, self.height);
         // The first pass compares means of neighbors, because pixels by themselves are too noisy.
         let means = guides.filtered(&light, None, 1);
         light = guides.filtered(&light, Some(&means), 1);
@@ -133,27 +134,29 @@ impl Light {
         (0..self.variance.len()).map(of_pixel).collect()
     }
 
-    /// Darkens pixels that are much brighter than those around them, as far as noise may explain that: samples that found
-    /// much light by chance.
-    fn hold_outliers(&mut self, width: usize, height: usize) {
+    /// Darkens pixels that are much brighter than those around them, as far as noise may explain that, by their own variance
+    /// or by that of their neighbors: samples that found much light by chance.
+    fn hold_outliers(&mut self, own_variance: &[f32], width: usize, height: usize) {
         let brightnesses = self.brightnesses();
         let factor = |(pixel, &own): (usize, &f32)| {
             let (x, y) = (pixel % width, pixel / width);
             let rows = y.saturating_sub(2)..height.min(y + 3);
             let (mut sum, mut squares, mut count) = (0.0, 0.0, 0.0);
             for row in rows {
-                let start = row * width;
-                for &other in &brightnesses[start + x.saturating_sub(2)..start + width.min(x + 3)] {
-                    sum += other;
-                    squares += other * other;
-                    count += 1.0;
+                for other in row * width + x.saturating_sub(2)..row * width + width.min(x + 3) {
+                    // Left out and not subtracted: a firefly's square would leave nothing but its rounding.
+                    if other != pixel {
+                        sum += brightnesses[other];
+                        squares += brightnesses[other] * brightnesses[other];
+                        count += 1.0;
+                    }
                 }
             }
-            let (sum, squares, count) = (sum - own, squares - own * own, f32::max(count - 1.0, 1.0));
+            let count = f32::max(count, 1.0);
             let mean = sum / count;
             let deviation = Real::sqrt((squares / count - mean * mean).max(0.0));
             let limit = mean + OUTLIER_REACH * deviation;
-            let explained = own - NOISE_REACH * Real::sqrt(self.variance[pixel]);
+            let explained = own - NOISE_REACH * Real::sqrt(self.variance[pixel].max(own_variance[pixel]));
             if own > limit { limit.max(explained) / own } else { 1.0 }
         };
         let factors: Vec<f32> = brightnesses.par_iter().enumerate().map(factor).collect();
@@ -444,11 +447,13 @@ mod tests {
 
     #[test]
     fn a_firefly_goes() {
-        let (mut region, truth) = room(0.2);
-        let pixel = 60 * WIDTH + 40;
-        region.color.iter_mut().for_each(|plane| plane[pixel] = 40.0);
-        region.error[pixel] = 20.0;
-        let denoised = region.denoised();
-        assert!(denoised[0][pixel] < 1.5 * truth[0][pixel], "{} {}", denoised[0][pixel], truth[0][pixel]);
+        for light in [40.0, 1e6] {
+            let (mut region, truth) = room(0.2);
+            let pixel = 60 * WIDTH + 40;
+            region.color.iter_mut().for_each(|plane| plane[pixel] = light);
+            region.error[pixel] = light / 2.0;
+            let denoised = region.denoised();
+            assert!(denoised[0][pixel] < 1.5 * truth[0][pixel], "{light}: {} {}", denoised[0][pixel], truth[0][pixel]);
+        }
     }
 }

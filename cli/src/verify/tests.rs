@@ -79,11 +79,17 @@ fn genuine(path: &PathBuf, kind: Kind, renderer: &CpuRenderer) -> Genuine {
     if image.format == Format::Exr {
         image.layers = vec![Layer::Depth, Layer::Normal, Layer::Object, Layer::Steps];
     }
+    let file = rendered(&job, renderer);
+    Genuine { name, kind, job, file }
+}
+
+/// The file of a job's picture.
+fn rendered(job: &Job, renderer: &CpuRenderer) -> Vec<u8> {
     let mut file = Cursor::new(Vec::new());
     let folder = std::env::temp_dir();
-    worker::frame::render_frame(renderer, &job, 0, None, &folder, &mut file, &CancelFlag::new(), &|_| ())
+    worker::frame::render_frame(renderer, job, 0, None, &folder, &mut file, &CancelFlag::new(), &|_| ())
         .expect("rendered");
-    Genuine { name, kind, job, file: file.into_inner() }
+    file.into_inner()
 }
 
 impl Genuine {
@@ -185,6 +191,26 @@ fn every_forged_bit_of_all_scenes_is_found() {
     assert!(paths.len() > 40, "{}", paths.len());
     find_forgeries(&paths, 1000);
     accept_genuine(&paths);
+}
+
+/// The denoiser reads pixels beyond a tile.
+#[test]
+fn single_tiles_of_a_denoised_picture_are_verified() {
+    let renderer = CpuRenderer::new(None, Simd::Auto).expect("threads");
+    let mut genuine = genuine(&some()[0], Kind::Half, &renderer);
+    let image = &mut genuine.job.image;
+    image.resize(330, 250);
+    let adaptive = serde_json::json!({ "adaptive": { "min": 4, "max": 16 } });
+    (image.samples, image.denoise) = (serde_json::from_value(adaptive).expect("a valid number"), true);
+    image.layers = vec![Layer::Samples, Layer::Noisy];
+    genuine.file = rendered(&genuine.job, &renderer);
+    for extent in [Extent::All, Extent::Sample(6)] {
+        let found = genuine.check(&genuine.file, extent, &renderer);
+        assert!(found.is_same() && found.findings.is_empty(), "{extent:?}: {found:?}");
+    }
+    let (file, [x, y], _) = genuine.forge(&mut Rng::new(5));
+    let found = genuine.check(&file, Extent::All, &renderer);
+    assert_eq!((found.pixels_different, [found.differs[0].first.x, found.differs[0].first.y]), (1, [x, y]));
 }
 
 #[test]

@@ -14,6 +14,7 @@ use worker::stitch::TileRows;
 use worker::{CancelFlag, CpuRenderer, Renderer, Simd, TilePixels, TileRequest};
 
 use crate::lanes::levels;
+use crate::motion_blur::{bits, part, render};
 
 const WIDTH: u32 = 44;
 const HEIGHT: u32 = 36;
@@ -36,15 +37,6 @@ fn job(integrator: &Value, shutter: f64) -> Job {
             "samples": { "adaptive": { "min": MIN, "max": MAX, "error": 0.01 } } },
     });
     scene::parse(text.to_string().as_bytes()).unwrap_or_else(|refusal| panic!("{refusal}: {text}"))
-}
-
-fn render(renderer: &CpuRenderer, job: &Job, rect: Rect) -> TilePixels {
-    let run = TileRequest { job, frame: 1, rect };
-    renderer.render(&run, &CancelFlag::new(), &|_| ()).expect("it renders")
-}
-
-fn bits(planes: &[Vec<f32>]) -> Vec<u32> {
-    planes.iter().flatten().map(|value| value.to_bits()).collect()
 }
 
 /// Pixels of frame 1, by the definition.
@@ -104,11 +96,7 @@ fn every_path_and_tile_has_the_bits_of_the_definition() {
             assert_eq!(bits(&whole.planes), want, "job {index}, {level}");
             let rect = Rect { x: 8, y: 16, width: 32, height: HEIGHT - 16 };
             let tile = render(&renderer, job, rect);
-            let rows = (rect.y..rect.y + rect.height).flat_map(|y| (rect.x..rect.x + rect.width).map(move |x| (x, y)));
-            let places: Vec<usize> = rows.map(|(x, y)| (y * WIDTH + x) as usize).collect();
-            let planes = want.chunks_exact((WIDTH * HEIGHT) as usize);
-            let of_whole: Vec<u32> = planes.flat_map(|plane| places.iter().map(|&place| plane[place])).collect();
-            assert_eq!(bits(&tile.planes), of_whole, "job {index}, {level}");
+            assert_eq!(bits(&tile.planes), part(&want, [WIDTH, HEIGHT], rect), "job {index}, {level}");
         }
     }
 }

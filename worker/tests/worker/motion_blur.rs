@@ -43,13 +43,22 @@ fn scenes() -> Vec<Value> {
     ]
 }
 
-fn render(renderer: &CpuRenderer, job: &Job, rect: Rect) -> TilePixels {
+/// Pixels of frame 1.
+pub(crate) fn render(renderer: &CpuRenderer, job: &Job, rect: Rect) -> TilePixels {
     let run = TileRequest { job, frame: 1, rect };
     renderer.render(&run, &CancelFlag::new(), &|_| ()).expect("it renders")
 }
 
-fn bits(planes: &[Vec<f32>]) -> Vec<u32> {
+pub(crate) fn bits(planes: &[Vec<f32>]) -> Vec<u32> {
     planes.iter().flatten().map(|value| value.to_bits()).collect()
+}
+
+/// The numbers of a rectangle, from planes of this width and height.
+pub(crate) fn part(planes: &[u32], [width, height]: [u32; 2], rect: Rect) -> Vec<u32> {
+    let rows = (rect.y..rect.y + rect.height).flat_map(|y| (rect.x..rect.x + rect.width).map(move |x| (x, y)));
+    let places: Vec<usize> = rows.map(|(x, y)| (y * width + x) as usize).collect();
+    let planes = planes.chunks_exact((width * height) as usize);
+    planes.flat_map(|plane| places.iter().map(|&place| plane[place])).collect()
 }
 
 /// Pixels of frame 1, by the definition.
@@ -92,11 +101,7 @@ fn a_blurred_frame_has_the_same_bits_on_every_path_and_in_tiles() {
         let (rect, renderer) =
             (Rect { x: 7, y: 5, width: 9, height: 6 }, CpuRenderer::new(Some(1), Simd::Auto).unwrap());
         let tile = render(&renderer, &blurred, rect);
-        let rows = (rect.y..rect.y + rect.height).flat_map(|y| (rect.x..rect.x + rect.width).map(move |x| (x, y)));
-        let places: Vec<usize> = rows.map(|(x, y)| (y * WIDTH + x) as usize).collect();
-        let planes = want.chunks_exact((WIDTH * HEIGHT) as usize);
-        let of_whole: Vec<u32> = planes.flat_map(|plane| places.iter().map(|&place| plane[place])).collect();
-        assert_eq!(bits(&tile.planes), of_whole, "{scene}");
+        assert_eq!(bits(&tile.planes), part(&want, [WIDTH, HEIGHT], rect), "{scene}");
     }
 }
 
