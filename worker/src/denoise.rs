@@ -143,13 +143,13 @@ impl Light {
             let rows = y.saturating_sub(2)..height.min(y + 3);
             let (mut sum, mut squares, mut count) = (0.0, 0.0, 0.0);
             for row in rows {
-                for other in row * width + x.saturating_sub(2)..row * width + width.min(x + 3) {
-                    // Left out and not subtracted: a firefly's square would leave nothing but its rounding.
-                    if other != pixel {
-                        sum += brightnesses[other];
-                        squares += brightnesses[other] * brightnesses[other];
-                        count += 1.0;
-                    }
+                let start = row * width + x.saturating_sub(2);
+                let others = &brightnesses[start..row * width + width.min(x + 3)];
+                for (_, other) in others.iter().enumerate().filter(|(column, _)| start + column != pixel) {
+                    // The pixel is left out and not subtracted: a firefly's square would leave nothing but its rounding.
+                    sum += other;
+                    squares += other * other;
+                    count += 1.0;
                 }
             }
             let count = f32::max(count, 1.0);
