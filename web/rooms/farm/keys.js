@@ -21,8 +21,6 @@ const DAY = 86_400;
 
 /** The keys' panel, for administrators. */
 export class Keys {
-  #hasKeys = false;
-
   /** @param {AbortSignal} signal */
   constructor(signal) {
     this.signal = signal;
@@ -44,7 +42,6 @@ export class Keys {
 
   /** @param {Key[]} keys */
   #show(keys) {
-    this.#hasKeys = keys.length > 0;
     const shown = keys.filter((key) => this.all.checked || key.state === 'live');
     if (keys.length === 0) {
       this.body.replaceChildren(h('p', { class: 'empty-line' }, 'This farm has no keys: every program on this machine may use it. The first key, which must be an administrator’s, closes it to everyone without one.'));
@@ -78,8 +75,16 @@ export class Keys {
   }
 
   async #create() {
+    // Asked now, because the list may not be here yet: only a farm's first key is an administrator's unless chosen.
+    let isFirst;
+    try {
+      isFirst = (await getJson('/v1/keys', { signal: this.signal })).keys.length === 0;
+    } catch (error) {
+      if (!this.signal.aborted) toastError('The keys could not be read', error);
+      return;
+    }
     const name = h('input', { type: 'text', id: 'key-name', required: true, maxlength: 64, pattern: '[A-Za-z0-9._\\-]+', autocomplete: 'off', spellcheck: 'false', placeholder: 'anna', title: 'Letters, digits, dots, dashes and underscores' });
-    const boxes = SCOPES.map((scope) => h('input', { type: 'checkbox', value: scope.name, checked: this.#hasKeys ? scope.name === 'submit' : scope.name === 'admin' }));
+    const boxes = SCOPES.map((scope) => h('input', { type: 'checkbox', value: scope.name, checked: scope.name === (isFirst ? 'admin' : 'submit') }));
     const expiry = h('select', { id: 'key-expiry' }, ...[['', 'Never'], [String(DAY), 'In a day'], [String(30 * DAY), 'In 30 days'], [String(90 * DAY), 'In 90 days'], [String(365 * DAY), 'In a year']].map(([value, label]) => h('option', { value }, label)));
     const message = h('p', { class: 'field-error', role: 'alert' });
     /** @type {{secret: string, key: Key} | null} */
@@ -87,7 +92,7 @@ export class Keys {
     await showDialog({
       title: 'New key',
       body: [
-        ...(this.#hasKeys ? [] : [h('p', {}, 'It is the first key of this farm: from then on every request needs one, also on this machine. It must be an administrator’s.')]),
+        ...(isFirst ? [h('p', {}, 'It is the first key of this farm: from then on every request needs one, also on this machine. It must be an administrator’s.')] : []),
         h('label', { for: 'key-name' }, 'Name of its owner'),
         name,
         h('fieldset', { class: 'scopes' }, h('legend', {}, 'It may'), ...SCOPES.map((scope, index) => h('label', { class: 'check' }, /** @type {HTMLElement} */ (boxes[index]), h('span', {}, h('b', {}, scope.name), ` – ${scope.text}`)))),
@@ -112,14 +117,16 @@ export class Keys {
         }
       },
     });
-    if (issued !== null) await this.#showOnce(issued);
+    if (issued !== null) await this.#showOnce(issued, isFirst);
     await this.read();
   }
 
-  /** @param {{secret: string, key: Key}} issued */
-  async #showOnce({ secret, key }) {
+  /**
+   * @param {{secret: string, key: Key}} issued
+   * @param {boolean} isFirst
+   */
+  async #showOnce({ secret, key }, isFirst) {
     const field = h('input', { type: 'text', readonly: true, value: secret, class: 'mono', 'aria-label': 'The key' });
-    const isFirst = !this.#hasKeys;
     await showDialog({
       title: `The key of ${key.name}`,
       body: [
