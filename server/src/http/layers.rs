@@ -1,5 +1,7 @@
 //! Layers and pixel values of stored pictures, read by a helper process.
 
+use std::path::PathBuf;
+
 use axum::Json;
 use axum::extract::{Path, State};
 use axum::http::{HeaderMap, StatusCode, Uri, header};
@@ -195,7 +197,22 @@ impl Previews {
         &self,
         caller: &Caller,
         stored: &StoredFrame,
-        request: impl FnOnce(std::path::PathBuf) -> HelperRequest,
+        request: impl FnOnce(PathBuf) -> HelperRequest,
+    ) -> Result<StoredAnswer, ApiError> {
+        let answer = self.ask_helper(caller, stored, request).await;
+        if answer.is_err() && matches!(self.queue.frame_contents(stored.job, stored.frame).await?, FrameContents::NoJob)
+        {
+            // The job was deleted meanwhile, and its picture with it.
+            return Err(ApiError::UnknownJob(stored.job.to_string()));
+        }
+        answer
+    }
+
+    async fn ask_helper(
+        &self,
+        caller: &Caller,
+        stored: &StoredFrame,
+        request: impl FnOnce(PathBuf) -> HelperRequest,
     ) -> Result<StoredAnswer, ApiError> {
         images::intact(&self.pictures, &stored.hash, stored.size_bytes).await?;
         let copies =
