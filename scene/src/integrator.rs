@@ -11,6 +11,7 @@ mod media_path;
 mod path;
 mod pick;
 mod ray_kinds;
+mod regeneration;
 mod scene_distance;
 mod shading;
 mod sky_table;
@@ -24,7 +25,7 @@ use crate::bounds::Bounds;
 use crate::camera::{Ray, View};
 use crate::cells::Cells;
 use crate::limits::MAX_SAMPLES;
-use crate::march::{Approach, MarchRange, MarchResult, RELAXATION, Tolerance, find_root, march_to_root};
+use crate::march::{Approach, MarchRange, MarchResult, RELAXATION, Tolerance, find_root, march_to_root, settle};
 use crate::materials::{Material, Shade, ShadingPoint};
 use crate::real::{MaskValue, Real, Vec3, bundle, vec3};
 use crate::sampling::{PixelSampler, Sampler, frame_key};
@@ -234,14 +235,14 @@ impl<'a> Integrator<'a> {
     pub fn accumulate<R: Real>(&self, x: R, y: R, first: R, end: R, sum: Radiance<R>) -> Radiance<R> {
         let [x, y] = self.in_whole_picture(x, y);
         let pixel = PixelSampler::new(x, y, self.samples, self.frame_key);
-        if self.samples == 1 {
-            return sum + self.radiance(&pixel, &pixel.sample(x.constant(0.0)));
-        }
         match self.scene.integrator {
-            // Other rays than those of the camera may see other objects, by other formulas.
-            Transport::Path(PathSettings { max_bounces }) if self.of_reflections.is_none() => {
+            // Rays of other kinds may see other objects, by other formulas.
+            Transport::Path(PathSettings { max_bounces })
+                if self.of_reflections.is_none() && self.of_shadows.is_none() =>
+            {
                 self.accumulate_paths(&pixel, [first, end], sum, max_bounces)
             }
+            _ if self.samples == 1 => sum + self.radiance(&pixel, &pixel.sample(x.constant(0.0))),
             _ => {
                 let (_, sum) = R::repeat(MAX_SAMPLES, (first, sum), |(sample, sum)| {
                     let next = sample + 1.0;
@@ -374,16 +375,35 @@ impl<'a> Integrator<'a> {
             let reach = MarchRange { t_min: nearest, t_max: farthest, max_steps, relaxation };
             let along = AlongRay { integrator: self, ray };
             let marched = march_to_root(ray, reach, approach, &along, |p| self.distance(p), |p| self.is_fine(p));
-            // Out of steps: a hit if the surface is within the pixel's footprint.
-            let seen = self.view.footprint().at(marched.t);
-            let touches = !marched.hit.0 & marched.distance.lt(seen) & marched.t.lt(farthest);
-            if !self.fine.is_empty() {
-                return MarchResult { hit: MaskValue(marched.hit.0 | touches), ..marched };
-            }
-            // A root must exist, too: a ray along a surface has none.
-            let wide = Approach { slope: zero, near: seen, ..approach };
-            R::when(touches, marched, || find_root(ray, &marched, wide, None, |p| self.distance(p)))
+            let touches = self.touches(&marched, farthest);
+            R::when(touches, marched, || self.touched_surface(ray, marched, approach))
         })
+    }
+
+    /// Whether a march that ran out of steps did so within the pixel's footprint of a surface.
+    fn touches<R: Real>(&self, marched: &MarchResult<R>, farthest: R) -> R::Mask {
+        let seen = self.view.footprint().at(marched.t);
+        !marched.hit.0 & marched.distance.lt(seen) & marched.t.lt(farthest)
+    }
+
+    /// The hit of a march that touches a surface.
+    fn touched_surface<R: Real>(&self, ray: &Ray<R>, marched: MarchResult<R>, approach: Approach<R>) -> MarchResult<R> {
+        if !self.fine.is_empty() {
+            return MarchResult { hit: MaskValue(marched.t.below(f32::MAX)), ..marched };
+        }
+        // A root must exist, too: a ray along a surface has none.
+        let wide = Approach { slope: marched.t.constant(0.0), near: self.view.footprint().at(marched.t), ..approach };
+        find_root(ray, &marched, wide, None, |p| self.distance(p))
+    }
+
+    /// The surface where a march ended: not a hit if it ended at none, or if the ray passes the surface.
+    fn found_surface<R: Real>(&self, ray: &Ray<R>, near: R, marched: MarchResult<R>, farthest: R) -> MarchResult<R> {
+        let approach = self.approach(near.uniform(self.tolerance.slope), near, false);
+        let found = R::when(marched.hit.0, marched, || {
+            settle(ray, marched, approach, |p| self.distance(p), |p| self.is_fine(p))
+        });
+        let touches = !marched.hit.0 & self.touches(&marched, farthest);
+        R::when(touches, found, || self.touched_surface(ray, marched, approach))
     }
 
     fn approach<R>(&self, slope: R, near: R, among_details: bool) -> Approach<R> {

@@ -159,18 +159,27 @@ pub fn march_to_root<R: Real>(
             evaluations: so_far.evaluations + near.evaluations,
             ..near
         };
-        let found = R::when(near.hit.0, near, || {
-            let is_fine = is_fine(ray.at(near.t));
-            let near = MarchResult { evaluations: near.evaluations + approach.detail_evaluations, ..near };
-            let Some(is_met) = is_fine.filter(|_| !approach.among_details) else {
-                return find_root(ray, &near, approach, is_fine, &field);
-            };
-            R::when(!is_met, near, || find_root(ray, &near, approach, None, &field))
-        });
+        let found = R::when(near.hit.0, near, || settle(ray, near, approach, &field, &is_fine));
         let passes = near.hit.0 & !found.hit.0;
         let goes_on = passes & found.t.lt(reach.t_max) & found.steps.below(reach.max_steps as f32);
         (goes_on, found)
     })
+}
+
+/// The intersection near where a march came within the tolerance; not a hit if the ray passes the surface.
+pub fn settle<R: Real>(
+    ray: &Ray<R>,
+    near: MarchResult<R>,
+    approach: Approach<R>,
+    field: impl Fn(Vec3<R>) -> R,
+    is_fine: impl Fn(Vec3<R>) -> Option<R::Mask>,
+) -> MarchResult<R> {
+    let is_fine = is_fine(ray.at(near.t));
+    let near = MarchResult { evaluations: near.evaluations + approach.detail_evaluations, ..near };
+    let Some(is_met) = is_fine.filter(|_| !approach.among_details) else {
+        return find_root(ray, &near, approach, is_fine, &field);
+    };
+    R::when(!is_met, near, || find_root(ray, &near, approach, None, &field))
 }
 
 /// Two points of a ray and the field's values there; the nearer point is outside the surface.
@@ -293,40 +302,97 @@ impl<R: Real> Search<R> {
     }
 }
 
+/// A march that can be interrupted after each step.
+#[derive(Clone, Copy)]
+pub struct March<R: Real> {
+    /// Distance along the ray.
+    pub t: R,
+    /// How far the last step went past its sphere.
+    pub past: R,
+    /// Value of the distance field where it was evaluated last.
+    pub gap: R,
+    /// Steps taken.
+    pub steps: R,
+    /// Whether the march came within the tolerance.
+    pub hit: MaskValue<R>,
+    /// Whether there is another step to take.
+    pub goes_on: MaskValue<R>,
+    /// The part of the ray.
+    pub part: Option<Part<R>>,
+}
+
+bundle!(March { t, past, gap, steps, hit, goes_on, part });
+
+impl<R: Real> March<R> {
+    /// A march from `t`, if it lies before the ray's end.
+    pub fn start(t: R, t_max: R, field: &impl RayField<R>) -> Self {
+        let zero = t.constant(0.0);
+        Self {
+            t,
+            past: zero.constant(NO_OVERSTEP),
+            gap: zero,
+            steps: zero,
+            hit: MaskValue(zero.below(0.0)),
+            goes_on: MaskValue(t.lt(t_max)),
+            part: field.start(),
+        }
+    }
+
+    /// Takes a step, with the tolerance at its start.
+    ///
+    /// It is longer than the radius of the sphere around its start, within a part of the ray. If the sphere around its end
+    /// does not overlap the one around its start, it is taken back to the first sphere: Benjamin Keinert et al., "Enhanced
+    /// sphere tracing", Smart Tools and Apps for Graphics, 2014. With `both_sides`, the sign of a distance tells only the
+    /// side.
+    pub fn step(
+        self,
+        t_max: R,
+        relaxation: f32,
+        tolerance: impl Fn(R) -> R,
+        both_sides: bool,
+        field: &impl RayField<R>,
+    ) -> Self {
+        let Self { t, past, steps, part, .. } = self;
+        let entered = part.map(|part| R::when(!t.lt(part.end), (t, part), || field.enter(t, t_max)));
+        let (t, part) = entered.map_or((t, None), |(t, part)| (t, Some(part)));
+        let gap = match part {
+            None => field.distance(t, None),
+            Some(part) => R::when(t.lt(t_max), t_max, || field.distance(t, Some(part))),
+        };
+        let gap = if both_sides { gap.abs() } else { gap };
+        // A step past a surface at a right angle ends as far behind it as it went too far: up to rounding.
+        let is_torn = if both_sides { gap.lt(past * 1.0001) } else { gap.lt(past) };
+        let hit = gap.lt(tolerance(t)) & !is_torn;
+        let (end, further) = (t + gap, gap * (relaxation - 1.0));
+        // The last step must cover the rest of the ray, or of the part.
+        let goes_past = (end + further).lt(t_max) & !is_torn;
+        let goes_past = part.map_or(goes_past, |part| goes_past & (end + further).lt(part.end));
+        let ahead = R::select(goes_past, end + further, R::select(is_torn, t - past, end));
+        let next = R::select(hit, t, ahead);
+        Self {
+            t: next,
+            past: R::select(goes_past, further, t.constant(NO_OVERSTEP)),
+            gap,
+            steps: steps + 1.0,
+            hit: MaskValue(hit),
+            goes_on: MaskValue(!hit & next.lt(t_max)),
+            part,
+        }
+    }
+}
+
 /// Marches along a ray through a field which never exceeds the distance to its surface. `tolerance` is the tolerance at a
-/// distance along the ray. With `both_sides`, the sign of a distance tells only the side.
-///
-/// Steps are longer than the radius of the sphere around their start, within a part of the ray. If the sphere around a
-/// step's end does not overlap the one around its start, the step is taken back to the first sphere: Benjamin Keinert et
-/// al., "Enhanced sphere tracing", Smart Tools and Apps for Graphics, 2014.
+/// distance along the ray.
 pub fn march<R: Real>(
     reach: MarchRange<R>,
     tolerance: impl Fn(R) -> R,
     both_sides: bool,
     field: &impl RayField<R>,
 ) -> MarchResult<R> {
-    let zero = reach.t_max.constant(0.0);
-    let not_past = zero.constant(NO_OVERSTEP);
-    let start = (reach.t_min, not_past, zero, zero, MaskValue(zero.below(0.0)), field.start());
-    let (distance, _, gap, steps, hit, _) = R::repeat(reach.max_steps, start, |(t, past, _, steps, _, part)| {
-        let entered = part.map(|part| R::when(!t.lt(part.end), (t, part), || field.enter(t, reach.t_max)));
-        let (t, part) = entered.map_or((t, None), |(t, part)| (t, Some(part)));
-        let gap = match part {
-            None => field.distance(t, None),
-            Some(part) => R::when(t.lt(reach.t_max), reach.t_max, || field.distance(t, Some(part))),
-        };
-        let gap = if both_sides { gap.abs() } else { gap };
-        // A step past a surface at a right angle ends as far behind it as it went too far: up to rounding.
-        let is_torn = if both_sides { gap.lt(past * 1.0001) } else { gap.lt(past) };
-        let hit = gap.lt(tolerance(t)) & !is_torn;
-        let (end, further) = (t + gap, gap * (reach.relaxation - 1.0));
-        // The last step must cover the rest of the ray, or of the part.
-        let goes_past = (end + further).lt(reach.t_max) & !is_torn;
-        let goes_past = part.map_or(goes_past, |part| goes_past & (end + further).lt(part.end));
-        let ahead = R::select(goes_past, end + further, R::select(is_torn, t - past, end));
-        let next = R::select(hit, t, ahead);
-        let past = R::select(goes_past, further, not_past);
-        (!hit & next.lt(reach.t_max), (next, past, gap, steps + 1.0, MaskValue(hit), part))
+    let start = March::start(reach.t_min, reach.t_max, field);
+    let end = R::repeat(reach.max_steps, start, |march| {
+        let next = march.step(reach.t_max, reach.relaxation, &tolerance, both_sides, field);
+        (next.goes_on.0, next)
     });
-    MarchResult { t: distance, near: distance, distance: gap, steps, evaluations: steps, hit }
+    MarchResult { t: end.t, near: end.t, distance: end.gap, steps: end.steps, evaluations: end.steps, hit: end.hit }
 }

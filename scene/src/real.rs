@@ -133,6 +133,12 @@ pub trait Real:
     /// state is true.
     fn repeat<T: Bundle<Self>>(limit: u32, state: T, step: impl FnMut(T) -> (Self::Mask, T)) -> T;
 
+    /// Like [`Real::repeat`], but may stop early where few lanes still go on. The mask is part of the state, by which the
+    /// caller lets those go on later, so that others need not wait for them. No result may depend on where it stops.
+    fn repeat_while_many<T: Bundle<Self>>(limit: u32, state: T, step: impl FnMut(T) -> (Self::Mask, T)) -> T {
+        Self::repeat(limit, state, step)
+    }
+
     /// Calls a named function that a formula uses in several places. A name identifies one function: all numbers that
     /// differ from call to call are in `arguments`, and `step` captures only the scene.
     fn call<A: Bundle<Self>, T: Bundle<Self>>(self, name: &'static str, arguments: A, step: impl FnOnce(A) -> T) -> T {

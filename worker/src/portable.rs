@@ -7,7 +7,7 @@ mod fold;
 use std::collections::{HashMap, HashSet};
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use crate::tape::{Allocation, Linear, LinearTape, Operation, Place, Registers, Step, Var, allocate};
+use crate::tape::{Allocation, Linear, LinearTape, Operation, PAUSE, Place, Registers, Step, Var, allocate};
 #[cfg(target_arch = "x86_64")]
 use crate::x86::{AVX2, AVX512};
 pub(crate) use arithmetic::LANES;
@@ -89,7 +89,8 @@ enum Instruction {
     MoveWhere { mask: Source, to: usize, from: Source },
     SkipIfNone { mask: Source, end: usize },
     Count { counter: usize, limit: u32 },
-    RepeatWhileAny { mask: Source, counter: usize, top: usize },
+    CountLanes { counter: usize, mask: Source },
+    RepeatWhileAny { mask: Source, counter: usize, top: usize, pauses: bool },
     Call { callee: usize, moves: Vec<(usize, Source)>, results: Vec<(usize, usize)> },
     Make { live: Source, to: usize, missing: Source },
     Fold(Box<Fold>),
@@ -332,7 +333,11 @@ impl Places<'_> {
             Step::Count { counter, limit } => {
                 Instruction::Count { counter: self.layout.counters + counter, limit: *limit }
             }
-            Step::RepeatWhileAny { mask, counter, top } => Instruction::RepeatWhileAny {
+            Step::CountLanes { counter, mask } => {
+                Instruction::CountLanes { counter: self.layout.counters + counter, mask: self.source(*mask) }
+            }
+            Step::RepeatWhileAny { mask, counter, top, pauses } => Instruction::RepeatWhileAny {
+                pauses: *pauses,
                 mask: self.source(*mask),
                 counter: self.layout.counters + counter,
                 top: *top,
@@ -412,10 +417,12 @@ impl Run<'_> {
                     }
                 }
                 Instruction::Count { counter, limit } => self.frame.counters[*counter] = *limit,
-                Instruction::RepeatWhileAny { mask, counter, top } => {
+                Instruction::CountLanes { counter, mask } => self.frame.counters[*counter] = self.lane_count(*mask),
+                Instruction::RepeatWhileAny { mask, counter, top, pauses } => {
+                    let are_few = *pauses && self.lane_count(*mask) * PAUSE < self.frame.counters[*counter + 1];
                     let left = &mut self.frame.counters[*counter];
                     *left -= 1;
-                    if *left > 0 && self.has_lane(*mask) && !self.cancel.load(Ordering::Relaxed) {
+                    if *left > 0 && !are_few && self.has_lane(*mask) && !self.cancel.load(Ordering::Relaxed) {
                         next = *top;
                     }
                 }
@@ -442,6 +449,13 @@ impl Run<'_> {
         match mask {
             Source::Slot(slot) => self.frame.slots[slot].0.iter().fold(0, |any, lane| any | lane) != 0,
             Source::Input(index) => self.frame.inputs[index] != 0,
+        }
+    }
+
+    fn lane_count(&self, mask: Source) -> u32 {
+        match mask {
+            Source::Slot(slot) => self.frame.slots[slot].0.iter().map(|&lane| u32::from(lane != 0)).sum(),
+            Source::Input(index) => LANES as u32 * u32::from(self.frame.inputs[index] != 0),
         }
     }
 

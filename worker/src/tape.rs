@@ -24,7 +24,7 @@ use scene::real::Table;
 pub(crate) use allocate::{Allocation, Place, Registers, allocate};
 pub use expr::{BoolExpr, Expr, U32Expr};
 pub(crate) use fold_step::{FoldStep, ListFunctionLayout};
-pub(crate) use linear::{Class, Linear, LinearTape, Step, Var};
+pub(crate) use linear::{Class, Linear, LinearTape, PAUSE, Step, Var};
 pub use recorder::{Recording, record};
 pub use source::Source;
 pub use verify::InvalidTape;
@@ -233,9 +233,11 @@ enum Statement {
         body: Vec<Statement>,
         value: Vec<ValueId>,
     },
-    /// Assigns `start` to the variables, then runs the body and assigns `next`, while `again` holds.
+    /// Assigns `start` to the variables, then runs the body and assigns `next`, while `again` holds. If it `pauses`, it may
+    /// also stop where `again` holds in few lanes.
     Repeat {
         limit: u32,
+        pauses: bool,
         variables: Vec<ValueId>,
         start: Vec<ValueId>,
         body: Vec<Statement>,

@@ -10,7 +10,7 @@ use crate::camera::Ray;
 use crate::lights::{LightBody, LightSource, NEVER, PlacedLight, direction_around};
 use crate::materials::Shade;
 use crate::materials::microfacet::orthonormal_basis;
-use crate::real::{Real, Vec3, bundle, vec3};
+use crate::real::{MaskValue, Real, Vec3, bundle, vec3};
 use crate::sampling::Sampler;
 use crate::scene::Scene;
 
@@ -72,15 +72,32 @@ pub(super) struct MetLight<R> {
 
 bundle!(MetLight { distance, radiance, density });
 
-/// Light that arrives at a surface from the chosen light.
-pub(super) struct NextEvent<R> {
+/// Light that arrives at a surface from the chosen light, if nothing is in the way.
+pub(super) struct NextEvent<R: Real> {
     pub(super) direction: Vec3<R>,
-    /// Radiance over π and over the density of the direction, with occlusion.
+    /// Radiance over π and over the density of the direction.
     pub(super) arriving: Vec3<R>,
     /// Density of the direction, if a scattered ray may meet the light there; else 0.
     pub(super) density: R,
-    pub(super) evaluations: R,
+    /// The ray that finds out, without its color.
+    pub(super) shadow: ShadowRay<R>,
 }
+
+/// A ray from a path's vertex toward a light.
+#[derive(Clone, Copy)]
+pub(super) struct ShadowRay<R: Real> {
+    pub(super) direction: Vec3<R>,
+    /// Distance of the light.
+    pub(super) distance: R,
+    /// Index of the object that is the light; −1 if it is none. `None` if no object is a light.
+    pub(super) object: Option<R>,
+    /// Light that it brings to the camera, if nothing is in the way.
+    pub(super) color: Vec3<R>,
+    /// Whether it has still to be traced.
+    pub(super) is_traced: MaskValue<R>,
+}
+
+bundle!(ShadowRay { direction, distance, object, color, is_traced });
 
 /// The vertex that a ray comes from, as the lights saw it.
 #[derive(Clone, Copy)]
@@ -248,12 +265,12 @@ impl Integrator<'_> {
         })
     }
 
-    /// Light at a point off a surface with a normal, or in a medium, from one light, chosen by strength.
+    /// Light at a point off a surface with a normal, or in a medium, from one light, chosen by strength: up to what is in the
+    /// way.
     pub(super) fn next_event<R: Real>(
         &self,
         normal: Option<Vec3<R>>,
         here: &Vertex<R>,
-        near: R,
         dice: &Sampler<R>,
     ) -> NextEvent<R> {
         let p = here.position;
@@ -289,13 +306,43 @@ impl Integrator<'_> {
         }
         let shines = chosen.arriving.max_element().above(0.0);
         let shines = normal.map_or(shines, |normal| normal.dot(chosen.direction).above(0.0) & shines);
-        let (arriving, evaluations) = R::when(shines, (black, zero), || {
-            let lit = chosen.casts_shadows.below(0.5);
-            let (visible, evaluations) =
-                R::when(!lit, (zero.constant(1.0), zero), || self.light_visibility(p, near, &chosen, dice));
-            (chosen.arriving * visible, evaluations)
+        let casts_shadows = chosen.casts_shadows.above(0.5);
+        let ray = Ray { origin: p, direction: chosen.direction };
+        let is = |index: usize| (chosen.emitter - index as f32).abs().below(0.5);
+        // Other lights are in the way, too.
+        let is_blocked = self.emitters.bodies().fold(zero.above(0.0), |is_blocked, (index, _, body)| {
+            is_blocked | (body.shape.distance_along(&ray).lt(chosen.distance) & !is(index))
         });
-        NextEvent { direction: chosen.direction, arriving, density: chosen.density, evaluations }
+        let arrives = shines & !(is_blocked & casts_shadows);
+        let none = zero.constant(-1.0);
+        let object = self
+            .emitters
+            .objects()
+            .fold(none, |object, (index, own)| R::select(is(index), zero.constant(own.index as f32), object));
+        NextEvent {
+            direction: chosen.direction,
+            arriving: Vec3::select(arrives, chosen.arriving, black),
+            density: chosen.density,
+            shadow: ShadowRay {
+                direction: chosen.direction,
+                distance: chosen.distance,
+                object: self.emitters.has_objects().then_some(object),
+                color: black,
+                is_traced: MaskValue(arrives & casts_shadows),
+            },
+        }
+    }
+
+    /// A shadow ray that is not traced.
+    pub(super) fn no_shadow_ray<R: Real>(&self, zero: R) -> ShadowRay<R> {
+        let black = vec3(zero, zero, zero);
+        ShadowRay {
+            direction: vec3(zero, zero + 1.0, zero),
+            distance: zero,
+            object: self.emitters.has_objects().then_some(zero.constant(-1.0)),
+            color: black,
+            is_traced: MaskValue(zero.above(0.0)),
+        }
     }
 
     fn sample_emitter<R: Real>(&self, emitter: &Emitter, p: Vec3<R>, farthest: R, pair: (R, R)) -> LightRay<R> {
@@ -333,41 +380,44 @@ impl Integrator<'_> {
         }
     }
 
-    /// Fraction of the light of an emitter that reaches a point off a surface by the tolerance `near`, and the number of
+    /// Fraction of the light of a shadow ray that reaches `origin`, off a surface by the tolerance `near`, and the number of
     /// distance evaluations.
-    fn light_visibility<R: Real>(&self, origin: Vec3<R>, near: R, light: &LightRay<R>, dice: &Sampler<R>) -> (R, R) {
+    pub(super) fn light_visibility<R: Real>(
+        &self,
+        origin: Vec3<R>,
+        near: R,
+        shadow: &ShadowRay<R>,
+        dice: &Sampler<R>,
+    ) -> (R, R) {
         let shadows = self.of_shadow_rays();
-        let (length, visible, evaluations) = self.light_occlusion(shadows, origin, near, light);
-        let Some(media) = &shadows.media else { return (visible, evaluations) };
-        let ray = Ray { origin, direction: light.direction };
-        let left = R::when(visible.above(0.0), visible, || shadows.tracked_transmittance(media, &ray, length, dice));
-        (left, evaluations)
+        let (length, visible, evaluations) = shadows.light_occlusion(origin, near, shadow);
+        (shadows.through_media(origin, visible, length, shadow.direction, dice), evaluations)
+    }
+
+    /// The visibility of a light behind media along a shadow ray of this length.
+    pub(super) fn through_media<R: Real>(
+        &self,
+        origin: Vec3<R>,
+        visible: R,
+        length: R,
+        direction: Vec3<R>,
+        dice: &Sampler<R>,
+    ) -> R {
+        let Some(media) = &self.media else { return visible };
+        let ray = Ray { origin, direction };
+        R::when(visible.above(0.0), visible, || self.tracked_transmittance(media, &ray, length, dice))
     }
 
     /// The distance of what shines, 1 if nothing is nearer, else 0; and the number of distance evaluations.
-    fn light_occlusion<R: Real>(&self, shadows: &Self, origin: Vec3<R>, near: R, light: &LightRay<R>) -> (R, R, R) {
-        let arguments = ((near, origin), (light.direction, light.distance), light.emitter);
-        near.call(shadows.names.light_visibility, arguments, |((near, origin), (direction, distance), emitter)| {
+    fn light_occlusion<R: Real>(&self, origin: Vec3<R>, near: R, shadow: &ShadowRay<R>) -> (R, R, R) {
+        let arguments = ((near, origin), (shadow.direction, shadow.distance), shadow.object);
+        near.call(self.names.light_visibility, arguments, |((near, origin), (direction, distance), object)| {
             let zero = near.constant(0.0);
             let ray = Ray { origin, direction };
-            let is = |index: usize| (emitter - index as f32).abs().below(0.5);
-            // Other lights are in the way, too.
-            let is_blocked = self.emitters.bodies().fold(zero.above(0.0), |is_blocked, (index, _, body)| {
-                is_blocked | (body.shape.distance_along(&ray).lt(distance) & !is(index))
-            });
-            R::when(!is_blocked, (distance, zero, zero), || {
-                let objects = self.emitters.objects();
-                let object = objects.fold(zero.constant(-1.0), |object, (index, own)| {
-                    R::select(is(index), zero.constant(own.index as f32), object)
-                });
-                if self.emitters.has_objects() {
-                    let of_light = object.below(-0.5);
-                    let lit = R::when(of_light, (distance, zero, zero), || shadows.is_clear(&ray, near, distance));
-                    R::when(!of_light, lit, || shadows.meets_object(&ray, near, object))
-                } else {
-                    shadows.is_clear(&ray, near, distance)
-                }
-            })
+            let Some(object) = object else { return self.is_clear(&ray, near, distance) };
+            let of_light = object.below(-0.5);
+            let lit = R::when(of_light, (distance, zero, zero), || self.is_clear(&ray, near, distance));
+            R::when(!of_light, lit, || self.meets_object(&ray, near, object))
         })
     }
 
@@ -379,12 +429,15 @@ impl Integrator<'_> {
 
     /// The distance of the first surface, 1 if it is this object's, else 0; and the number of distance evaluations.
     fn meets_object<R: Real>(&self, ray: &Ray<R>, near: R, object: R) -> (R, R, R) {
-        let (zero, one) = (near.constant(0.0), near.constant(1.0));
+        let zero = near.constant(0.0);
         let marched = self.march_from(ray, near);
-        let visible = R::when(marched.hit.0, zero, || {
-            let met = self.nearest_object(ray.at(marched.t)).1;
-            R::select((met - object).abs().below(0.5), one, zero)
-        });
+        let visible = R::when(marched.hit.0, zero, || self.is_of_object(ray, marched.t, object));
         (marched.t, visible, marched.evaluations + 1.0)
+    }
+
+    /// 1 if the surface at a point of a ray is this object's, else 0.
+    pub(super) fn is_of_object<R: Real>(&self, ray: &Ray<R>, t: R, object: R) -> R {
+        let met = self.nearest_object(ray.at(t)).1;
+        R::select((met - object).abs().below(0.5), t.constant(1.0), t.constant(0.0))
     }
 }

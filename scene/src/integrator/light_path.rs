@@ -4,17 +4,16 @@
 //! path goes on in a direction sampled by the BSDF. Lights that both can find are weighted by the balance heuristic: Eric
 //! Veach and Leonidas Guibas, "Optimally combining sampling techniques for Monte Carlo rendering", SIGGRAPH 1995.
 
-use super::emitters::{MetLight, NextEvent, Vertex};
+use super::emitters::{MetLight, NextEvent, ShadowRay, Vertex};
 use super::lighting::{OF_DIRECTION, OF_LOBE, OF_ROULETTE};
 use super::{Hit, Integrator, Radiance};
 use crate::backgrounds::Backdrop;
 use crate::camera::Ray;
 use crate::lights::NEVER;
-use crate::limits::MAX_SAMPLES;
 use crate::march::{MarchResult, Tolerance};
 use crate::materials::bsdf::Geometry;
 use crate::real::{MaskValue, Real, Vec3, bundle, vec3};
-use crate::sampling::{PixelSampler, Sampler};
+use crate::sampling::Sampler;
 
 /// Number of bounces from which on paths of little throughput end at random.
 const FIRST_ROULETTE: f32 = 3.0;
@@ -44,6 +43,8 @@ pub(super) struct LightPath<R: Real> {
     pub(super) density: R,
     /// Where the ray comes from.
     pub(super) from: Vertex<R>,
+    /// Ray toward a light, from the same vertex.
+    pub(super) shadow: ShadowRay<R>,
     pub(super) is_active: MaskValue<R>,
 }
 
@@ -58,11 +59,12 @@ bundle!(LightPath {
     bounce,
     density,
     from,
+    shadow,
     is_active
 });
 
 /// Number of segments of a path: its last surface is lit, and its last ray finds lights, emitting surfaces and the sky.
-fn segments(max_bounces: u32) -> u32 {
+pub(super) fn segments(max_bounces: u32) -> u32 {
     max_bounces + 2
 }
 
@@ -71,6 +73,22 @@ impl<R: Real> LightPath<R> {
     fn weight(&self, rival: R) -> R {
         let one = rival.constant(1.0);
         R::select(self.density.below(0.0), one, self.density / (self.density + rival).at_least(1e-30))
+    }
+
+    /// Adds light to what the path has found, unless a shadow ray has to be traced first.
+    pub(super) fn lit(self, light: Vec3<R>, shadow: ShadowRay<R>) -> Self {
+        let color = Vec3::select(shadow.is_traced.0, self.color, self.color + light);
+        Self { color, shadow: ShadowRay { color: light, ..shadow }, ..self }
+    }
+
+    /// Adds the light of the shadow ray, of which this fraction arrives.
+    pub(super) fn shadow_ray_traced(self, visible: R, evaluations: R) -> Self {
+        Self {
+            color: self.color + self.shadow.color * visible,
+            evaluations: self.evaluations + evaluations,
+            shadow: ShadowRay { is_traced: MaskValue(visible.below(-1.0)), ..self.shadow },
+            ..self
+        }
     }
 
     /// Ends paths of little throughput at random: whether the path goes on after its vertex, and its throughput then.
@@ -85,27 +103,6 @@ impl<R: Real> LightPath<R> {
 }
 
 impl Integrator<'_> {
-    /// Adds samples of a pixel to `sum`, as [`Integrator::accumulate`] does. A lane whose path has ended goes on with its
-    /// next sample at once, so that lanes do not wait for one another's longest paths.
-    pub(super) fn accumulate_paths<R: Real>(
-        &self,
-        pixel: &PixelSampler<R>,
-        [first, end]: [R; 2],
-        sum: Radiance<R>,
-        max_bounces: u32,
-    ) -> Radiance<R> {
-        let start = |sample| self.start_path(self.ray_of_sample(pixel, &pixel.sample(sample)));
-        let state = (first, sum, start(first));
-        let (_, sum, _) = R::repeat(MAX_SAMPLES * segments(max_bounces), state, |(sample, sum, path)| {
-            let path = self.follow_segment(path, max_bounces, &pixel.sample(sample));
-            let next = sample + 1.0;
-            let is_active = path.is_active.0;
-            let state = R::when(!is_active, (sample, sum, path), || (next, sum + self.radiance_of(&path), start(next)));
-            (is_active | next.lt(end), state)
-        });
-        sum
-    }
-
     /// Radiance along a ray from the camera.
     pub(super) fn light_path<R: Real>(&self, ray: &Ray<R>, max_bounces: u32, dice: &Sampler<R>) -> Radiance<R> {
         let start = self.start_path(*ray);
@@ -126,7 +123,7 @@ impl Integrator<'_> {
     }
 
     /// A path that begins with a ray from the camera.
-    fn start_path<R: Real>(&self, ray: Ray<R>) -> LightPath<R> {
+    pub(super) fn start_path<R: Real>(&self, ray: Ray<R>) -> LightPath<R> {
         let (zero, one) = (ray.direction.x.constant(0.0), ray.direction.x.constant(1.0));
         LightPath {
             ray,
@@ -139,12 +136,13 @@ impl Integrator<'_> {
             bounce: zero,
             density: zero.constant(UNRIVALED),
             from: Vertex { position: ray.origin, strength: zero },
+            shadow: self.no_shadow_ray(zero),
             is_active: MaskValue(zero.below(1.0)),
         }
     }
 
     /// Radiance along a path that has ended.
-    fn radiance_of<R: Real>(&self, path: &LightPath<R>) -> Radiance<R> {
+    pub(super) fn radiance_of<R: Real>(&self, path: &LightPath<R>) -> Radiance<R> {
         let alpha = self.background(path.ray.direction).1;
         let alpha = path.background_weight.mul_add(alpha - 1.0, alpha.constant(1.0));
         Radiance { color: path.color, alpha, evaluations: path.evaluations }
@@ -154,6 +152,22 @@ impl Integrator<'_> {
     fn follow_segment<R: Real>(&self, path: LightPath<R>, max_bounces: u32, dice: &Sampler<R>) -> LightPath<R> {
         let dice = dice.after(path.bounce);
         let marched = self.march_from(&path.ray, path.epsilon);
+        let path = LightPath { evaluations: path.evaluations + marched.evaluations, ..path };
+        let next = self.after_march(path, &marched, max_bounces, &dice);
+        R::when(next.shadow.is_traced.0, next, || {
+            let (visible, evaluations) = self.light_visibility(next.from.position, next.epsilon, &next.shadow, &dice);
+            next.shadow_ray_traced(visible, evaluations)
+        })
+    }
+
+    /// Samples the bounce where a path's ray has met something.
+    pub(super) fn after_march<R: Real>(
+        &self,
+        path: LightPath<R>,
+        marched: &MarchResult<R>,
+        max_bounces: u32,
+        dice: &Sampler<R>,
+    ) -> LightPath<R> {
         let zero = path.epsilon.constant(0.0);
         let farthest = zero.uniform(self.scene.march.max_distance.get());
         let surface = R::select(marched.hit.0, marched.t, farthest);
@@ -161,8 +175,7 @@ impl Integrator<'_> {
         let meets_light = distance.lt(surface);
         let length = distance.min(surface);
         let mut path = path;
-        path.evaluations = path.evaluations + marched.evaluations;
-        let collision = self.media.as_ref().map(|media| (media, self.free_flight(media, &path.ray, length, &dice)));
+        let collision = self.media.as_ref().map(|media| (media, self.free_flight(media, &path.ray, length, dice)));
         let length = collision.map_or(length, |(_, collision)| collision.min(length));
         if let Some(fog) = &self.scene.fog {
             let clear = fog.transmittance(&path.ray, length);
@@ -181,12 +194,11 @@ impl Integrator<'_> {
             ..path
         };
         let collides = collision.map_or(zero.above(0.0), |(_, t)| t.below(NEVER));
-        let next = R::when(marched.hit.0 & !meets_light & !collides, ended, || {
-            self.bounce(path, &marched, max_bounces, &dice)
-        });
+        let next =
+            R::when(marched.hit.0 & !meets_light & !collides, ended, || self.bounce(path, marched, max_bounces, dice));
         match collision {
             None => next,
-            Some((media, t)) => R::when(collides, next, || self.scatter_in_media(path, media, t, max_bounces, &dice)),
+            Some((media, t)) => R::when(collides, next, || self.scatter_in_media(path, media, t, max_bounces, dice)),
         }
     }
 
@@ -236,12 +248,10 @@ impl Integrator<'_> {
             let near = self.start_tolerance(&met);
             // Where rays start that go on on this side of the surface: lights are sampled from there as well.
             let here = self.vertex(hit.normal.mul_add(near * 4.0, hit.position));
-            let NextEvent { direction, arriving, density, evaluations } =
-                self.next_event(Some(hit.normal), &here, near, dice);
+            let NextEvent { direction, arriving, density, shadow } = self.next_event(Some(hit.normal), &here, dice);
             let lit = bsdf.evaluate(lobes, seen, direction);
             let weight = R::select(density.above(0.0), density / (density + lit.density).at_least(1e-30), zero + 1.0);
-            let color = lit.value.mul_elementwise(arriving) * weight;
-            let color = path.color + path.throughput.mul_elementwise(color);
+            let light = path.throughput.mul_elementwise(lit.value.mul_elementwise(arriving) * weight);
 
             let onward = bsdf.sample(lobes, &seen, dice.get_2d(OF_DIRECTION), dice.get_2d(OF_LOBE).0);
             let is_transmitted = onward.is_transmitted.0;
@@ -252,19 +262,21 @@ impl Integrator<'_> {
             let straight = is_transmitted & (bsdf.ior - 1.0).abs().below(1e-4);
             let see_through = R::select(straight, path.background_weight * onward.weight.mean(), zero);
             let (goes_on, throughput) = path.after_roulette(throughput, dice);
-            LightPath {
+            let next = LightPath {
                 ray,
                 epsilon: near,
                 t: hit.t,
                 throughput,
-                color,
+                color: path.color,
                 background_weight: see_through + through,
-                evaluations: path.evaluations + evaluations,
+                evaluations: path.evaluations,
                 bounce: path.bounce + 1.0,
                 density: R::select(is_transmitted, zero + UNRIVALED, onward.density),
                 from: here,
+                shadow: path.shadow,
                 is_active: MaskValue(goes_on),
-            }
+            };
+            next.lit(light, shadow)
         })
     }
 

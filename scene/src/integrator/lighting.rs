@@ -27,6 +27,8 @@ pub(super) const OF_ROULETTE: u32 = 6;
 /// Along rays toward lights.
 pub(super) const IN_SHADOWING_MEDIA: u32 = 8;
 const OF_LIGHTS: u32 = 16;
+/// Growth of the tolerance of shadow rays per distance.
+pub(super) const SHADOW_SLOPE: f32 = 4e-7;
 /// Distance evaluations of one normal.
 pub(super) const NORMAL_EVALUATIONS: f32 = 4.0;
 
@@ -144,7 +146,7 @@ impl Integrator<'_> {
                 relaxation: RELAXATION,
             };
             let marched =
-                march(reach, |t| t.mul_add(t.constant(4e-7), near), false, &AlongRay { integrator: self, ray });
+                march(reach, |t| t.mul_add(t.constant(SHADOW_SLOPE), near), false, &AlongRay { integrator: self, ray });
             (R::select(marched.hit.0, zero, one), marched.evaluations)
         })
     }

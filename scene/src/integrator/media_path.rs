@@ -101,25 +101,27 @@ impl Integrator<'_> {
             let throughput = path.throughput.mul_elementwise(scatterer.albedo);
             let near = zero.uniform(self.tolerance.floor);
             let here = self.vertex(p);
-            let NextEvent { direction, arriving, density, evaluations } = self.next_event(None, &here, near, dice);
+            let NextEvent { direction, arriving, density, shadow } = self.next_event(None, &here, dice);
             let scattered = phase(scatterer.anisotropy, path.ray.direction.dot(direction));
             let weight = R::select(density.above(0.0), density / (density + scattered).at_least(1e-30), zero + 1.0);
-            let color = color + throughput.mul_elementwise(arriving) * (scattered * PI * weight);
+            let light = throughput.mul_elementwise(arriving) * (scattered * PI * weight);
             let direction = sample_phase(scatterer.anisotropy, path.ray.direction, dice.get_2d(OF_DIRECTION));
             let (goes_on, throughput) = path.after_roulette(throughput, dice);
-            LightPath {
+            let next = LightPath {
                 ray: Ray { origin: p, direction },
                 epsilon: near,
                 t: path.t + t,
                 throughput,
                 color,
                 background_weight: zero,
-                evaluations: path.evaluations + evaluations,
+                evaluations: path.evaluations,
                 bounce: path.bounce + 1.0,
                 density: phase(scatterer.anisotropy, path.ray.direction.dot(direction)),
                 from: here,
+                shadow: path.shadow,
                 is_active: MaskValue(goes_on),
-            }
+            };
+            next.lit(light, shadow)
         })
     }
 

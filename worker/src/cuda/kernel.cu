@@ -58,6 +58,12 @@ INLINE_FN float floor_f(float x) { return floorf(x); }
 
 INLINE_FN float from_lane(float x, unsigned lane) { return __shfl_sync(~0u, x, lane); }
 
+INLINE_FN unsigned threads_together() { return __activemask(); }
+INLINE_FN bool many_go_on(unsigned began, unsigned one_of, bool goes_on) {
+    const unsigned left = __popc(__ballot_sync(began, goes_on));
+    return left != 0 && one_of * left >= __popc(began);
+}
+
 #else
 
 #include <math.h>
@@ -91,6 +97,9 @@ INLINE_FN float max_f(float a, float b) { return a < b ? b : a; }
 INLINE_FN float abs_f(float x) { return fabsf(x); }
 INLINE_FN float floor_f(float x) { return floorf(x); }
 
+INLINE_FN unsigned threads_together() { return 1u; }
+INLINE_FN bool many_go_on(unsigned, unsigned, bool goes_on) { return goes_on; }
+
 // A thread of the host has no warp: it renders all samples of its pixel.
 #undef TOGETHER
 #define TOGETHER 1u
@@ -114,6 +123,14 @@ NOINLINE_FN unsigned made_word(unsigned missing, unsigned index_mask, unsigned l
     }
     return stand_in;
 }
+
+// A loop of the threads of a warp that began it together. It pauses when less than one of so many of them goes on, so that
+// the others need not wait.
+struct Pausing {
+    unsigned began = threads_together(), turns = 0u;
+    bool goes_on = true;
+    INLINE_METHOD bool many(unsigned one_of) const { return many_go_on(began, one_of, goes_on); }
+};
 
 // ---- the picture ----
 

@@ -187,7 +187,11 @@ impl Real for Expr {
     }
 
     fn repeat<T: Bundle<Self>>(limit: u32, state: T, step: impl FnMut(T) -> (BoolExpr, T)) -> T {
-        repeat(limit, state, step)
+        repeat(limit, false, state, step)
+    }
+
+    fn repeat_while_many<T: Bundle<Self>>(limit: u32, state: T, step: impl FnMut(T) -> (BoolExpr, T)) -> T {
+        repeat(limit, true, state, step)
     }
 
     fn call<A: Bundle<Self>, T: Bundle<Self>>(self, name: &'static str, arguments: A, step: impl FnOnce(A) -> T) -> T {

@@ -40,6 +40,12 @@ pub(crate) struct Variable {
     pub(crate) source: Source,
 }
 
+/// A loop that may pause does so when less than one of this many lanes is left, a power of two. If it is larger, lanes wait
+/// longer for others; if it is smaller, fewer of them take what follows at once.
+pub(crate) const PAUSE: u32 = 4;
+/// Counters of a loop that may pause, beside that of its turns: the number of lanes that began, and memory to count them.
+const LANE_COUNTERS: usize = 2;
+
 /// Step of a function.
 #[derive(Clone, Debug)]
 pub(crate) enum Step {
@@ -57,8 +63,11 @@ pub(crate) enum Step {
     Count { counter: usize, limit: u32 },
     /// Begin of a loop.
     Top(usize),
-    /// Goes on after label `top` if the mask has a lane, unless the counter has reached 0.
-    RepeatWhileAny { mask: Var, counter: usize, top: usize },
+    /// Sets a counter to the number of a mask's lanes.
+    CountLanes { counter: usize, mask: Var },
+    /// Goes on after label `top` if the mask has a lane, unless the counter has reached 0. If it `pauses`, the mask must have
+    /// one of [`PAUSE`] of the lanes that the next counter has counted.
+    RepeatWhileAny { mask: Var, counter: usize, top: usize, pauses: bool },
     /// Calls another function, with its live arguments and results.
     Call { callee: usize, live: Var, arguments: Vec<Var>, results: Vec<Var> },
     /// `to` becomes the word in place of a missing one, in the active lanes.
@@ -82,7 +91,9 @@ impl Step {
             }
             Self::Move { to, from } => [*from, *to].into_iter().for_each(see),
             Self::MoveWhere { mask, to, from } => [*mask, *from, *to].into_iter().for_each(see),
-            Self::SkipIfNone { mask, .. } | Self::RepeatWhileAny { mask, .. } => see(*mask),
+            Self::SkipIfNone { mask, .. } | Self::RepeatWhileAny { mask, .. } | Self::CountLanes { mask, .. } => {
+                see(*mask);
+            }
             Self::Label(_) | Self::Count { .. } | Self::Top(_) => {}
             Self::Call { live, arguments, results, .. } => {
                 see(*live);
@@ -297,10 +308,10 @@ impl Builder<'_> {
                         self.when(*condition, &live, body);
                     }
                 }
-                Statement::Repeat { limit, variables, start, body, next, again } => {
+                Statement::Repeat { limit, pauses, variables, start, body, next, again } => {
                     let live = self.live.assignments(variables, start, next);
                     if !live.is_empty() {
-                        self.repeat(*limit, &live, body, *again);
+                        self.repeat(*limit, *pauses, &live, body, *again);
                     }
                 }
             }
@@ -376,7 +387,14 @@ impl Builder<'_> {
         self.push(Step::Label(end));
     }
 
-    fn repeat(&mut self, limit: u32, assigned: &[(ValueId, ValueId, ValueId)], body: &[Statement], again: ValueId) {
+    fn repeat(
+        &mut self,
+        limit: u32,
+        pauses: bool,
+        assigned: &[(ValueId, ValueId, ValueId)],
+        body: &[Statement],
+        again: ValueId,
+    ) {
         let starts: Vec<Var> = assigned.iter().map(|&(_, start, _)| self.var(start)).collect();
         let targets: Vec<Var> = assigned.iter().map(|&(id, ..)| self.define(id)).collect();
         for (&to, &from) in targets.iter().zip(&starts) {
@@ -386,9 +404,12 @@ impl Builder<'_> {
         let active = self.fresh(Class::Mask, Source::Step);
         self.push(Step::Move { to: active, from: outer });
         let (counter, top) = (self.linear.counters, self.linear.labels);
-        self.linear.counters += 1;
+        self.linear.counters += if pauses { 1 + LANE_COUNTERS } else { 1 };
         self.linear.labels += 1;
         self.push(Step::Count { counter, limit });
+        if pauses {
+            self.push(Step::CountLanes { counter: counter + 1, mask: active });
+        }
         self.push(Step::Top(top));
         self.mask = active;
         self.block(body);
@@ -423,7 +444,7 @@ impl Builder<'_> {
             Some(from) => self.push(Step::Move { to: active, from }),
             None => self.push(Step::Compute { to: active, operation: Operation::And, operands: [again, active, 0] }),
         }
-        self.push(Step::RepeatWhileAny { mask: active, counter, top });
+        self.push(Step::RepeatWhileAny { mask: active, counter, top, pauses });
     }
 
     fn call(&mut self, callee: usize, arguments: &[ValueId], returned: &[ValueId]) {

@@ -319,11 +319,12 @@ pub(super) fn when<T: Bundle<Expr>>(condition: BoolExpr, otherwise: T, then: imp
     variables
 }
 
-pub(super) fn repeat<T: Bundle<Expr>>(limit: u32, start: T, step: impl FnOnce(T) -> (BoolExpr, T)) -> T {
+pub(super) fn repeat<T: Bundle<Expr>>(limit: u32, pauses: bool, start: T, step: impl FnOnce(T) -> (BoolExpr, T)) -> T {
     let variables = fresh_values(start, Operation::Variable);
     let ((again, next), body) = block(|| step(variables));
     push(Statement::Repeat {
         limit,
+        pauses,
         variables: parts(variables),
         start: parts(start),
         body,

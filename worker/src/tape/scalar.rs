@@ -124,7 +124,7 @@ impl Run<'_> {
                     }
                     self.assign(variables, &words);
                 }
-                Statement::Repeat { limit, variables, start, body, next, again } => {
+                Statement::Repeat { limit, pauses: _, variables, start, body, next, again } => {
                     self.assign(variables, &self.read(start));
                     for _ in 0..*limit {
                         self.block(body);

@@ -21,8 +21,8 @@ const MAX_ROW_WORDS: u32 = 1 << 16;
 /// Maximum number of values that wait in a fold, and of those that it returns.
 const MAX_WAITING: u32 = 64;
 const MAX_FOLDED: usize = 64;
-/// Maximum number of runs of a loop: the counts of a formula are exact in `f32`.
-const MAX_REPEATS: u32 = 1 << 24;
+/// Maximum number of runs of a loop, whose counter has 32 bits.
+const MAX_REPEATS: u32 = u32::MAX - 1;
 
 /// Error of a tape that breaks a rule: a bug of the recorder or of a formula.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
@@ -356,7 +356,7 @@ impl Verifier<'_> {
                     self.same_types(variables, value)?;
                     reached
                 }
-                Statement::Repeat { limit, variables, start, body, next, again } => {
+                Statement::Repeat { limit, pauses: _, variables, start, body, next, again } => {
                     if !(1..=MAX_REPEATS).contains(limit) {
                         return self.refuse(Fault::Limit(*limit));
                     }

@@ -11,7 +11,7 @@ use iced_x86::{Code, Instruction, MemoryOperand, Register};
 
 use super::isa::Isa;
 use super::operands::{MASK_SCRATCH, MASK_SCRATCH_2};
-use crate::tape::{Allocation, Linear, ListFunctionLayout, Place, Step, Var};
+use crate::tape::{Allocation, Linear, ListFunctionLayout, PAUSE, Place, Step, Var};
 
 pub(super) const FRAME: Register = Register::RDI;
 pub(super) const UNIFORMS: Register = Register::RSI;
@@ -315,6 +315,30 @@ impl<'a> Emitter<'a> {
         }
     }
 
+    /// Sets `eax` to the number of lanes in a mask. `counter` is memory for that.
+    fn count_lanes(&mut self, mask: Var, counter: usize) {
+        if self.isa.has_masks() {
+            let memory = self.counter(counter);
+            for vector in 0..self.isa.vectors {
+                self.vector = vector;
+                let part = self.mask_in_register(mask, MASK_SCRATCH);
+                self.push(valid(Instruction::with2(Code::VEX_Kmovw_r32_kr, Register::EAX, part)));
+                self.push(valid(Instruction::with2(Code::Popcnt_r32_rm32, Register::EAX, Register::EAX)));
+                if vector > 0 {
+                    self.push(valid(Instruction::with2(Code::Add_r32_rm32, Register::EAX, memory)));
+                }
+                if vector + 1 < self.isa.vectors {
+                    self.push(valid(Instruction::with2(Code::Mov_rm32_r32, memory, Register::EAX)));
+                }
+            }
+        } else {
+            let operand = self.operand(mask);
+            let mask = self.in_register(operand, self.isa.scratch);
+            self.push(valid(Instruction::with2(Code::VEX_Vmovmskps_r32_ymm, Register::EAX, mask)));
+            self.push(valid(Instruction::with2(Code::Popcnt_r32_rm32, Register::EAX, Register::EAX)));
+        }
+    }
+
     /// Place of a register of an entry's caller.
     fn saved(&self, place: u32) -> MemoryOperand {
         let first = (self.layout().counters + 4 * (self.linear.counters as u32 + 1)).next_multiple_of(8);
@@ -341,7 +365,14 @@ impl<'a> Emitter<'a> {
                 let at = self.counter(*counter);
                 self.push(valid(Instruction::with2(Code::Mov_rm32_imm32, at, *limit)));
             }
-            Step::RepeatWhileAny { mask, counter, top } => self.repeat_while_any(*mask, *counter, *top),
+            Step::CountLanes { counter, mask } => {
+                self.count_lanes(*mask, *counter + 1);
+                let at = self.counter(*counter);
+                self.push(valid(Instruction::with2(Code::Mov_rm32_r32, at, Register::EAX)));
+            }
+            Step::RepeatWhileAny { mask, counter, top, pauses } => {
+                self.repeat_while_any(*mask, *counter, *top, *pauses);
+            }
             Step::Call { callee, live, arguments, results } => self.call(*callee, *live, arguments, results),
             Step::Make { live, to, missing } => self.make(*live, *to, *missing),
             Step::Fold(fold) => self.fold(fold),
@@ -349,11 +380,19 @@ impl<'a> Emitter<'a> {
     }
 
     /// A loop also ends when the render is cancelled; then nothing reads its results.
-    fn repeat_while_any(&mut self, mask: Var, counter: usize, top: usize) {
+    fn repeat_while_any(&mut self, mask: Var, counter: usize, top: usize, pauses: bool) {
         let mut leaving = Vec::new();
         self.test_mask(mask);
         leaving.push(self.assembly.instructions.len());
         self.push(valid(Instruction::with_branch(Code::Je_rel32_64, 0)));
+        if pauses {
+            self.count_lanes(mask, counter + 2);
+            self.push(valid(Instruction::with2(Code::Shl_rm32_imm8, Register::EAX, PAUSE.trailing_zeros())));
+            let began = self.counter(counter + 1);
+            self.push(valid(Instruction::with2(Code::Cmp_r32_rm32, Register::EAX, began)));
+            leaving.push(self.assembly.instructions.len());
+            self.push(valid(Instruction::with_branch(Code::Jb_rel32_64, 0)));
+        }
         self.push(valid(Instruction::with2(Code::Cmp_rm8_imm8, memory(CANCEL, 0), 0_u32)));
         leaving.push(self.assembly.instructions.len());
         self.push(valid(Instruction::with_branch(Code::Jne_rel32_64, 0)));

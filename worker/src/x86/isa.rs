@@ -52,11 +52,12 @@ impl Isa {
     /// Whether this CPU has the instructions.
     pub(crate) fn is_available(&self) -> bool {
         #[cfg(target_arch = "x86_64")]
-        let is_available = if self.has_masks() {
-            is_x86_feature_detected!("avx512f")
-        } else {
-            is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma")
-        };
+        let is_available = is_x86_feature_detected!("popcnt")
+            && if self.has_masks() {
+                is_x86_feature_detected!("avx512f")
+            } else {
+                is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma")
+            };
         #[cfg(not(target_arch = "x86_64"))]
         let is_available = false;
         is_available

@@ -188,6 +188,18 @@ pub(super) fn operations() -> Vec<Formula> {
             });
             R::select(before.0 & !now.0, x, -x)
         };
+        "repeat while many": |a, b, c| {
+            let start = (a, a.constant(0.0), MaskValue(a.below(1e9)));
+            let (x, turns, _) = R::repeat(99, start, |state| {
+                // Lanes end at different times, and those that are left after a pause go on.
+                let next = R::repeat_while_many(99, state, |(x, turns, _)| {
+                    let goes_on = (turns + 1.0).lt((a * b).abs() * 40.0) & turns.below(90.0);
+                    (goes_on, (x * 0.75 + c, turns + 1.0, MaskValue(goes_on)))
+                });
+                (next.2.0, next)
+            });
+            x + turns
+        };
         "call": |a, b, c| a.call("step", (a, b), |(a, b): (R, R)| a * b + 1.0) + c.call("step", (c, a), |(a, b): (R, R)| a * b + 1.0);
         "loop in a branch in a loop": |a, b, c| R::repeat(5, (a, c), |(x, y)| {
             let inner = R::when(x.lt(b), y, || R::repeat(4, y, |z| { let z = z.mul_add(a, b); (z.lt(c), z) }));

@@ -278,8 +278,15 @@ pub(super) const CASES: &[Case] = &[
                 let (a, again) = (t.functions[MAIN].arguments[0], find(t, Operation::Less));
                 let body = std::mem::take(&mut t.functions[MAIN].body);
                 let variables = vec![add(t, ValueType::F32, Operation::Variable, [None; 3])];
-                t.functions[MAIN].body =
-                    vec![Statement::Repeat { limit: 1, variables, start: vec![a], body, next: vec![a], again }];
+                t.functions[MAIN].body = vec![Statement::Repeat {
+                    limit: 1,
+                    pauses: false,
+                    variables,
+                    start: vec![a],
+                    body,
+                    next: vec![a],
+                    again,
+                }];
             }
         },
         Fault::Depth,
