@@ -246,11 +246,13 @@ pub enum PictureLayer {
     Samples,
     /// The colors before the denoiser.
     Noisy,
+    /// Ways until the next frame: to the right as red, up as green, and gray where nothing moves.
+    Motion,
 }
 
 impl PictureLayer {
     /// All of them, in the order of their names in the schema of jobs.
-    pub const ALL: [Self; 9] = [
+    pub const ALL: [Self; 10] = [
         Self::Color,
         Self::Depth,
         Self::Normal,
@@ -260,6 +262,7 @@ impl PictureLayer {
         Self::Steps,
         Self::Samples,
         Self::Noisy,
+        Self::Motion,
     ];
 
     /// Its name in JSON.
@@ -274,6 +277,7 @@ impl PictureLayer {
             Self::Steps => "steps",
             Self::Samples => "samples",
             Self::Noisy => "noisy",
+            Self::Motion => "motion",
         }
     }
 
@@ -289,6 +293,7 @@ impl PictureLayer {
             Self::Steps => Some(Layer::Steps),
             Self::Samples => Some(Layer::Samples),
             Self::Noisy => Some(Layer::Noisy),
+            Self::Motion => Some(Layer::Motion),
         }
     }
 }

@@ -24,6 +24,9 @@ struct CanonicalPixels<'a> {
     layers: &'a [Layer],
     #[serde(skip_serializing_if = "Option::is_none")]
     crop: Option<Crop>,
+    /// The next frame's scene, if the picture shows motion.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    next: Option<&'a Scene>,
 }
 
 /// Everything that decides the bytes of a frame's picture.
@@ -61,9 +64,12 @@ impl Job {
 }
 
 impl JobAtFrame<'_> {
-    /// Hash of the scene alone, written into its pictures as provenance.
+    /// Hash of the scene alone, written into its pictures as provenance; with the next frame's if they show motion.
     pub fn scene_hash(&self) -> blake3::Hash {
-        hash(self.scene())
+        match self.next_scene() {
+            None => hash(self.scene()),
+            Some(next) => hash(&(self.scene(), next)),
+        }
     }
 
     /// Hash of everything that decides the frame's pixels at one of its instants, but for surfaces and the materials of
@@ -112,12 +118,18 @@ impl JobAtFrame<'_> {
             frame: self.frame(),
             layers,
             crop: *crop,
+            next: self.next_scene(),
         })
     }
 
     /// Hash of everything that decides the distances of the frame's shapes: frames with the same one may share cells.
     pub fn shapes_cache_key(&self) -> blake3::Hash {
-        hash(&(PICTURE_VERSION, self.is_animated(), &self.scene().objects))
+        let objects = &self.scene().objects;
+        match self.next_scene() {
+            None => hash(&(PICTURE_VERSION, self.is_animated(), objects)),
+            // Rows of numbers have those of the next frame, too.
+            Some(next) => hash(&(PICTURE_VERSION, self.is_animated(), objects, &next.objects)),
+        }
     }
 
     /// Hash of everything that decides the bytes of the frame's picture.

@@ -156,6 +156,8 @@ pub enum Layer {
     Samples,
     /// `noisy.R noisy.G noisy.B`: the colors before the denoiser.
     Noisy,
+    /// `motion.X motion.Y`: the way in the picture until the next frame, in pixels to the right and up.
+    Motion,
 }
 
 /// Number and rate of the pictures.
@@ -215,6 +217,7 @@ impl Layer {
             Self::Steps => &["steps"],
             Self::Samples => &["samples"],
             Self::Noisy => &["noisy.R", "noisy.G", "noisy.B"],
+            Self::Motion => &["motion.X", "motion.Y"],
         }
     }
 }

@@ -147,7 +147,7 @@ fn of_outline(text: &str, fault: ScanError) -> (ParseError, ScanErrorKind) {
 fn sound(text: &str) -> Result<Job, ParseError> {
     let (job, key_seconds) = read(text)?;
     if job.is_animated {
-        let first = job.is_blurred().then_some(0);
+        let first = (job.is_blurred() || job.shows_motion()).then_some(0);
         let others = frames_to_check(&job.frames, &key_seconds, text.len() * job.instants() as usize);
         for frame in first.into_iter().chain(others) {
             job.exposure(frame).map_err(|error| in_later_frame(text, error))?;

@@ -15,6 +15,7 @@ const LAYERS = /** @type {const} */ ([
   ['steps', 'Steps'],
   ['samples', 'Samples'],
   ['noisy', 'Before the denoiser'],
+  ['motion', 'Motion'],
   ['position', 'Positions'],
 ]);
 

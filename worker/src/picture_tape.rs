@@ -116,6 +116,7 @@ fn channels_of<R: Real>(met: &Aovs<R>, layers: &[Layer]) -> Vec<R> {
         Layer::Samples => vec![met.samples],
         // The denoiser replaces them.
         Layer::Noisy => vec![met.samples.constant(0.0); 3],
+        Layer::Motion => <[_; 2]>::from(met.motion).to_vec(),
         Layer::Normal => <[_; 3]>::from(met.normal).to_vec(),
         Layer::Position => <[_; 3]>::from(met.position).to_vec(),
         Layer::Albedo => <[_; 3]>::from(met.albedo).to_vec(),

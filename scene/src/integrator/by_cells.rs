@@ -20,7 +20,8 @@ fn program<'a>(still: &'a JobAtFrame<'_>) -> Option<Program<'a>> {
     }
     let objects: Vec<_> =
         surfaces_of(scene).map(|index| (index, shrink(scene.objects[index].shape.stretch(), moves))).collect();
-    Program::new(scene, &objects).filter(|program| program.leaf_count() >= MIN_LEAVES)
+    let program = Program::with_motion(scene, still.next_scene(), &objects);
+    program.filter(|program| program.leaf_count() >= MIN_LEAVES)
 }
 
 impl<'a> Integrator<'a> {
@@ -61,6 +62,7 @@ impl<'a> Integrator<'a> {
     pub(crate) fn recordable(&self, still: &'a JobAtFrame<'_>) -> Option<Program<'a>> {
         let scene = still.scene();
         if still.is_blurred()
+            || still.next_scene().is_some()
             || program(still).is_some()
             || scene.objects.iter().any(|object| !object.visible.is_full())
         {
@@ -91,6 +93,7 @@ impl<'a> Integrator<'a> {
             cull_bounds: _,
             shares_nearest: _,
             // Neither frame has any.
+            next_frame: _,
             cells: _,
             visits: _,
             of_shadows: _,

@@ -64,6 +64,7 @@ fn reference(program: &Integrator<'_>, image: &Image, x: u32, y: u32) -> Vec<f32
             Layer::Steps => channels.push(met.steps),
             Layer::Samples => channels.push(met.samples),
             Layer::Noisy => channels.extend([0.0; 3]),
+            Layer::Motion => channels.extend(<[f32; 2]>::from(met.motion)),
         }
     }
     channels
