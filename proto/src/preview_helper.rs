@@ -248,11 +248,15 @@ pub enum PictureLayer {
     Noisy,
     /// Ways until the next frame: to the right as red, up as green, and gray where nothing moves.
     Motion,
+    /// The object that covers most of each pixel, each in a color of its own.
+    CryptoObject,
+    /// The material that covers most of each pixel, each in a color of its own.
+    CryptoMaterial,
 }
 
 impl PictureLayer {
     /// All of them, in the order of their names in the schema of jobs.
-    pub const ALL: [Self; 10] = [
+    pub const ALL: [Self; 12] = [
         Self::Color,
         Self::Depth,
         Self::Normal,
@@ -263,6 +267,8 @@ impl PictureLayer {
         Self::Samples,
         Self::Noisy,
         Self::Motion,
+        Self::CryptoObject,
+        Self::CryptoMaterial,
     ];
 
     /// Its name in JSON.
@@ -278,6 +284,8 @@ impl PictureLayer {
             Self::Samples => "samples",
             Self::Noisy => "noisy",
             Self::Motion => "motion",
+            Self::CryptoObject => "crypto_object",
+            Self::CryptoMaterial => "crypto_material",
         }
     }
 
@@ -294,6 +302,8 @@ impl PictureLayer {
             Self::Samples => Some(Layer::Samples),
             Self::Noisy => Some(Layer::Noisy),
             Self::Motion => Some(Layer::Motion),
+            Self::CryptoObject => Some(Layer::CryptoObject),
+            Self::CryptoMaterial => Some(Layer::CryptoMaterial),
         }
     }
 }

@@ -49,6 +49,11 @@ impl Exposure<'_> {
 }
 
 impl JobAtFrame<'_> {
+    /// The job.
+    pub(crate) fn job(&self) -> &Job {
+        self.job
+    }
+
     /// The scene, with every number evaluated at this frame.
     pub fn scene(&self) -> &Scene {
         &self.scene

@@ -2,6 +2,7 @@
 //! devices.
 
 mod by_cells;
+mod coverage;
 mod emitters;
 mod guides;
 mod light_path;
@@ -33,6 +34,8 @@ use crate::scene::Scene;
 use crate::transport::{PathSettings, Transport};
 use crate::visible::RayKind;
 use crate::visits::Visits;
+use coverage::MatteIds;
+pub use coverage::{Coverage, MAX_COVERAGE_SAMPLES, RANKS, Rank, Ranks};
 use emitters::Emitters;
 pub use guides::Guides;
 use media::Media;
@@ -84,6 +87,8 @@ pub struct Integrator<'a> {
     cells: Option<Cells<'a>>,
     /// The next frame, if the picture shows motion.
     next_frame: Option<NextFrame<'a>>,
+    /// The ids of the picture's mattes.
+    matte_ids: MatteIds,
     /// Record of what rays ask for, if that is wanted.
     visits: Option<Visits>,
     /// Names of the functions that depend on the objects that are seen.
@@ -203,6 +208,7 @@ impl<'a> Integrator<'a> {
             scene,
             cells: None,
             next_frame: NextFrame::of(still),
+            matte_ids: MatteIds::of(still),
             visits: None,
             names: CallNames::of(rays),
             of_shadows: None,

@@ -334,6 +334,13 @@ fn image(document: &JobDocument, fault: &mut impl FnMut(&str, String)) {
             "has the colors before the denoiser: set denoise to true, or leave this layer out".to_owned(),
         );
     }
+    let matte = image.layers.iter().position(|layer| layer.is_matte());
+    if let Some(index) = matte.filter(|_| document.frames.shutter.get() > 0.0) {
+        fault(
+            &format!("/image/layers/{index}"),
+            "does not know motion blur: set shutter to 0 and blur the picture by the layer motion, or leave this layer out".to_owned(),
+        );
+    }
     if image.format == Format::Png && !image.layers.is_empty() {
         fault("/image/layers", "a PNG has no layers: set format to \"exr\", or leave layers out".to_owned());
     }

@@ -16,6 +16,8 @@ const LAYERS = /** @type {const} */ ([
   ['samples', 'Samples'],
   ['noisy', 'Before the denoiser'],
   ['motion', 'Motion'],
+  ['crypto_object', 'Matte of objects'],
+  ['crypto_material', 'Matte of materials'],
   ['position', 'Positions'],
 ]);
 

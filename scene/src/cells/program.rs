@@ -64,7 +64,9 @@ pub(super) struct Leaf<'a> {
     pub(super) material: LeafMaterial,
     /// Index of its family.
     pub(super) family: usize,
-    /// Its numbers.
+    /// Id of its object, if that is wanted.
+    pub(super) id: Option<u32>,
+    /// Its numbers, the id the last.
     pub(super) numbers: Vec<u32>,
 }
 
@@ -148,16 +150,18 @@ impl<'a> Program<'a> {
     /// Cuts objects of a scene, each given by its index and the factor of its distance, at their outermost joins. `None`
     /// if they have too many families or materials, or joins nested too deeply.
     pub fn new(scene: &'a Scene, objects: &[(usize, Option<f32>)]) -> Option<Self> {
-        Self::with_motion(scene, None, objects)
+        Self::with_layers(scene, None, None, objects)
     }
 
-    /// The same, also with the motion of the surfaces if the scene is given as it is one frame later.
-    pub(crate) fn with_motion(
+    /// The same, also with the motion of the surfaces if the scene is given as it is one frame later, and with the ids of
+    /// the objects if they are given by index.
+    pub(crate) fn with_layers(
         scene: &'a Scene,
         next: Option<&'a Scene>,
+        ids: Option<&[u32]>,
         objects: &[(usize, Option<f32>)],
     ) -> Option<Self> {
-        let cutter = Cutter::new(scene, next, objects);
+        let cutter = Cutter::new(scene, next, ids, objects);
         let depth = depth(&cutter.operations, &cutter.joins);
         let is_small =
             cutter.family_leaves.len() <= MAX_FAMILIES && cutter.slots.len() <= MAX_MATERIALS && depth <= MAX_STACK;

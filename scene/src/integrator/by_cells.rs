@@ -1,5 +1,6 @@
 //! Which scenes are rendered by cells. It follows from the scene alone, so that all devices render the same bits.
 
+use super::coverage::MatteIds;
 use super::{Integrator, shrink, surfaces_of};
 use crate::animation::JobAtFrame;
 use crate::bounds::Bounds;
@@ -20,7 +21,8 @@ fn program<'a>(still: &'a JobAtFrame<'_>) -> Option<Program<'a>> {
     }
     let objects: Vec<_> =
         surfaces_of(scene).map(|index| (index, shrink(scene.objects[index].shape.stretch(), moves))).collect();
-    let program = Program::with_motion(scene, still.next_scene(), &objects);
+    let ids = MatteIds::of(still);
+    let program = Program::with_layers(scene, still.next_scene(), ids.objects(), &objects);
     program.filter(|program| program.leaf_count() >= MIN_LEAVES)
 }
 
@@ -63,6 +65,7 @@ impl<'a> Integrator<'a> {
         let scene = still.scene();
         if still.is_blurred()
             || still.next_scene().is_some()
+            || !still.mattes().is_empty()
             || program(still).is_some()
             || scene.objects.iter().any(|object| !object.visible.is_full())
         {
@@ -94,6 +97,7 @@ impl<'a> Integrator<'a> {
             shares_nearest: _,
             // Neither frame has any.
             next_frame: _,
+            matte_ids: _,
             cells: _,
             visits: _,
             of_shadows: _,

@@ -5,7 +5,7 @@ use std::path::Path;
 use scene::{Bits, Format, Image, Job, Layer, Precision};
 
 /// Every layer an EXR may have.
-pub(crate) const LAYERS: [Layer; 8] = [
+pub(crate) const LAYERS: [Layer; 10] = [
     Layer::Depth,
     Layer::Normal,
     Layer::Position,
@@ -14,6 +14,8 @@ pub(crate) const LAYERS: [Layer; 8] = [
     Layer::Steps,
     Layer::Samples,
     Layer::Motion,
+    Layer::CryptoObject,
+    Layer::CryptoMaterial,
 ];
 
 /// A job file.

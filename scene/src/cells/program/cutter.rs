@@ -29,6 +29,8 @@ pub(super) struct Cutter<'a> {
     has_painted: bool,
     /// Index of the object that is cut.
     object: usize,
+    /// Its id, if that is wanted.
+    id: Option<u32>,
     /// Slot of its own material, if it has others, too.
     painted: Option<u32>,
     /// Slots of the materials of objects that have several.
@@ -50,19 +52,26 @@ pub(super) struct Cutter<'a> {
 
 impl<'a> Cutter<'a> {
     /// Cuts objects, each given by its index and the factor of its distance.
-    pub(super) fn new(scene: &'a Scene, next: Option<&'a Scene>, objects: &[(usize, Option<f32>)]) -> Self {
+    pub(super) fn new(
+        scene: &'a Scene,
+        next: Option<&'a Scene>,
+        ids: Option<&[u32]>,
+        objects: &[(usize, Option<f32>)],
+    ) -> Self {
         let is_painted = |index: usize| scene.objects[index].shape.has_own_materials();
         let as_next = |Leaf { above, shape, .. }: Leaf<'a>| NextLeaf { above, shape };
         let mut cutter = Self {
             materials: scene.used_materials(),
             has_painted: objects.iter().any(|&(index, _)| is_painted(index)),
             // The same nodes are cut in the same order.
-            next_leaves: next.map(|next| Self::new(next, None, objects).leaves.into_iter().map(as_next).collect()),
+            next_leaves: next
+                .map(|next| Self::new(next, None, None, objects).leaves.into_iter().map(as_next).collect()),
             ..Self::default()
         };
         for (index, &(number, scale)) in objects.iter().enumerate() {
             let object = &scene.objects[number];
             cutter.object = number;
+            cutter.id = ids.map(|ids| ids[number]);
             cutter.painted = is_painted(number).then_some(object.material.slot());
             let join = (index > 0).then_some(&JoinKind::Objects);
             match scale {
@@ -136,7 +145,18 @@ impl<'a> Cutter<'a> {
         let lipschitz = (shape.node().exactness() != Exactness::Estimate).then(|| shape.node().stretch() * stretch);
         let (material, object) = (LeafMaterial::OfObject, self.object);
         let next = self.next_leaves.as_ref().map(|leaves| leaves[self.leaves.len()].clone());
-        let mut leaf = Leaf { above, shape, next, bounds, lipschitz, object, material, family: 0, numbers: Vec::new() };
+        let mut leaf = Leaf {
+            above,
+            shape,
+            next,
+            bounds,
+            lipschitz,
+            object,
+            id: self.id,
+            material,
+            family: 0,
+            numbers: Vec::new(),
+        };
         leaf.bounds = leaf.bounds_of(0.0);
         if let Some(own) = self.painted {
             let slots = leaf.slots(own);
@@ -155,6 +175,7 @@ impl<'a> Cutter<'a> {
         let next = self.family_leaves.len();
         leaf.family = *self.texts.entry(text).or_insert(next);
         leaf.numbers = numbers;
+        leaf.numbers.extend(leaf.id);
         if leaf.family == next {
             self.family_leaves.push(self.leaves.len());
         }
