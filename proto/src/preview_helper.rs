@@ -246,11 +246,17 @@ pub enum PictureLayer {
     Samples,
     /// The colors before the denoiser.
     Noisy,
+    /// Ways until the next frame: to the right as red, up as green, and gray where nothing moves.
+    Motion,
+    /// The object that covers most of each pixel, each in a color of its own.
+    CryptoObject,
+    /// The material that covers most of each pixel, each in a color of its own.
+    CryptoMaterial,
 }
 
 impl PictureLayer {
     /// All of them, in the order of their names in the schema of jobs.
-    pub const ALL: [Self; 9] = [
+    pub const ALL: [Self; 12] = [
         Self::Color,
         Self::Depth,
         Self::Normal,
@@ -260,6 +266,9 @@ impl PictureLayer {
         Self::Steps,
         Self::Samples,
         Self::Noisy,
+        Self::Motion,
+        Self::CryptoObject,
+        Self::CryptoMaterial,
     ];
 
     /// Its name in JSON.
@@ -274,6 +283,9 @@ impl PictureLayer {
             Self::Steps => "steps",
             Self::Samples => "samples",
             Self::Noisy => "noisy",
+            Self::Motion => "motion",
+            Self::CryptoObject => "crypto_object",
+            Self::CryptoMaterial => "crypto_material",
         }
     }
 
@@ -289,6 +301,9 @@ impl PictureLayer {
             Self::Steps => Some(Layer::Steps),
             Self::Samples => Some(Layer::Samples),
             Self::Noisy => Some(Layer::Noisy),
+            Self::Motion => Some(Layer::Motion),
+            Self::CryptoObject => Some(Layer::CryptoObject),
+            Self::CryptoMaterial => Some(Layer::CryptoMaterial),
         }
     }
 }

@@ -7,7 +7,7 @@ use std::borrow::Cow;
 use std::collections::BTreeSet;
 use std::ops::Range;
 
-use crate::job::{Frames, Image, Job};
+use crate::job::{Frames, Image, Job, Layer};
 use crate::limits::{MAX_FULL_CHECK_BYTES, MAX_INSTANTS, MIN_SAMPLED_FRAMES};
 use crate::scene::Scene;
 use crate::seek::{FrameTime, Seek, SeekError};
@@ -19,6 +19,8 @@ pub struct JobAtFrame<'a> {
     scene: Cow<'a, Scene>,
     image: Cow<'a, Image>,
     frame: u32,
+    /// The scene one frame later, if the picture shows motion.
+    next: Option<Box<Scene>>,
 }
 
 /// A frame at the instants at which it is exposed while the shutter is open: one without motion blur.
@@ -47,9 +49,19 @@ impl Exposure<'_> {
 }
 
 impl JobAtFrame<'_> {
+    /// The job.
+    pub(crate) fn job(&self) -> &Job {
+        self.job
+    }
+
     /// The scene, with every number evaluated at this frame.
     pub fn scene(&self) -> &Scene {
         &self.scene
+    }
+
+    /// The scene one frame later, if the picture shows motion and something in the job is animated.
+    pub(crate) fn next_scene(&self) -> Option<&Scene> {
+        self.next.as_deref()
     }
 
     /// The same frame with another scene.
@@ -154,20 +166,37 @@ impl Job {
     fn at_instant(&self, frame: u32, later: f64) -> Result<JobAtFrame<'_>, FrameError> {
         if !self.is_animated {
             let (scene, image) = (Cow::Borrowed(&self.scene), Cow::Borrowed(&self.image));
-            return Ok(JobAtFrame { job: self, scene, image, frame });
+            return Ok(JobAtFrame { job: self, scene, image, frame, next: None });
         }
+        let scene = Cow::Owned(self.scene_at(frame, later)?);
+        let mut image = self.image.clone();
+        let seconds = self.frames.time_of(f64::from(frame) + later);
+        image.seek(&mut FrameTime::at(frame, seconds)).map_err(|misfit| {
+            let pointer = format!("/image{}", misfit.pointer);
+            FrameError { pointer, message: misfit.message, frame, seconds }
+        })?;
+        let next = self.shows_motion().then(|| self.scene_at(frame + 1, later).map(Box::new)).transpose()?;
+        Ok(JobAtFrame { job: self, scene, image: Cow::Owned(image), frame, next })
+    }
+
+    /// Whether its pictures depend on the frame after their own.
+    pub(crate) fn shows_motion(&self) -> bool {
+        self.is_animated && self.image.layers.contains(&Layer::Motion)
+    }
+
+    /// The scene `later` frames after the start of a frame.
+    fn scene_at(&self, frame: u32, later: f64) -> Result<Scene, FrameError> {
         let place = f64::from(frame) + later;
         let seconds = self.frames.time_of(place);
-        let (mut scene, mut image) = (self.scene.clone(), self.image.clone());
         let error = |pointer, message| FrameError { pointer, message, frame, seconds };
-        let clock = &mut FrameTime::at(frame, seconds);
-        scene.seek(clock).map_err(|misfit| error(self.pointer_in_scene(&misfit), misfit.message))?;
-        image.seek(clock).map_err(|misfit| error(format!("/image{}", misfit.pointer), misfit.message))?;
+        let mut scene = self.scene.clone();
+        let misfits = scene.seek(&mut FrameTime::at(frame, seconds));
+        misfits.map_err(|misfit| error(self.pointer_in_scene(&misfit), misfit.message))?;
         scene.camera.apply_turntable(place, &self.frames);
         if let Some(&(key, message)) = scene.camera.errors().first() {
             return Err(error(format!("/scene/camera/{key}"), message.to_owned()));
         }
-        Ok(JobAtFrame { job: self, scene: Cow::Owned(scene), image: Cow::Owned(image), frame })
+        Ok(scene)
     }
 
     /// JSON pointer in the document to an error in the scene, whose materials are stored by slot.

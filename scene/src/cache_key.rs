@@ -5,6 +5,7 @@ use serde::Serialize;
 use crate::PICTURE_VERSION;
 use crate::animation::{Exposure, JobAtFrame};
 use crate::job::{Bits, Crop, Format, Image, Job, Layer, Precision, ToneMap};
+use crate::mattes::Matte;
 use crate::sample_count::SampleCount;
 use crate::scene::Scene;
 use crate::values::{ExposureStops, FrameRate};
@@ -24,6 +25,12 @@ struct CanonicalPixels<'a> {
     layers: &'a [Layer],
     #[serde(skip_serializing_if = "Option::is_none")]
     crop: Option<Crop>,
+    /// The next frame's scene, if the picture shows motion.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    next: Option<&'a Scene>,
+    /// Names in the picture's mattes, whose hashes are in its pixels.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    mattes: Vec<Matte>,
 }
 
 /// Everything that decides the bytes of a frame's picture.
@@ -61,9 +68,14 @@ impl Job {
 }
 
 impl JobAtFrame<'_> {
-    /// Hash of the scene alone, written into its pictures as provenance.
+    /// Hash of the scene alone, written into its pictures as provenance; with the next frame's if they show motion, and
+    /// with the names in their mattes.
     pub fn scene_hash(&self) -> blake3::Hash {
-        hash(self.scene())
+        let (next, mattes) = (self.next_scene(), self.mattes());
+        if next.is_none() && mattes.is_empty() {
+            return hash(self.scene());
+        }
+        hash(&(self.scene(), next, mattes))
     }
 
     /// Hash of everything that decides the frame's pixels at one of its instants, but for surfaces and the materials of
@@ -112,12 +124,20 @@ impl JobAtFrame<'_> {
             frame: self.frame(),
             layers,
             crop: *crop,
+            next: self.next_scene(),
+            mattes: self.mattes(),
         })
     }
 
     /// Hash of everything that decides the distances of the frame's shapes: frames with the same one may share cells.
     pub fn shapes_cache_key(&self) -> blake3::Hash {
-        hash(&(PICTURE_VERSION, self.is_animated(), &self.scene().objects))
+        let objects = &self.scene().objects;
+        let (next, mattes) = (self.next_scene().map(|next| &next.objects), self.mattes());
+        if next.is_none() && mattes.is_empty() {
+            return hash(&(PICTURE_VERSION, self.is_animated(), objects));
+        }
+        // Rows of numbers have those of the next frame and ids, too.
+        hash(&(PICTURE_VERSION, self.is_animated(), objects, next, mattes))
     }
 
     /// Hash of everything that decides the bytes of the frame's picture.

@@ -4,6 +4,7 @@ mod culling;
 mod lens;
 mod look_at;
 mod matrices;
+mod motion;
 mod projections;
 
 use schemars::JsonSchema;

@@ -17,6 +17,7 @@
 
 mod division;
 mod materials;
+mod motion;
 mod program;
 mod prune;
 mod trace;

@@ -2,12 +2,14 @@
 //! devices.
 
 mod by_cells;
+mod coverage;
 mod emitters;
 mod guides;
 mod light_path;
 mod lighting;
 mod media;
 mod media_path;
+mod motion;
 mod path;
 mod pick;
 mod ray_kinds;
@@ -33,9 +35,12 @@ use crate::scene::Scene;
 use crate::transport::{PathSettings, Transport};
 use crate::visible::RayKind;
 use crate::visits::Visits;
+use coverage::MatteIds;
+pub use coverage::{Coverage, MAX_COVERAGE_SAMPLES, RANKS, Rank, Ranks};
 use emitters::Emitters;
 pub use guides::Guides;
 use media::Media;
+use motion::NextFrame;
 use ray_kinds::CallNames;
 use scene_distance::AlongRay;
 use shading::MaterialTable;
@@ -81,6 +86,10 @@ pub struct Integrator<'a> {
     fine: Vec<usize>,
     /// The surfaces' cells, in a picture of many shapes.
     cells: Option<Cells<'a>>,
+    /// The next frame, if the picture shows motion.
+    next_frame: Option<NextFrame<'a>>,
+    /// The ids of the picture's mattes.
+    matte_ids: MatteIds,
     /// Record of what rays ask for, if that is wanted.
     visits: Option<Visits>,
     /// Names of the functions that depend on the objects that are seen.
@@ -123,6 +132,8 @@ pub struct Aovs<R> {
     pub steps: R,
     /// Greatest number of samples of the pixel.
     pub samples: R,
+    /// The way in the picture until the next frame, in pixels to the right and up.
+    pub motion: (R, R),
 }
 
 /// A hit: a point on a surface.
@@ -197,6 +208,8 @@ impl<'a> Integrator<'a> {
         Self {
             scene,
             cells: None,
+            next_frame: NextFrame::of(still),
+            matte_ids: MatteIds::of(still),
             visits: None,
             names: CallNames::of(rays),
             of_shadows: None,
@@ -275,15 +288,17 @@ impl<'a> Integrator<'a> {
         let marched = if self.fine.is_empty() { self.march(&ray) } else { self.march_to_depth(&ray) };
         let zero = x.constant(0.0);
         let nothing = vec3(zero, zero, zero);
-        let missed = (x.constant(f32::INFINITY), nothing, nothing, nothing, zero.constant(-1.0));
-        let (depth, normal, position, albedo, object) = R::when(marched.hit.0, missed, || {
+        let background = self.background_motion(&ray);
+        let missed = (x.constant(f32::INFINITY), nothing, nothing, nothing, zero.constant(-1.0), background);
+        let (depth, normal, position, albedo, object, motion) = R::when(marched.hit.0, missed, || {
             let hit = self.hit(&ray, &marched);
             let object = self.nearest_object(hit.position).1;
             let albedo = self.albedo(&hit, &ray, object);
-            (hit.t, hit.normal, ray.at(hit.t), albedo, object)
+            (hit.t, hit.normal, ray.at(hit.t), albedo, object, self.surface_motion(&hit, object))
         });
         let samples = x.uniform(self.samples as f32);
-        Aovs { depth, normal, position, albedo, object, steps: marched.steps, samples }
+        let motion = motion.unwrap_or((zero, zero));
+        Aovs { depth, normal, position, albedo, object, steps: marched.steps, samples, motion }
     }
 
     /// Ray of a sample of a pixel: through its center if it is the only one.

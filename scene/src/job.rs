@@ -156,6 +156,12 @@ pub enum Layer {
     Samples,
     /// `noisy.R noisy.G noisy.B`: the colors before the denoiser.
     Noisy,
+    /// `motion.X motion.Y`: the way in the picture until the next frame, in pixels to the right and up.
+    Motion,
+    /// `CryptoObject00` to `CryptoObject02`: a matte of the objects, for Cryptomatte.
+    CryptoObject,
+    /// `CryptoMaterial00` to `CryptoMaterial02`: a matte of the materials, for Cryptomatte.
+    CryptoMaterial,
 }
 
 /// Number and rate of the pictures.
@@ -203,7 +209,32 @@ impl Frames {
     }
 }
 
+/// Channels of a matte: two pairs of an id and a coverage in each of three sets.
+macro_rules! matte_channels {
+    ($name:literal) => {
+        [
+            concat!($name, "00.R"),
+            concat!($name, "00.G"),
+            concat!($name, "00.B"),
+            concat!($name, "00.A"),
+            concat!($name, "01.R"),
+            concat!($name, "01.G"),
+            concat!($name, "01.B"),
+            concat!($name, "01.A"),
+            concat!($name, "02.R"),
+            concat!($name, "02.G"),
+            concat!($name, "02.B"),
+            concat!($name, "02.A"),
+        ]
+    };
+}
+
 impl Layer {
+    /// Whether it is a matte: of the samples, and not of the pixel's center.
+    pub fn is_matte(self) -> bool {
+        matches!(self, Self::CryptoObject | Self::CryptoMaterial)
+    }
+
     /// Names of the layer's EXR channels, in the order of its values.
     pub fn channels(self) -> &'static [&'static str] {
         match self {
@@ -215,6 +246,9 @@ impl Layer {
             Self::Steps => &["steps"],
             Self::Samples => &["samples"],
             Self::Noisy => &["noisy.R", "noisy.G", "noisy.B"],
+            Self::Motion => &["motion.X", "motion.Y"],
+            Self::CryptoObject => &matte_channels!("CryptoObject"),
+            Self::CryptoMaterial => &matte_channels!("CryptoMaterial"),
         }
     }
 }

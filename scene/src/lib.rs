@@ -29,6 +29,7 @@ pub mod lights;
 pub mod limits;
 pub mod march;
 pub mod materials;
+pub mod mattes;
 pub mod nodes;
 pub mod noise;
 mod parse;

@@ -7,6 +7,7 @@
 #[cfg(test)]
 mod added;
 mod bvh;
+mod carried;
 mod copies;
 mod cost;
 mod cut;
@@ -15,6 +16,7 @@ mod displacement_bounds;
 mod fractals;
 mod modifiers;
 mod named;
+mod names;
 mod operators;
 mod per_axis;
 mod precomputed;
@@ -35,6 +37,8 @@ use serde::{Deserialize, Serialize};
 
 #[cfg(test)]
 pub use added::AddedNode;
+pub(crate) use carried::Carried;
+use carried::carry_around;
 pub use copies::{
     AtPlacements, Copies, GridPlacements, LinePlacements, Placement, PlacementCount, Placements, RingPlacements,
 };
@@ -50,6 +54,8 @@ pub use modifiers::{
     Bend, CopyCount, Elongate, Mirror, Onion, Paint, PolarRepeat, Repeat, Round, Stretch, Taper, Twist,
 };
 pub use named::Use;
+pub(crate) use names::material_pointer;
+pub use names::{NodeExample, snake_case};
 pub use operators::{
     Chamfer, Columns, Difference, Engrave, Groove, Intersection, Morph, SeamKind, Stairs, Tongue, Union, Xor,
 };
@@ -104,7 +110,7 @@ macro_rules! nodes {
                 p.x.labeled(
                     self.kind(),
                     || match self {
-                        $($(#[$attribute])* Self::$Kind(node) => node.eval(p)),*
+                        $($(#[$attribute])* Self::$Kind(node) => node.eval(p, &|index, p| node.children()[index].sample(p))),*
                     },
                 )
             }
@@ -120,6 +126,21 @@ macro_rules! nodes {
             pub(crate) fn children_mut(&mut self) -> &mut [Node] {
                 match self {
                     $($(#[$attribute])* Self::$Kind(node) => node.children_mut()),*
+                }
+            }
+
+            /// Like `carry`, where `child` gives the value of a child, by its index, at a point in the child's space.
+            pub(crate) fn carry_around<R: Real>(
+                &self,
+                next: &Self,
+                p: Vec3<R>,
+                child: &dyn Fn(usize, Vec3<R>) -> Carried<R>,
+            ) -> Carried<R> {
+                match (self, next) {
+                    $($(#[$attribute])* (Self::$Kind(node), Self::$Kind(next)) => {
+                        carry_around::<$Kind, R>(node, next, p, child)
+                    })*
+                    _ => unreachable!("a job has the same nodes in all frames"),
                 }
             }
 
@@ -431,17 +452,6 @@ nodes![
     AddedNode,
 ];
 
-/// Node for documentation and tests.
-#[derive(Clone, Debug)]
-pub struct NodeExample {
-    /// The node's type.
-    pub kind: &'static str,
-    /// Index among the examples of its type, from 0.
-    pub index: usize,
-    /// Its JSON.
-    pub node: String,
-}
-
 impl Node {
     /// Precomputes values that speed up its evaluation and its children's. If the job is animated, they have the same
     /// form in all frames.
@@ -474,21 +484,4 @@ impl Node {
     pub fn distance<R: Real>(&self, p: Vec3<R>) -> R {
         self.sample::<R, Distance<R>>(p).0
     }
-}
-
-/// JSON pointer in a node of a material that it names; a placement's has the placement's index.
-pub(crate) fn material_pointer(placement: Option<usize>) -> String {
-    placement.map_or_else(|| "/material".to_owned(), |index| format!("/at/{index}/material"))
-}
-
-/// Name in JSON: `InfiniteCylinder` becomes `infinite_cylinder`.
-pub fn snake_case(name: &str) -> String {
-    let mut snake = String::new();
-    for (index, letter) in name.char_indices() {
-        if letter.is_ascii_uppercase() && index > 0 {
-            snake.push('_');
-        }
-        snake.push(letter.to_ascii_lowercase());
-    }
-    snake
 }

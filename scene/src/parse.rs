@@ -147,7 +147,7 @@ fn of_outline(text: &str, fault: ScanError) -> (ParseError, ScanErrorKind) {
 fn sound(text: &str) -> Result<Job, ParseError> {
     let (job, key_seconds) = read(text)?;
     if job.is_animated {
-        let first = job.is_blurred().then_some(0);
+        let first = (job.is_blurred() || job.shows_motion()).then_some(0);
         let others = frames_to_check(&job.frames, &key_seconds, text.len() * job.instants() as usize);
         for frame in first.into_iter().chain(others) {
             job.exposure(frame).map_err(|error| in_later_frame(text, error))?;
@@ -332,6 +332,13 @@ fn image(document: &JobDocument, fault: &mut impl FnMut(&str, String)) {
         fault(
             &format!("/image/layers/{index}"),
             "has the colors before the denoiser: set denoise to true, or leave this layer out".to_owned(),
+        );
+    }
+    let matte = image.layers.iter().position(|layer| layer.is_matte());
+    if let Some(index) = matte.filter(|_| document.frames.shutter.get() > 0.0) {
+        fault(
+            &format!("/image/layers/{index}"),
+            "does not know motion blur: set shutter to 0 and blur the picture by the layer motion, or leave this layer out".to_owned(),
         );
     }
     if image.format == Format::Png && !image.layers.is_empty() {

@@ -1,6 +1,6 @@
 //! Finds the surface that is seen at a point of a picture, and where the job file has it.
 
-use crate::animation::FrameError;
+use crate::animation::{FrameError, JobAtFrame};
 use crate::integrator::Integrator;
 use crate::job::Job;
 use crate::json_scan;
@@ -37,7 +37,7 @@ pub fn pick(text: &str, job: &Job, frame: u32, [x, y]: [f32; 2]) -> Result<Optio
     let in_scene = format!("/scene/objects/{}", seen.object);
     let text = plain_json(text);
     let material = seen.slot.and_then(|slot| job.material_pointers.get(slot)).map(|pointer| written(job, pointer));
-    let name = material.as_deref().and_then(|pointer| pointer.strip_prefix("/scene/materials/"));
+    let name = material.as_deref().and_then(|pointer| pointer.strip_prefix(NAMED_MATERIALS));
     Ok(Some(Pick {
         object: seen.object,
         name: still.scene().objects.get(seen.object).and_then(|object| object.name.clone()),
@@ -48,6 +48,22 @@ pub fn pick(text: &str, job: &Job, frame: u32, [x, y]: [f32; 2]) -> Result<Optio
         normal: seen.normal,
         distance: seen.distance,
     }))
+}
+
+/// Start of the pointers of materials with names.
+const NAMED_MATERIALS: &str = "/scene/materials/";
+
+impl JobAtFrame<'_> {
+    /// Names of the materials in use, by slot; of one without a name, its place in the job file.
+    pub(crate) fn material_names(&self) -> Vec<String> {
+        let job = self.job();
+        let pointers = job.material_pointers.iter().map(|pointer| written(job, pointer));
+        let name = |pointer: String| match pointer.strip_prefix(NAMED_MATERIALS) {
+            Some(name) => json_scan::unescape(name),
+            None => pointer.trim_start_matches("/scene/").to_owned(),
+        };
+        pointers.map(name).collect()
+    }
 }
 
 /// A material's pointer in the document. A shape with numbers of its own is written once, under its own name.

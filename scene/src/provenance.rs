@@ -44,19 +44,24 @@ impl Provenance {
 
     /// Provenance as JSON in ASCII, as it is written to files.
     pub fn json(&self) -> String {
-        let json = serde_json::to_string(self).expect("strings and numbers are JSON");
-        let mut ascii = String::with_capacity(json.len());
-        for character in json.chars() {
-            if character.is_ascii() {
-                ascii.push(character);
-            } else {
-                for unit in character.encode_utf16(&mut [0; 2]) {
-                    write!(ascii, "\\u{unit:04x}").expect("a String takes all that is written");
-                }
+        ascii_json(self)
+    }
+}
+
+/// JSON in ASCII of strings and numbers.
+pub(crate) fn ascii_json(value: &impl Serialize) -> String {
+    let json = serde_json::to_string(value).expect("strings and numbers are JSON");
+    let mut ascii = String::with_capacity(json.len());
+    for character in json.chars() {
+        if character.is_ascii() {
+            ascii.push(character);
+        } else {
+            for unit in character.encode_utf16(&mut [0; 2]) {
+                write!(ascii, "\\u{unit:04x}").expect("a String takes all that is written");
             }
         }
-        ascii
     }
+    ascii
 }
 
 impl JobAtFrame<'_> {

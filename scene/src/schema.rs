@@ -339,7 +339,19 @@ mod tests {
         let layer = &schema["$defs"]["Layer"];
         assert_eq!(
             layer["enum"],
-            json!(["depth", "normal", "position", "albedo", "object", "steps", "samples", "noisy"])
+            json!([
+                "depth",
+                "normal",
+                "position",
+                "albedo",
+                "object",
+                "steps",
+                "samples",
+                "noisy",
+                "motion",
+                "crypto_object",
+                "crypto_material"
+            ])
         );
         assert!(
             layer["description"].as_str().is_some_and(|about| about.contains("- `\"depth\"`: `Z`: distance")),

@@ -13,7 +13,7 @@ mod view;
 
 use crate::animation::JobAtFrame;
 use crate::camera::Project;
-use crate::job::Job;
+use crate::job::{Job, Layer};
 use crate::scene::Scene;
 
 /// Subject of a warning: a job gets at most one warning of each kind.
@@ -119,8 +119,14 @@ fn job_warnings(job: &Job) -> Vec<String> {
             job.frames.count
         ));
     }
-    if job.frames.count == 1 && job.is_animated() && !job.is_blurred() {
+    if job.frames.count == 1 && job.is_animated() && !job.is_blurred() && !job.shows_motion() {
         warnings.push("the scene is animated, but the job has one frame: set frames.count to render more".to_owned());
+    }
+    if job.image.layers.contains(&Layer::Motion) && !job.is_animated() {
+        warnings.push(
+            "the layer motion is 0 everywhere, because nothing in the scene is animated: animate the camera or an object, or leave it out of image.layers"
+                .to_owned(),
+        );
     }
     warnings.extend(job.scene.camera.projection.warning(&job.image));
     for name in &job.unused_materials {

@@ -14,13 +14,13 @@ use proto::Rect;
 use scene::{Bits, Format, FrameError, Job, Precision, Provenance};
 
 /// Number of bytes at a file's start that a check reads; the headers of this program's pictures are smaller.
-pub(crate) const HEAD_BYTES: u64 = 16 << 10;
+pub(crate) const HEAD_BYTES: u64 = 160 << 10;
 /// Number of bytes at a file's end that a check reads.
 pub(crate) const TAIL_BYTES: u64 = 12;
 /// Size of a blob's header, in bytes.
 const BLOB_HEADER_BYTES: usize = 28;
 /// Bytes that a picture may have in addition to twice its uncompressed pixels, and to [`ROW_BYTES`] for each row.
-const PICTURE_OVERHEAD_BYTES: u64 = 64 << 10;
+const PICTURE_OVERHEAD_BYTES: u64 = 256 << 10;
 /// Bytes that a picture may have for each row in addition to its pixels: filters, and tables of blocks.
 const ROW_BYTES: u64 = 64;
 

@@ -15,6 +15,9 @@ const LAYERS = /** @type {const} */ ([
   ['steps', 'Steps'],
   ['samples', 'Samples'],
   ['noisy', 'Before the denoiser'],
+  ['motion', 'Motion'],
+  ['crypto_object', 'Matte of objects'],
+  ['crypto_material', 'Matte of materials'],
   ['position', 'Positions'],
 ]);
 

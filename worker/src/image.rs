@@ -13,6 +13,7 @@ use std::io::{self, Seek, Write};
 use proto::Rect;
 
 use ::scene::color::DisplayTransform;
+use ::scene::mattes::Matte;
 use ::scene::sample_count::BLOCK_PX;
 use ::scene::{Bits, Format, JobAtFrame, Precision};
 
@@ -49,6 +50,8 @@ pub struct PictureSpec {
     pub opaque: bool,
     /// The planes that the denoiser reads and replaces, if the picture is denoised.
     denoised: Option<DenoisedPlanes>,
+    /// Mattes among the planes, for the header of an EXR.
+    pub mattes: Vec<Matte>,
     /// Camera matrices and frame rate for the header of an EXR.
     pub metadata: Metadata,
     /// Provenance.
@@ -69,6 +72,7 @@ impl PictureSpec {
             display_transform: DisplayTransform::new(image),
             opaque: !still.scene().is_transparent(),
             denoised: DenoisedPlanes::of(image),
+            mattes: still.mattes(),
             metadata: Metadata::new(still),
             provenance: Provenance::new(still),
         }

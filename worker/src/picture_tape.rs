@@ -1,7 +1,7 @@
 //! Records the formulas of a picture, for every compiler.
 
 use scene::color::{DisplayTransform, level_of_256, srgb_from_linear};
-use scene::integrator::{Aovs, Guides, Radiance};
+use scene::integrator::{Aovs, Coverage, Guides, Radiance, Rank, Ranks};
 use scene::real::{Real, vec3};
 use scene::sampling::thresholds;
 use scene::{Image, Integrator, JobAtFrame, Layer};
@@ -96,7 +96,8 @@ pub(crate) fn channels<R: Real>(light: Radiance<R>) -> [R; 4] {
 pub(crate) fn layer_channels<R: Real>(program: &Integrator<'_>, image: &Image, x: R, y: R) -> Vec<R> {
     let mut channels = Vec::new();
     if !image.layers.is_empty() {
-        channels.extend(channels_of(&program.aovs(x, y), &image.layers));
+        let coverage = image.layers.iter().any(|layer| layer.is_matte()).then(|| program.coverage(x, y));
+        channels.extend(channels_of(&program.aovs(x, y), coverage.as_ref(), &image.layers));
     }
     if image.is_denoised() {
         let Guides { albedo, normal, inverse_depth } = program.guides(x, y);
@@ -108,7 +109,11 @@ pub(crate) fn layer_channels<R: Real>(program: &Integrator<'_>, image: &Image, x
     channels
 }
 
-fn channels_of<R: Real>(met: &Aovs<R>, layers: &[Layer]) -> Vec<R> {
+fn channels_of<R: Real>(met: &Aovs<R>, coverage: Option<&Coverage<R>>, layers: &[Layer]) -> Vec<R> {
+    let matte = |of: fn(&Coverage<R>) -> Option<Ranks<R>>| {
+        let Ranks(ranks) = coverage.and_then(of).expect("a layer of mattes has its coverage");
+        ranks.into_iter().flat_map(|Rank { id, coverage }| [id, coverage]).collect()
+    };
     let of_layer = |&layer: &Layer| match layer {
         Layer::Depth => vec![met.depth],
         Layer::Object => vec![met.object],
@@ -116,6 +121,9 @@ fn channels_of<R: Real>(met: &Aovs<R>, layers: &[Layer]) -> Vec<R> {
         Layer::Samples => vec![met.samples],
         // The denoiser replaces them.
         Layer::Noisy => vec![met.samples.constant(0.0); 3],
+        Layer::CryptoObject => matte(|coverage| coverage.objects),
+        Layer::CryptoMaterial => matte(|coverage| coverage.materials),
+        Layer::Motion => <[_; 2]>::from(met.motion).to_vec(),
         Layer::Normal => <[_; 3]>::from(met.normal).to_vec(),
         Layer::Position => <[_; 3]>::from(met.position).to_vec(),
         Layer::Albedo => <[_; 3]>::from(met.albedo).to_vec(),

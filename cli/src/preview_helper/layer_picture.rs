@@ -23,6 +23,8 @@ const HEAT: [[f32; 3]; 6] = [
     [0.99, 0.62, 0.43],
     [0.99, 0.99, 0.75],
 ];
+/// Number of colors of ids.
+const ID_COLORS: u32 = 9973;
 /// Golden ratio: hues of consecutive objects that are as far apart as possible.
 const GOLDEN: f32 = 0.618_034;
 
@@ -37,7 +39,9 @@ pub(super) struct LayerPicture {
 /// Shows a layer, given its channels row by row.
 pub(super) fn shown(layer: Layer, planes: &[Vec<f32>], [width, height]: [u32; 2]) -> LayerPicture {
     let channel = |number: usize, index: usize| planes[number].get(index).copied().unwrap_or(0.0);
-    let triple = |index: usize| -> [f32; 3] { std::array::from_fn(|number| channel(number, index)) };
+    let triple = |index: usize| -> [f32; 3] {
+        std::array::from_fn(|number| if number < planes.len() { channel(number, index) } else { 0.0 })
+    };
     let range = range(layer, planes);
     let color = |index: usize| match layer {
         Layer::Depth => gray(depth_level(channel(0, index), range[0][0], range[1][0])),
@@ -54,6 +58,16 @@ pub(super) fn shown(layer: Layer, planes: &[Vec<f32>], [width, height]: [u32; 2]
         },
         Layer::Albedo | Layer::Noisy => triple(index).map(srgb_from_linear),
         Layer::Object => object_color(channel(0, index)),
+        Layer::CryptoObject | Layer::CryptoMaterial => match channel(0, index).to_bits() {
+            0 => [0.0; 3],
+            // Few enough that a number holds each exactly.
+            id => object_color((id % ID_COLORS) as f32),
+        },
+        Layer::Motion => {
+            let (longest, way) = (range[1][0], triple(index));
+            let level = |way: f32| if longest > 0.0 { 0.5 + 0.5 * way / longest } else { 0.5 };
+            [level(way[0]), level(way[1]), 0.5]
+        }
         Layer::Steps | Layer::Samples => heat(if range[1][0] > 0.0 { channel(0, index) / range[1][0] } else { 0.0 }),
     };
     let pixels = RgbImage::from_fn(width, height, |x, y| {
@@ -66,7 +80,8 @@ pub(super) fn shown(layer: Layer, planes: &[Vec<f32>], [width, height]: [u32; 2]
 impl LayerPicture {
     /// The picture in a larger size. Objects keep their colors, because a mixture would be that of another.
     pub(super) fn scaled_up(self, width: u32, height: u32) -> Self {
-        let filter = if self.layer == Layer::Object { Resampling::Nearest } else { Resampling::CatmullRom };
+        let is_thing = self.layer == Layer::Object || self.layer.is_matte();
+        let filter = if is_thing { Resampling::Nearest } else { Resampling::CatmullRom };
         Self { pixels: imageops::resize(&self.pixels, width, height, filter), ..self }
     }
 
@@ -104,7 +119,13 @@ fn range(layer: Layer, planes: &[Vec<f32>]) -> [Vec<f32>; 2] {
             planes.iter().map(inner).collect()
         }
         Layer::Steps | Layer::Samples => vec![[0.0, ends(&planes[0])[1]]],
-        Layer::Normal | Layer::Albedo | Layer::Object | Layer::Noisy => Vec::new(),
+        Layer::Motion => {
+            let longest = planes.iter().flatten().fold(0.0, |longest, way| way.abs().max(longest));
+            vec![[-longest, longest]; 2]
+        }
+        Layer::Normal | Layer::Albedo | Layer::Object | Layer::Noisy | Layer::CryptoObject | Layer::CryptoMaterial => {
+            Vec::new()
+        }
     };
     [0, 1].map(|end| each.iter().map(|ends| ends[end]).collect())
 }

@@ -75,6 +75,21 @@ pub trait Project {
     /// Ray through a point of the picture, −1 to 1 across and up.
     fn ray<R: Real>(&self, axes: &CameraAxes<R>, across: R, upwards: R) -> Ray<R>;
 
+    /// Point of the picture, across and up, at which a point at an offset from the camera is seen: the inverse of `ray`.
+    /// Scalar products with the axes are coordinates in the picture at distance 1. One that is not in front of the camera
+    /// may be seen anywhere beside the picture.
+    fn picture_point<R: Real>(&self, axes: &CameraAxes<R>, offset: Vec3<R>) -> (R, R);
+
+    /// Point of the picture, like `picture_point`, at which the background in a direction is seen.
+    fn background_point<R: Real>(&self, axes: &CameraAxes<R>, direction: Vec3<R>) -> (R, R) {
+        self.picture_point(axes, direction)
+    }
+
+    /// The shorter way across the picture, if there are two.
+    fn way_across<R: Real>(&self, way: R) -> R {
+        way
+    }
+
     /// Whether no ray of the picture hits the box at any distance. May be false although no ray does.
     fn is_beside(&self, view: &View, bounds: Bounds) -> bool;
 
@@ -154,6 +169,27 @@ macro_rules! projections {
                 match self {
                     $($(#[$attribute])* Self::$Kind(projection) => projection.ray(axes, across, upwards),)*
                     $(Self::$Unit => $Unit.ray(axes, across, upwards),)*
+                }
+            }
+
+            fn picture_point<R: Real>(&self, axes: &CameraAxes<R>, offset: Vec3<R>) -> (R, R) {
+                match self {
+                    $($(#[$attribute])* Self::$Kind(projection) => projection.picture_point(axes, offset),)*
+                    $(Self::$Unit => $Unit.picture_point(axes, offset),)*
+                }
+            }
+
+            fn background_point<R: Real>(&self, axes: &CameraAxes<R>, direction: Vec3<R>) -> (R, R) {
+                match self {
+                    $($(#[$attribute])* Self::$Kind(projection) => projection.background_point(axes, direction),)*
+                    $(Self::$Unit => $Unit.background_point(axes, direction),)*
+                }
+            }
+
+            fn way_across<R: Real>(&self, way: R) -> R {
+                match self {
+                    $($(#[$attribute])* Self::$Kind(projection) => projection.way_across(way),)*
+                    $(Self::$Unit => $Unit.way_across(way),)*
                 }
             }
 

@@ -1,16 +1,17 @@
 //! A scene cut into leaves, and the operations above them in the order in which they are computed.
 
 pub(super) mod contents;
+mod cutter;
 
-use std::collections::{BTreeSet, HashMap};
+use std::collections::HashMap;
 
+use self::cutter::Cutter;
 use super::materials::{LeafMaterial, ListedMaterial, MAX_MATERIALS};
-use super::trace::{Symbol, Trace, trace};
 use crate::bounds::Bounds;
-use crate::materials::{Material, MaterialRef, Shade};
-use crate::nodes::{Cut, Distance, Exactness, FoldStep, Node, Part, Placements, SdfValue, for_each_step, smooth_min};
+use crate::materials::MaterialRef;
+use crate::nodes::{Distance, Node, Part, Placements, SdfValue, smooth_min};
 use crate::real::list::{IS_LAST, IS_UNARY, NO_LEAF, ROW_BITS, ROW_MASK};
-use crate::real::{Real, Vec3, vec3};
+use crate::real::{Real, Vec3};
 use crate::scene::Scene;
 use crate::values::LengthOrZero;
 
@@ -42,6 +43,8 @@ pub struct Program<'a> {
     list: Vec<u32>,
     /// Materials of the objects that have several.
     materials: Vec<ListedMaterial>,
+    /// Whether some leaf is moved.
+    is_moved: bool,
 }
 
 /// A shape below the outermost joins.
@@ -50,6 +53,8 @@ pub(super) struct Leaf<'a> {
     /// Transforms and placements of the shape, the outermost first.
     above: Vec<Above<'a>>,
     shape: Part<'a>,
+    /// The same one frame later, if its motion is wanted.
+    next: Option<NextLeaf<'a>>,
     bounds: Bounds,
     /// Its Lipschitz factor, if one holds everywhere.
     lipschitz: Option<f32>,
@@ -59,8 +64,17 @@ pub(super) struct Leaf<'a> {
     pub(super) material: LeafMaterial,
     /// Index of its family.
     pub(super) family: usize,
-    /// Its numbers.
+    /// Id of its object, if that is wanted.
+    pub(super) id: Option<u32>,
+    /// Its numbers, the id the last.
     pub(super) numbers: Vec<u32>,
+}
+
+/// A leaf in the next frame.
+#[derive(Clone, Debug)]
+pub(super) struct NextLeaf<'a> {
+    pub(super) above: Vec<Above<'a>>,
+    pub(super) shape: Part<'a>,
 }
 
 /// Transform between a leaf and the scene.
@@ -136,28 +150,18 @@ impl<'a> Program<'a> {
     /// Cuts objects of a scene, each given by its index and the factor of its distance, at their outermost joins. `None`
     /// if they have too many families or materials, or joins nested too deeply.
     pub fn new(scene: &'a Scene, objects: &[(usize, Option<f32>)]) -> Option<Self> {
-        let is_painted = |index: usize| scene.objects[index].shape.has_own_materials();
-        let mut cutter = Cutter {
-            materials: scene.used_materials(),
-            has_painted: objects.iter().any(|&(index, _)| is_painted(index)),
-            ..Cutter::default()
-        };
-        for (index, &(number, scale)) in objects.iter().enumerate() {
-            let object = &scene.objects[number];
-            cutter.object = number;
-            cutter.painted = is_painted(number).then_some(object.material.slot());
-            let join = (index > 0).then_some(&JoinKind::Objects);
-            match scale {
-                Some(scale) => {
-                    cutter.cut(&object.shape, None);
-                    cutter.join(&JoinKind::Scale(scale));
-                    if let Some(join) = join {
-                        cutter.join(join);
-                    }
-                }
-                None => cutter.cut(&object.shape, join),
-            }
-        }
+        Self::with_layers(scene, None, None, objects)
+    }
+
+    /// The same, also with the motion of the surfaces if the scene is given as it is one frame later, and with the ids of
+    /// the objects if they are given by index.
+    pub(crate) fn with_layers(
+        scene: &'a Scene,
+        next: Option<&'a Scene>,
+        ids: Option<&[u32]>,
+        objects: &[(usize, Option<f32>)],
+    ) -> Option<Self> {
+        let cutter = Cutter::new(scene, next, ids, objects);
         let depth = depth(&cutter.operations, &cutter.joins);
         let is_small =
             cutter.family_leaves.len() <= MAX_FAMILIES && cutter.slots.len() <= MAX_MATERIALS && depth <= MAX_STACK;
@@ -194,6 +198,7 @@ impl<'a> Program<'a> {
         list[last] |= IS_LAST;
         Some(Self {
             materials: cutter.listed_materials(),
+            is_moved: cutter.is_moved,
             leaf_rows,
             rows,
             list,
@@ -215,6 +220,11 @@ impl<'a> Program<'a> {
     /// Whether an object has several materials.
     pub fn has_materials(&self) -> bool {
         !self.materials.is_empty()
+    }
+
+    /// Whether some leaf is moved.
+    pub(super) fn is_moved(&self) -> bool {
+        self.is_moved
     }
 
     /// Number of leaves.
@@ -289,6 +299,16 @@ impl Leaf<'_> {
         self.shape.sample(p)
     }
 
+    /// Its shape.
+    pub(super) fn shape(&self) -> Part<'_> {
+        self.shape
+    }
+
+    /// The same leaf one frame later, if its motion is wanted.
+    pub(super) fn next(&self) -> Option<&NextLeaf<'_>> {
+        self.next.as_ref()
+    }
+
     /// Transforms and placements of its shape, the outermost first.
     pub(super) fn above(&self) -> &[Above<'_>] {
         &self.above
@@ -349,147 +369,4 @@ fn depth(operations: &[Operation], joins: &[Join]) -> usize {
         most = most.max(waiting);
     }
     most
-}
-
-/// Whether a shape is a union of several, moved or not.
-fn is_union(shape: &Node) -> bool {
-    match shape.cut() {
-        Cut::Leaf => false,
-        Cut::Child(child) => is_union(child),
-        Cut::Union(_, parts) => parts.len() > 1,
-    }
-}
-
-#[derive(Default)]
-struct Cutter<'a> {
-    /// Materials of the scene.
-    materials: &'a [Material],
-    /// Whether some object has several materials.
-    has_painted: bool,
-    /// Index of the object that is cut.
-    object: usize,
-    /// Slot of its own material, if it has others, too.
-    painted: Option<u32>,
-    /// Slots of the materials of objects that have several.
-    slots: BTreeSet<u32>,
-    above: Vec<Above<'a>>,
-    leaves: Vec<Leaf<'a>>,
-    joins: Vec<Join>,
-    operations: Vec<Operation>,
-    texts: HashMap<Vec<u32>, usize>,
-    family_leaves: Vec<usize>,
-    join_texts: HashMap<Vec<u32>, usize>,
-    join_rows: HashMap<(usize, Vec<u32>), u32>,
-    family_joins: Vec<usize>,
-}
-
-impl<'a> Cutter<'a> {
-    /// The materials of objects that have several.
-    fn listed_materials(&self) -> Vec<ListedMaterial> {
-        let is_textured = |slot: u32| self.materials[slot as usize].is_textured();
-        self.slots.iter().map(|&slot| ListedMaterial { slot, is_textured: is_textured(slot) }).collect()
-    }
-
-    /// Adds the operations of a node, whose value is then joined with the one before.
-    fn cut(&mut self, node: &'a Node, join: Option<&JoinKind>) {
-        match node.cut() {
-            Cut::Leaf => self.leaf(Part::Shape(node), join),
-            Cut::Child(child) => {
-                self.above.push(Above::Node(node));
-                self.cut(child, join);
-                self.above.pop();
-            }
-            Cut::Union(smooth, parts) => {
-                let seam = &JoinKind::Union(smooth.clone());
-                if let [only] = parts[..] {
-                    return self.part(only, join);
-                }
-                for_each_step(&parts, smooth, |step| match step {
-                    FoldStep::First(part) => self.part(part, None),
-                    FoldStep::Next(part) => self.part(part, Some(seam)),
-                    FoldStep::Join => self.join(seam),
-                });
-                if let Some(join) = join {
-                    self.join(join);
-                }
-            }
-        }
-    }
-
-    fn part(&mut self, part: Part<'a>, join: Option<&JoinKind>) {
-        match part {
-            Part::Shape(shape) => self.cut(shape, join),
-            Part::Copy(placements, index, shape) if is_union(shape) => {
-                self.above.push(Above::Copy(placements, index));
-                let scale = placements.scale(index).map(JoinKind::Scale);
-                self.cut(shape, join.filter(|_| scale.is_none()));
-                self.above.pop();
-                if let Some(scale) = scale {
-                    self.join(&scale);
-                    if let Some(join) = join {
-                        self.join(join);
-                    }
-                }
-            }
-            Part::Copy(..) => self.leaf(part, join),
-        }
-    }
-
-    fn leaf(&mut self, shape: Part<'a>, join: Option<&JoinKind>) {
-        let (above, bounds) = (self.above.clone(), Bounds::INFINITE);
-        let stretch: f32 = above.iter().map(|above| above.stretch()).product();
-        let lipschitz = (shape.node().exactness() != Exactness::Estimate).then(|| shape.node().stretch() * stretch);
-        let (material, object) = (LeafMaterial::OfObject, self.object);
-        let mut leaf = Leaf { above, shape, bounds, lipschitz, object, material, family: 0, numbers: Vec::new() };
-        leaf.bounds = leaf.bounds_of(0.0);
-        if let Some(own) = self.painted {
-            let slots = leaf.slots(own);
-            leaf.material = match slots[..] {
-                [only] if !self.materials[only as usize].is_textured() => LeafMaterial::Single(only),
-                _ => LeafMaterial::Mixed(own),
-            };
-            self.slots.extend(slots);
-        }
-        let Trace { text, numbers, .. } = trace(|[x, y, z]: [Symbol; 3]| {
-            let p = vec3(x, y, z);
-            leaf.distance(p);
-            leaf.weights_by_slot(p);
-        });
-        let next = self.family_leaves.len();
-        leaf.family = *self.texts.entry(text).or_insert(next);
-        leaf.numbers = numbers;
-        if leaf.family == next {
-            self.family_leaves.push(self.leaves.len());
-        }
-        self.leaves.push(leaf);
-        let join = join.map(|kind| self.joined(kind));
-        self.operations.push(Operation { leaf: Some(self.leaves.len() as u32 - 1), join });
-    }
-
-    fn join(&mut self, kind: &JoinKind) {
-        let join = self.joined(kind);
-        self.operations.push(Operation { leaf: None, join: Some(join) });
-    }
-
-    /// Index of a join; equal joins are one.
-    fn joined(&mut self, kind: &JoinKind) -> u32 {
-        let Trace { mut text, numbers, .. } = trace(|[below, value]: [Symbol; 2]| {
-            kind.apply(below, value);
-            if self.has_painted {
-                kind.second_weight(below, value);
-            }
-        });
-        // A sharp union has the same text, but not the same nearest object.
-        text.push(u32::from(kind.is_of_objects()));
-        let next = self.family_joins.len();
-        let family = *self.join_texts.entry(text).or_insert(next);
-        if family == next {
-            self.family_joins.push(self.joins.len());
-        }
-        let joins = &mut self.joins;
-        *self.join_rows.entry((family, numbers)).or_insert_with_key(|(_, numbers)| {
-            joins.push(Join { kind: kind.clone(), family, numbers: numbers.clone() });
-            joins.len() as u32 - 1
-        })
-    }
 }

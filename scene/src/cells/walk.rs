@@ -28,7 +28,8 @@ macro_rules! function_names {
 
 pub(super) use {function_names, names};
 
-function_names![LEAVES "leaf_", JOINS "join_", NEAR_LEAVES "leaf_of_object_", NEAR_JOINS "join_of_objects_"];
+function_names![LEAVES "leaf_", JOINS "join_", NEAR_LEAVES "leaf_of_object_", NEAR_JOINS "join_of_objects_",
+    ID_LEAVES "leaf_of_id_", ID_JOINS "join_of_ids_"];
 
 /// The cell of a point.
 #[derive(Clone, Copy, Debug)]
@@ -76,11 +77,15 @@ impl<R: Real> ListFunctions<R> for DistanceLists<'_, '_> {
     }
 }
 
-/// Functions that also give the index of the nearest object; if several are equally near, of the first.
+/// Functions that also give the nearest object; if several are equally near, the first.
 #[derive(Clone, Copy, Debug)]
-struct ObjectLists<'a, 'b>(&'a Program<'b>);
+struct ObjectLists<'a, 'b> {
+    program: &'a Program<'b>,
+    /// Whether objects are given by their ids instead of their indices.
+    by_id: bool,
+}
 
-/// A distance, and the index of the nearest object.
+/// A distance, and the index of the nearest object, or its id.
 #[derive(Clone, Copy, Debug)]
 struct Nearest<R> {
     distance: R,
@@ -93,25 +98,31 @@ impl<R: Real> ListFunctions<R> for ObjectLists<'_, '_> {
     type Value = Nearest<R>;
 
     fn leaf_names(&self) -> &[&'static str] {
-        &NEAR_LEAVES[..self.0.family_count()]
+        let names = if self.by_id { &ID_LEAVES } else { &NEAR_LEAVES };
+        &names[..self.program.family_count()]
     }
 
     fn join_names(&self) -> &[&'static str] {
-        &NEAR_JOINS[..self.0.join_family_count()]
+        let names = if self.by_id { &ID_JOINS } else { &NEAR_JOINS };
+        &names[..self.program.join_family_count()]
     }
 
     fn depth(&self) -> usize {
-        self.0.depth()
+        self.program.depth()
     }
 
     fn leaf(&self, family: usize, row: Option<u32>, p: Vec3<R>) -> Nearest<R> {
-        let leaf = self.0.leaf_at(family, row);
-        let object = p.x.uniform(leaf.object as f32);
-        Nearest { object, distance: leaf.distance(p) }
+        let leaf = self.program.leaf_at(family, row);
+        let (index, distance) = (p.x.uniform(leaf.object as f32), leaf.distance(p));
+        let Some(id) = leaf.id.filter(|_| self.by_id) else { return Nearest { object: index, distance } };
+        // Numbers are asked for in the order in which a row has them.
+        leaf.weights_by_slot(p);
+        leaf.way(p);
+        Nearest { object: R::from_bits(p.x.uniform_bits(id)), distance }
     }
 
     fn join(&self, family: usize, row: Option<u32>, below: Nearest<R>, value: Nearest<R>) -> Nearest<R> {
-        let kind = self.0.join_at(family, row);
+        let kind = self.program.join_at(family, row);
         let distance = kind.apply(below.distance, value.distance);
         // Values of other joins are of one object.
         let object = if kind.is_of_objects() {
@@ -219,8 +230,15 @@ impl Cells<'_> {
     /// The scene's value at a point, and the index of the nearest object.
     pub fn nearest<R: Real>(&self, p: Vec3<R>) -> (R, R) {
         let list = self.list(&self.locate(p));
-        let nearest = R::fold(&self.tree.words, list.to_bits(), p, &ObjectLists(&self.program));
+        let lists = ObjectLists { program: &self.program, by_id: false };
+        let nearest = R::fold(&self.tree.words, list.to_bits(), p, &lists);
         (nearest.distance, nearest.object)
+    }
+
+    /// Id of the nearest object at a point, as a number's bits; its index if the program has no ids.
+    pub(crate) fn id_of_nearest<R: Real>(&self, p: Vec3<R>) -> R {
+        let list = self.list(&self.locate(p));
+        R::fold(&self.tree.words, list.to_bits(), p, &ObjectLists { program: &self.program, by_id: true }).object
     }
 
     /// The scene's value at a point.

@@ -1,5 +1,6 @@
 //! Which scenes are rendered by cells. It follows from the scene alone, so that all devices render the same bits.
 
+use super::coverage::MatteIds;
 use super::{Integrator, shrink, surfaces_of};
 use crate::animation::JobAtFrame;
 use crate::bounds::Bounds;
@@ -20,7 +21,9 @@ fn program<'a>(still: &'a JobAtFrame<'_>) -> Option<Program<'a>> {
     }
     let objects: Vec<_> =
         surfaces_of(scene).map(|index| (index, shrink(scene.objects[index].shape.stretch(), moves))).collect();
-    Program::new(scene, &objects).filter(|program| program.leaf_count() >= MIN_LEAVES)
+    let ids = MatteIds::of(still);
+    let program = Program::with_layers(scene, still.next_scene(), ids.objects(), &objects);
+    program.filter(|program| program.leaf_count() >= MIN_LEAVES)
 }
 
 impl<'a> Integrator<'a> {
@@ -61,6 +64,8 @@ impl<'a> Integrator<'a> {
     pub(crate) fn recordable(&self, still: &'a JobAtFrame<'_>) -> Option<Program<'a>> {
         let scene = still.scene();
         if still.is_blurred()
+            || still.next_scene().is_some()
+            || !still.mattes().is_empty()
             || program(still).is_some()
             || scene.objects.iter().any(|object| !object.visible.is_full())
         {
@@ -91,6 +96,8 @@ impl<'a> Integrator<'a> {
             cull_bounds: _,
             shares_nearest: _,
             // Neither frame has any.
+            next_frame: _,
+            matte_ids: _,
             cells: _,
             visits: _,
             of_shadows: _,

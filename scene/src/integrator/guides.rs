@@ -3,7 +3,7 @@
 use super::{Hit, Integrator};
 use crate::camera::Ray;
 use crate::materials::bsdf::Bsdf;
-use crate::real::{MaskValue, Real, Vec3, bundle, vec3};
+use crate::real::{Bundle, MaskValue, Real, Vec3, bundle, vec3};
 use crate::sampling::{PixelSampler, Sampler};
 
 /// Maximum number of samples of a pixel that guides are averaged over.
@@ -52,22 +52,34 @@ impl<R: Real> Guides<R> {
 impl Integrator<'_> {
     /// Guides of the pixel in column `x` and row `y`.
     pub fn guides<R: Real>(&self, x: R, y: R) -> Guides<R> {
-        let [x, y] = self.in_whole_picture(x, y);
-        let pixel = PixelSampler::new(x, y, self.samples, self.frame_key);
-        let count = self.samples.min(MAX_SAMPLES) as f32;
-        let (end, share) = (x.uniform(count), x.uniform(1.0 / count));
-        let start = (x.constant(0.0), Guides::nothing(x));
-        let (_, sum) = R::repeat(MAX_SAMPLES, start, |(sample, sum)| {
-            let one = self.guides_of_sample(&pixel, &pixel.sample(sample));
-            let sum = Guides {
+        let (sum, share) = self.fold_first_samples([x, y], MAX_SAMPLES, Guides::nothing(x), |sum, pixel, dice| {
+            let one = self.guides_of_sample(pixel, dice);
+            Guides {
                 albedo: sum.albedo + one.albedo,
                 normal: sum.normal + one.normal,
                 inverse_depth: sum.inverse_depth + one.inverse_depth,
-            };
-            let next = sample + 1.0;
-            (next.lt(end), (next, sum))
+            }
         });
         Guides { albedo: sum.albedo * share, normal: sum.normal * share, inverse_depth: sum.inverse_depth * share }
+    }
+
+    /// Adds the first samples of a pixel to a state, at most `most` of them; also returns one over their number.
+    pub(super) fn fold_first_samples<R: Real, T: Bundle<R>>(
+        &self,
+        [x, y]: [R; 2],
+        most: u32,
+        start: T,
+        add: impl Fn(T, &PixelSampler<R>, &Sampler<R>) -> T,
+    ) -> (T, R) {
+        let [x, y] = self.in_whole_picture(x, y);
+        let pixel = PixelSampler::new(x, y, self.samples, self.frame_key);
+        let count = self.samples.min(most) as f32;
+        let (end, share) = (x.uniform(count), x.uniform(1.0 / count));
+        let (_, sum) = R::repeat(most, (x.constant(0.0), start), |(sample, sum)| {
+            let (sum, next) = (add(sum, &pixel, &pixel.sample(sample)), sample + 1.0);
+            (next.lt(end), (next, sum))
+        });
+        (sum, share)
     }
 
     fn guides_of_sample<R: Real>(&self, pixel: &PixelSampler<R>, dice: &Sampler<R>) -> Guides<R> {

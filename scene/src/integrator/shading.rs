@@ -268,6 +268,12 @@ impl Integrator<'_> {
         [right, up].map(|side| ray.direction.mul_add(side.dot(hit.normal) / facing, side) * half)
     }
 
+    /// Slots of materials, and their weights at a hit of an object.
+    pub(super) fn slot_weights<R: Real>(&self, hit: &Hit<R>, object: R) -> Vec<(usize, R)> {
+        let all = self.hit_materials(hit, [hit.position; 2], object);
+        all.into_iter().map(|HitMaterial { slot, weight, .. }| (slot, weight)).collect()
+    }
+
     /// Slot of the material with the greatest weight at a hit of an object.
     pub(super) fn heaviest_material(&self, hit: &Hit<f32>, object: f32) -> Option<usize> {
         let all = self.hit_materials(hit, [hit.position; 2], object);

@@ -86,9 +86,9 @@ impl Sdf for Copies {
         } }"#,
     ];
 
-    fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>) -> V {
+    fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>, sample: &impl Fn(usize, Vec3<R>) -> V) -> V {
         let placements = self.placements();
-        let copy = |index| placements.sample(index, &self.child, p);
+        let copy = |index| placements.sample(index, |q| sample(0, q), p);
         union_indexed(placements.all().len(), &self.smooth, &self.bvh, &copy, p)
     }
 

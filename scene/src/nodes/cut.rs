@@ -50,7 +50,7 @@ impl<'a> Part<'a> {
     pub(crate) fn sample<R: Real, V: SdfValue<R>>(self, p: Vec3<R>) -> V {
         match self {
             Self::Shape(shape) => shape.sample(p),
-            Self::Copy(placements, index, shape) => placements.sample(index, shape, p),
+            Self::Copy(placements, index, shape) => placements.sample(index, |q| shape.sample(q), p),
         }
     }
 

@@ -119,8 +119,8 @@ impl Sdf for Displace {
             "child": { "box": { "size": [1.3, 1.3, 1.3], "round": 0.1 } } }"#,
     ];
 
-    fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>) -> V {
-        let child: V = self.child.sample(p);
+    fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>, sample: &impl Fn(usize, Vec3<R>) -> V) -> V {
+        let child: V = sample(0, p);
         let relief = self.bounds_cache.0.unwrap_or_else(|| self.bounds_cache());
         let distance = relief.displaced(child.distance(), || self.by.value(p) * p.x.uniform(self.amplitude.get()));
         child.with_distance(distance)
@@ -160,6 +160,7 @@ impl Sdf for Displace {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::nodes::Distance;
     use crate::real::vec3;
 
     #[test]
@@ -171,7 +172,7 @@ mod tests {
             let turn = |speed: f32| Real::sin(speed * step as f32);
             let p = vec3(turn(1.3), turn(2.1), turn(0.7)).normalize() * 1.25;
             let want: f32 = 0.05 * Real::sin(9.0 * p.x) * Real::sin(9.0 * p.y) * Real::sin(9.0 * p.z);
-            let got = node.eval::<f32, super::super::Distance<f32>>(p).distance();
+            let got = node.eval::<f32, Distance<f32>>(p, &|index, q| node.children()[index].sample(q)).distance();
             assert!((got - want).abs() < 1e-6, "{got} at {p:?} should be {want}");
         }
     }

@@ -54,8 +54,8 @@ impl Sdf for Paint {
         "child": { "sphere": { "radius": 1 } }
     }"##;
 
-    fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>) -> V {
-        let child: V = self.child.sample(p);
+    fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>, sample: &impl Fn(usize, Vec3<R>) -> V) -> V {
+        let child: V = sample(0, p);
         child.paint(self.material.slot(), p)
     }
 

@@ -79,7 +79,7 @@ impl Sdf for Use {
         Vec::new()
     }
 
-    fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>) -> V {
+    fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>, _: &impl Fn(usize, Vec3<R>) -> V) -> V {
         V::new(p.x.constant(1e9))
     }
 

@@ -124,8 +124,13 @@ fn negated<R: Real, V: SdfValue<R>>(v: V) -> V {
 }
 
 /// Combines all shapes, one after another.
-fn fold_children<R: Real, V: SdfValue<R>>(of: &[Node], p: Vec3<R>, join: impl Fn(V, V) -> V) -> V {
-    fold_left(0..of.len(), 1, &mut |range| of[range.start].sample(p), &join)
+fn fold_children<R: Real, V: SdfValue<R>>(
+    of: &[Node],
+    p: Vec3<R>,
+    sample: &impl Fn(usize, Vec3<R>) -> V,
+    join: impl Fn(V, V) -> V,
+) -> V {
+    fold_left(0..of.len(), 1, &mut |range| sample(range.start, p), &join)
 }
 
 /// Maximum number of shapes that a smooth union combines one after another.
@@ -233,8 +238,8 @@ impl Sdf for Union {
         { "translate": { "by": [0.8, 0.3, 0], "child": { "box": { "size": [0.9, 0.9, 0.9] } } } }
     ] }"#;
 
-    fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>) -> V {
-        union_indexed(self.of.len(), &self.smooth, &self.bvh, &|index| self.of[index].sample(p), p)
+    fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>, sample: &impl Fn(usize, Vec3<R>) -> V) -> V {
+        union_indexed(self.of.len(), &self.smooth, &self.bvh, &|index| sample(index, p), p)
     }
 
     fn precompute(&mut self, is_animated: bool) {
@@ -331,8 +336,8 @@ impl Sdf for Intersection {
         { "box": { "size": [1.5, 1.5, 1.5] } }
     ] }"#;
 
-    fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>) -> V {
-        fold_children(&self.of, p, |a, b| smooth_max(a, b, &self.smooth))
+    fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>, sample: &impl Fn(usize, Vec3<R>) -> V) -> V {
+        fold_children(&self.of, p, sample, |a, b| smooth_max(a, b, &self.smooth))
     }
 
     // A seam only takes away.
@@ -345,8 +350,8 @@ impl Sdf for Difference {
         { "translate": { "by": [0.3, 0.4, 0.5], "child": { "sphere": { "radius": 0.9 } } } }
     ] }"#;
 
-    fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>) -> V {
-        fold_children(&self.of, p, |a, b| smooth_subtract(a, b, &self.smooth))
+    fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>, sample: &impl Fn(usize, Vec3<R>) -> V) -> V {
+        fold_children(&self.of, p, sample, |a, b| smooth_subtract(a, b, &self.smooth))
     }
 
     // A seam only takes away.

@@ -3,6 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use super::carried::carries_child;
 use super::cut::Cut;
 use super::modifiers::cached::Cached;
 use super::transforms::around_child;
@@ -97,8 +98,19 @@ impl Node {
     }
 }
 
-fn rotated<R: Real>(p: Vec3<R>, [x, y, z]: [Vec3<f32>; 3]) -> Vec3<R> {
+/// Product of a matrix of these rows and a vector.
+pub(super) fn rotated<R: Real>(p: Vec3<R>, [x, y, z]: [Vec3<f32>; 3]) -> Vec3<R> {
     vec3(p.dot_uniform(x), p.dot_uniform(y), p.dot_uniform(z))
+}
+
+fn rotated_about<R: Real>(p: Vec3<R>, rows: [Vec3<f32>; 3], about: &Point) -> Vec3<R> {
+    let about = Vec3::uniform(p.x, about.get());
+    rotated(p - about, rows) + about
+}
+
+/// The rows of the inverse of a rotation.
+pub(super) fn transposed([x, y, z]: [Vec3<f32>; 3]) -> [Vec3<f32>; 3] {
+    [vec3(x.x, y.x, z.x), vec3(x.y, y.y, z.y), vec3(x.z, y.z, z.z)]
 }
 
 impl Sdf for Rotate {
@@ -108,8 +120,8 @@ impl Sdf for Rotate {
         r#"{ "degrees": 50, "axis": [1, 1, 0], "about": [0.6, 0, 0.8], "child": { "box": { "size": [1.2, 0.8, 1.6] } } }"#,
     ];
 
-    fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>) -> V {
-        self.child.sample(self.to_child(p))
+    fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>, sample: &impl Fn(usize, Vec3<R>) -> V) -> V {
+        sample(0, self.to_child(p))
     }
 
     around_child!();
@@ -122,12 +134,11 @@ impl Sdf for Rotate {
         let rows = self.inverse_rows();
         match &self.about {
             None => rotated(p, rows),
-            Some(about) => {
-                let about = Vec3::uniform(p.x, about.get());
-                rotated(p - about, rows) + about
-            }
+            Some(about) => rotated_about(p, rows, about),
         }
     }
+
+    carries_child!(|self| self.is_placement_animated());
 
     fn bounds_from_child(&self, child: Bounds) -> Bounds {
         let rows = self.inverse_rows();
@@ -159,7 +170,21 @@ impl Sdf for Rotate {
     }
 }
 
+impl Rotate {
+    fn outward<R: Real>(&self, q: Vec3<R>) -> Vec3<R> {
+        let rows = transposed(self.inverse_rows());
+        match &self.about {
+            None => rotated(q, rows),
+            Some(about) => rotated_about(q, rows, about),
+        }
+    }
+}
+
 impl Aim {
+    fn outward<R: Real>(&self, q: Vec3<R>) -> Vec3<R> {
+        rotated(q, transposed(self.inverse_rows()))
+    }
+
     /// The directions of the shape's axes; the name of the key that is wrong, and its error, if there are none.
     fn axes(&self) -> Result<[Vec3<f32>; 3], (&'static str, &'static str)> {
         let Some(z) = unit_of(&self.at) else {
@@ -194,8 +219,8 @@ impl Sdf for Aim {
         "rotate": { "degrees": 90, "axis": [1, 0, 0], "child": { "cone": { "radius": 0.4, "height": 1.6 } } }
     } }"#;
 
-    fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>) -> V {
-        self.child.sample(self.to_child(p))
+    fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>, sample: &impl Fn(usize, Vec3<R>) -> V) -> V {
+        sample(0, self.to_child(p))
     }
 
     around_child!();
@@ -207,6 +232,8 @@ impl Sdf for Aim {
     fn to_child<R: Real>(&self, p: Vec3<R>) -> Vec3<R> {
         rotated(p, self.inverse_rows())
     }
+
+    carries_child!(|self| self.is_placement_animated());
 
     fn bounds_from_child(&self, child: Bounds) -> Bounds {
         child.rotated(self.inverse_rows())

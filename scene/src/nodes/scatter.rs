@@ -145,10 +145,10 @@ impl Sdf for Scatter {
 
     const HAS_CHILD_LIST: bool = true;
 
-    fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>) -> V {
+    fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>, sample: &impl Fn(usize, Vec3<R>) -> V) -> V {
         // A job with copies that do not fit is rejected.
         let Ok(ScatteredCopies { placements, shapes }) = self.placed() else { return V::new(p.x.constant(1e9)) };
-        let copy = |index: usize| placements.sample(index, &self.of[shapes[index]], p);
+        let copy = |index: usize| placements.sample(index, |q| sample(shapes[index], q), p);
         union_indexed(shapes.len(), &self.smooth, &self.bvh, &copy, p)
     }
 

@@ -68,8 +68,16 @@ pub trait Sdf {
         std::iter::once(&Self::EXAMPLE).chain(Self::MORE_EXAMPLES).map(ToString::to_string).collect()
     }
 
-    /// The signed distance at `p`, negative inside, with materials where `V` keeps them.
-    fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>) -> V;
+    /// The signed distance at `p`, negative inside, with materials where `V` keeps them. `sample` gives the value of a
+    /// child, by its index, at a point in the child's space.
+    fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>, sample: &impl Fn(usize, Vec3<R>) -> V) -> V;
+
+    /// The way of a point of a child until the next frame, in which the node is `next`, in the space around the node. The
+    /// point is `p` there and `q` in the child's space, where its way is given; `None` if nothing moves it.
+    fn way_from_child<R: Real>(&self, next: &Self, [p, q]: [Vec3<R>; 2], way: Option<Vec3<R>>) -> Option<Vec3<R>> {
+        let _ = (next, p, q);
+        way
+    }
 
     /// Whether its children are a list under `of` instead of one under `child`.
     const HAS_CHILD_LIST: bool = false;
@@ -275,7 +283,7 @@ impl<P: Primitive> Sdf for P {
         <P as Primitive>::examples()
     }
 
-    fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>) -> V {
+    fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>, _: &impl Fn(usize, Vec3<R>) -> V) -> V {
         V::new(self.distance(p))
     }
 

@@ -3,6 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use super::carried::carries_child;
 use super::cut::Cut;
 use super::{Child, Node, Sdf, SdfValue};
 use crate::bounds::Bounds;
@@ -54,8 +55,8 @@ pub(super) use around_child;
 impl Sdf for Translate {
     const EXAMPLE: &str = r#"{ "by": [0.6, 0.3, 0], "child": { "box": { "size": [1, 1, 1] } } }"#;
 
-    fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>) -> V {
-        self.child.sample(self.to_child(p))
+    fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>, sample: &impl Fn(usize, Vec3<R>) -> V) -> V {
+        sample(0, self.to_child(p))
     }
 
     around_child!();
@@ -76,22 +77,38 @@ impl Sdf for Translate {
         self.bounds_from_child(self.child.bounds(isolevel))
     }
 
+    carries_child!(|self| self.by.is_animated());
+
     fn is_placement_animated(&self) -> bool {
         self.by.is_animated()
+    }
+}
+
+impl Translate {
+    fn outward<R: Real>(&self, q: Vec3<R>) -> Vec3<R> {
+        q + Vec3::uniform(q.x, self.by.get())
+    }
+}
+
+impl Scale {
+    fn outward<R: Real>(&self, q: Vec3<R>) -> Vec3<R> {
+        q * q.x.uniform(self.by.get())
     }
 }
 
 impl Sdf for Scale {
     const EXAMPLE: &str = r#"{ "by": 1.4, "child": { "torus": { "radius": 0.6, "tube": 0.2 } } }"#;
 
-    fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>) -> V {
+    fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>, sample: &impl Fn(usize, Vec3<R>) -> V) -> V {
         let by = self.by.get();
-        let child: V = self.child.sample(p * p.x.uniform(1.0 / by));
+        let child: V = sample(0, p * p.x.uniform(1.0 / by));
         let distance = child.distance() * p.x.uniform(by);
         child.with_distance(distance)
     }
 
     around_child!();
+
+    carries_child!(|self| self.by.is_animated());
 
     fn bounds(&self, isolevel: f32) -> Bounds {
         self.child.bounds(isolevel / self.by.get()).scaled(self.by.get())

@@ -1,6 +1,5 @@
 //! Value of a node at a point: a bare distance while marching, with materials once a ray has hit.
 
-use super::Node;
 use crate::real::{Real, Vec3, vec3};
 
 /// Value of a node at a point.
@@ -21,12 +20,18 @@ pub trait SdfValue<R: Real>: Clone {
     /// `combine` if that shape cannot be nearer.
     fn combine_unless_farther(self, beyond: R, join: impl FnOnce(Self) -> Self) -> Self;
 
-    /// Value of `node` at `point`, whose distance is known already.
-    fn from_known_distance(node: &Node, place: Vec3<R>, distance: R) -> Self;
+    /// A value whose distance is known already.
+    fn with_known_distance(distance: R, value: impl FnOnce() -> Self) -> Self;
 
     /// The same surface with a material wherever no inner node names one; `p` is the point in the space of the
     /// material's textures.
     fn paint(self, slot: u32, p: Vec3<R>) -> Self;
+
+    /// The same surface in a space around its own, where `outward` takes directions of the one to those of the other.
+    fn turned(self, outward: impl FnOnce(Vec3<R>) -> Vec3<R>) -> Self {
+        let _ = outward;
+        self
+    }
 }
 
 /// A bare distance.
@@ -54,7 +59,7 @@ impl<R: Real> SdfValue<R> for Distance<R> {
         Self(R::when(beyond.lt(self.0), self.0, || join(self).0))
     }
 
-    fn from_known_distance(_: &Node, _: Vec3<R>, distance: R) -> Self {
+    fn with_known_distance(distance: R, _: impl FnOnce() -> Self) -> Self {
         Self(distance)
     }
 
@@ -130,8 +135,8 @@ impl<R: Real> SdfValue<R> for DistanceWithMaterials<R> {
         join(self)
     }
 
-    fn from_known_distance(node: &Node, place: Vec3<R>, distance: R) -> Self {
-        node.sample::<R, Self>(place).with_distance(distance)
+    fn with_known_distance(distance: R, value: impl FnOnce() -> Self) -> Self {
+        value().with_distance(distance)
     }
 
     fn paint(self, slot: u32, p: Vec3<R>) -> Self {

@@ -36,10 +36,10 @@ impl Sdf for Warp {
         &[r#"{ "noise": { "value": { "scale": 1.5, "octaves": 2, "seed": 3 } }, "amplitude": 0.2,
         "child": { "torus": { "radius": 0.8, "tube": 0.25 } } }"#];
 
-    fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>) -> V {
+    fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>, sample: &impl Fn(usize, Vec3<R>) -> V) -> V {
         let (low, high) = self.noise.range();
         let shift = self.noise.vector(p).map(|c| c - (low + high) * 0.5);
-        self.child.sample(shift.mul_add(p.x.uniform(self.amplitude.get()), p))
+        sample(0, shift.mul_add(p.x.uniform(self.amplitude.get()), p))
     }
 
     around_child!();

@@ -15,6 +15,7 @@ mod lens;
 mod light;
 mod light_in_media;
 mod materials;
+mod motion;
 mod noise;
 mod old_jobs;
 mod penumbra;

@@ -4,7 +4,7 @@
 //! Written block by block through the crate's low-level API, so that the whole picture is never in memory. No
 //! -0.0 and no NaN reaches a file.
 
-use std::io::{Seek, Write};
+use std::io::{Seek, SeekFrom, Write};
 use std::ops::Range;
 
 use ::half::f16;
@@ -14,10 +14,11 @@ use exr::block::writer::ChunksWriter;
 use exr::compression::Compression;
 use exr::math::Vec2;
 use exr::meta::BlockDescription;
-use exr::meta::attribute::{AttributeValue, ChannelDescription, Chromaticities, LineOrder, SampleType, Text};
+use exr::meta::attribute::{self, AttributeValue, ChannelDescription, Chromaticities, LineOrder, SampleType, Text};
 use exr::meta::header::{Header, LayerAttributes};
 use rayon::prelude::*;
 use scene::Precision;
+use scene::mattes::Matte;
 
 use super::PROVENANCE_KEYWORD;
 use super::{EncodeThreads, ImageError, PictureSpec};
@@ -26,6 +27,8 @@ use crate::stitch::{RowBand, RowSource};
 
 /// Rows compressed together, by the format.
 const BLOCK_ROWS: u32 = 16;
+/// Bytes before the header: the magic number, and the version.
+const START_BYTES: usize = 8;
 /// Memory limit of a band: a band has fewer blocks if it would take more.
 const BAND_BYTES: u64 = 32 << 20;
 
@@ -58,7 +61,7 @@ pub fn write(
     let band_rows = band_rows.next_multiple_of(BLOCK_ROWS);
     let mut band = RowBand::new(picture.width, picture.channels.len());
     let mut refused = None;
-    let written = exr::block::write(out, [header].into_iter().collect(), true, |meta, file| {
+    let written = exr::block::write(&mut *out, [header.clone()].into_iter().collect(), true, |meta, file| {
         let header = &meta.headers[0];
         for top in (0..picture.height).step_by(band_rows as usize) {
             let rows = top..top.saturating_add(band_rows).min(picture.height);
@@ -78,10 +81,29 @@ pub fn write(
         }
         Ok(())
     });
-    match refused {
-        Some(error) => Err(error),
-        None => Ok(written?),
+    if let Some(error) = refused {
+        return Err(error);
     }
+    written?;
+    sort_attributes(&header, out)
+}
+
+/// Writes the attributes that are in a hash map, and so in random order, again in the order of their names.
+fn sort_attributes(header: &Header, out: &mut (impl Write + Seek)) -> Result<(), ImageError> {
+    let mut attributes: Vec<_> = header.own_attributes.other.iter().collect();
+    attributes.sort_by_key(|(name, _)| name.as_slice());
+    let (mut sorted, mut all) = (Vec::new(), Vec::new());
+    for (name, value) in attributes {
+        attribute::write(name.as_slice(), value, &mut sorted)?;
+    }
+    header.write(&mut all)?;
+    // They are the last of the header, before the byte that ends it.
+    let start = START_BYTES + all.len() - 1 - sorted.len();
+    let end = out.stream_position()?;
+    out.seek(SeekFrom::Start(start as u64))?;
+    out.write_all(&sorted)?;
+    out.seek(SeekFrom::Start(end))?;
+    Ok(())
 }
 
 fn pull(
@@ -124,8 +146,9 @@ impl Channels {
         let channels =
             self.0.iter().map(|channel| ChannelDescription::new(text(channel.name), channel.sample, false)).collect();
         let mut attributes = LayerAttributes::default();
-        // The only attribute in a hash map: a second one would be written in random order.
-        attributes.other.insert(text(PROVENANCE_KEYWORD), AttributeValue::Text(text(&picture.provenance.json())));
+        let own = [(PROVENANCE_KEYWORD.to_owned(), picture.provenance.json())];
+        let own = own.into_iter().chain(picture.mattes.iter().flat_map(Matte::attributes));
+        attributes.other.extend(own.map(|(name, value)| (text(&name), AttributeValue::Text(text(&value)))));
         let metadata = picture.metadata;
         attributes.frames_per_second = Some(metadata.frames_per_second);
         attributes.world_to_camera = Some(metadata.world_to_camera);

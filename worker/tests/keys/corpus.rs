@@ -80,7 +80,7 @@ pub(crate) fn jobs() -> Vec<Value> {
     scenes.extend(shapes().iter().map(|shape| scene(shape, &gray(), &sun(), &gradient())));
     scenes.push(named_shapes());
     scenes.extend(moving());
-    [plain(), png(), graded(), ungraded(), layered(), adaptive(), denoised()]
+    [plain(), png(), graded(), ungraded(), layered(), adaptive(), denoised(), with_motion(), with_mattes()]
         .into_iter()
         .chain(scenes.iter().map(job))
         .collect()
@@ -129,6 +129,22 @@ fn denoised() -> Value {
     job["image"]["samples"] = json!(4);
     job["image"]["denoise"] = json!(true);
     job["image"]["layers"] = json!(["noisy"]);
+    job
+}
+
+/// A picture with the way of each point until the next frame.
+fn with_motion() -> Value {
+    let shape = json!({ "translate": { "by": [{ "keys": [[0, 0], [2, 0.5]] }, 0.1, 0], "child": ball() } });
+    let mut job = job(&scene(&shape, &gray(), &sun(), &gradient()));
+    job["image"]["layers"] = json!(["motion"]);
+    job
+}
+
+/// A picture with ids of objects and materials, of which some have names.
+fn with_mattes() -> Value {
+    let mut job = plain();
+    job["image"]["layers"] = json!(["crypto_object", "crypto_material"]);
+    job["scene"]["objects"][0]["name"] = json!("ball");
     job
 }
 

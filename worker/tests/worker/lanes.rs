@@ -5,6 +5,7 @@
 use proto::Rect;
 use scene::backgrounds::Background;
 use scene::camera::{Lens, Projection};
+use scene::integrator::Ranks;
 use scene::kinds::Example;
 use scene::lights::Light;
 use scene::materials::{Material, Shade, Texture};
@@ -53,6 +54,11 @@ fn job_of(object: &str) -> Job {
 fn reference(program: &Integrator<'_>, image: &Image, x: u32, y: u32) -> Vec<f32> {
     let seen = program.pixel(x as f32, y as f32);
     let met = program.aovs(x as f32, y as f32);
+    let coverage = program.coverage(x as f32, y as f32);
+    let ranks = |ranks: Option<Ranks<f32>>| {
+        let Ranks(ranks) = ranks.expect("the picture has this layer");
+        ranks.into_iter().flat_map(|rank| [rank.id, rank.coverage])
+    };
     let mut channels = vec![seen.color.x, seen.color.y, seen.color.z, seen.alpha];
     for layer in &image.layers {
         match layer {
@@ -64,6 +70,9 @@ fn reference(program: &Integrator<'_>, image: &Image, x: u32, y: u32) -> Vec<f32
             Layer::Steps => channels.push(met.steps),
             Layer::Samples => channels.push(met.samples),
             Layer::Noisy => channels.extend([0.0; 3]),
+            Layer::CryptoObject => channels.extend(ranks(coverage.objects)),
+            Layer::CryptoMaterial => channels.extend(ranks(coverage.materials)),
+            Layer::Motion => channels.extend(<[f32; 2]>::from(met.motion)),
         }
     }
     channels

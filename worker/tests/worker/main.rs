@@ -16,6 +16,7 @@ mod fake_renderer;
 mod fake_server;
 mod frames;
 mod lanes;
+mod mattes;
 mod motion_blur;
 mod pictures;
 mod read_back;

@@ -5,8 +5,18 @@ use std::path::Path;
 use scene::{Bits, Format, Image, Job, Layer, Precision};
 
 /// Every layer an EXR may have.
-pub(crate) const LAYERS: [Layer; 7] =
-    [Layer::Depth, Layer::Normal, Layer::Position, Layer::Albedo, Layer::Object, Layer::Steps, Layer::Samples];
+pub(crate) const LAYERS: [Layer; 10] = [
+    Layer::Depth,
+    Layer::Normal,
+    Layer::Position,
+    Layer::Albedo,
+    Layer::Object,
+    Layer::Steps,
+    Layer::Samples,
+    Layer::Motion,
+    Layer::CryptoObject,
+    Layer::CryptoMaterial,
+];
 
 /// A job file.
 pub(crate) struct Shipped {

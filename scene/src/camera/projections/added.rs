@@ -7,7 +7,7 @@ use super::{CameraAxes, Extent, HasExamples, Project};
 use crate::bounds::Bounds;
 use crate::camera::{Ray, View};
 use crate::march::Tolerance;
-use crate::real::Real;
+use crate::real::{Real, Vec3};
 use crate::seek::Seek;
 use crate::values::{FieldOfView, Length};
 
@@ -33,6 +33,12 @@ impl Project for AddedProjection {
         let shifted = upwards + upwards.uniform(self.shift.get());
         let direction = axes.right.mul_add(across, axes.up.mul_add(shifted, axes.forward));
         Ray { origin: axes.origin, direction: direction.normalize() }
+    }
+
+    fn picture_point<R: Real>(&self, axes: &CameraAxes<R>, offset: Vec3<R>) -> (R, R) {
+        let ahead = offset.dot(axes.forward).at_least(1e-6);
+        let shift = offset.x.uniform(self.shift.get());
+        (offset.dot(axes.right) / ahead, offset.dot(axes.up) / ahead / (shift + 1.0))
     }
 
     fn is_beside(&self, _: &View, _: Bounds) -> bool {

@@ -43,6 +43,15 @@ impl Project for Orthographic {
         Ray { origin, direction: axes.forward }
     }
 
+    fn picture_point<R: Real>(&self, axes: &CameraAxes<R>, offset: Vec3<R>) -> (R, R) {
+        (offset.dot(axes.right), offset.dot(axes.up))
+    }
+
+    // All rays have one direction, so the background is the same everywhere in the picture.
+    fn background_point<R: Real>(&self, _: &CameraAxes<R>, direction: Vec3<R>) -> (R, R) {
+        (direction.x.constant(0.0), direction.x.constant(0.0))
+    }
+
     fn is_beside(&self, view: &View, bounds: Bounds) -> bool {
         let seen = view.to_view_space(bounds);
         let (across, upwards) = view.blur_in_view_space(seen);

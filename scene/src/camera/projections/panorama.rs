@@ -5,7 +5,7 @@ use crate::bounds::Bounds;
 use crate::camera::{Ray, View};
 use crate::job::Image;
 use crate::march::Tolerance;
-use crate::real::Real;
+use crate::real::{Real, Vec3};
 use crate::values::FieldOfView;
 
 /// All around the camera, 360 by 180 degrees: longitude across, latitude down (equirectangular), with `look_at` at the
@@ -32,6 +32,17 @@ impl Project for Panorama {
         let (above, level) = (upwards * std::f32::consts::FRAC_PI_2).sin_cos();
         let around = axes.right.mul_add(east, axes.forward * ahead);
         Ray { origin: axes.origin, direction: around.mul_add(level, axes.up * above).normalize() }
+    }
+
+    fn picture_point<R: Real>(&self, axes: &CameraAxes<R>, offset: Vec3<R>) -> (R, R) {
+        let (east, ahead, above) = (offset.dot(axes.right), offset.dot(axes.forward), offset.dot(axes.up));
+        let level = east.square_add(ahead.square()).sqrt();
+        (east.atan2(ahead) * std::f32::consts::FRAC_1_PI, above.atan2(level) * std::f32::consts::FRAC_2_PI)
+    }
+
+    // The left and the right edge are one line in space.
+    fn way_across<R: Real>(&self, way: R) -> R {
+        way - ((way + 1.0) * 0.5).floor() * 2.0
     }
 
     fn is_beside(&self, _: &View, _: Bounds) -> bool {

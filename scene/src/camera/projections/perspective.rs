@@ -4,11 +4,14 @@ use super::{CameraAxes, Extent, Project};
 use crate::bounds::Bounds;
 use crate::camera::{Matrix, Ray, View};
 use crate::march::Tolerance;
-use crate::real::Real;
+use crate::real::{Real, Vec3};
 use crate::values::FieldOfView;
 
 /// Default vertical field of view.
 const DEFAULT_FOV_DEGREES: f32 = 40.0;
+
+/// About the least cosine of the angle between the view and a point that is still in the picture.
+const MIN_COSINE: f32 = 1e-5;
 
 /// A pinhole: farther objects are smaller.
 #[derive(Clone, Copy, Debug)]
@@ -30,6 +33,12 @@ impl Project for Perspective {
     fn ray<R: Real>(&self, axes: &CameraAxes<R>, across: R, upwards: R) -> Ray<R> {
         let direction = axes.right.mul_add(across, axes.up.mul_add(upwards, axes.forward));
         Ray { origin: axes.origin, direction: direction.normalize() }
+    }
+
+    fn picture_point<R: Real>(&self, axes: &CameraAxes<R>, offset: Vec3<R>) -> (R, R) {
+        let size = offset.map(Real::abs).max_element();
+        let ahead = offset.dot(axes.forward).max(size * MIN_COSINE).at_least(1e-12);
+        (offset.dot(axes.right) / ahead, offset.dot(axes.up) / ahead)
     }
 
     fn world_to_ndc(&self, view: &View) -> Option<Matrix> {

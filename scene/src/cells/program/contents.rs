@@ -38,7 +38,7 @@ pub(crate) type List = Vec<(bool, u32)>;
 impl Program<'_> {
     /// Everything that decides the values and materials of a leaf, given the slot of its object's own material.
     fn leaf_content(&self, leaf: usize, own: u32) -> (&[u32], &[u32], Option<u32>) {
-        let Leaf { family, numbers, material, above: _, shape: _, bounds: _, lipschitz: _, object: _ } =
+        let Leaf { family, numbers, material, above: _, shape: _, next: _, id: _, bounds: _, lipschitz: _, object: _ } =
             &self.leaves[leaf];
         let own = match material {
             LeafMaterial::OfObject => Some(own),

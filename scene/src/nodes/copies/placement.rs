@@ -9,7 +9,8 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use crate::bounds::Bounds;
 use crate::materials::MaterialRef;
-use crate::nodes::{Node, SdfValue};
+use crate::nodes::SdfValue;
+use crate::nodes::rotations::{rotated, transposed};
 use crate::real::{Real, Vec3, vec3};
 use crate::seek::{FrameTime, Seek, SeekError};
 use crate::values::{ConstantCoordinate, ConstantDegrees, ConstantScale, inverse_rows_of};
@@ -180,17 +181,29 @@ impl Placements {
 
     /// Point of the shape that a copy has at `p`.
     pub(crate) fn to_shape<R: Real>(&self, index: usize, p: Vec3<R>) -> Vec3<R> {
-        let Placement { by, scale, inverse_rows: [x, y, z], .. } = &self.all[index];
+        let Placement { by, scale, inverse_rows, .. } = &self.all[index];
         let mut q = p - Vec3::uniform(p.x, *by);
         if self.has_rotation {
-            q = vec3(q.dot_uniform(*x), q.dot_uniform(*y), q.dot_uniform(*z));
+            q = rotated(q, *inverse_rows);
         }
         if self.has_scale { q * p.x.uniform(1.0 / scale) } else { q }
     }
 
-    /// Value of a copy of `shape` at `p`.
-    pub(crate) fn sample<R: Real, V: SdfValue<R>>(&self, index: usize, shape: &Node, p: Vec3<R>) -> V {
-        let mut value: V = shape.sample(self.to_shape(index, p));
+    /// Direction around a copy of one in its shape's space.
+    fn direction_from_shape<R: Real>(&self, index: usize, v: Vec3<R>) -> Vec3<R> {
+        let Placement { scale, inverse_rows, .. } = &self.all[index];
+        let turned = if self.has_rotation { rotated(v, transposed(*inverse_rows)) } else { v };
+        if self.has_scale { turned * v.x.uniform(*scale) } else { turned }
+    }
+
+    /// Value at `p` of a copy of a shape, given the shape's value at a point.
+    pub(crate) fn sample<R: Real, V: SdfValue<R>>(
+        &self,
+        index: usize,
+        shape: impl FnOnce(Vec3<R>) -> V,
+        p: Vec3<R>,
+    ) -> V {
+        let mut value = shape(self.to_shape(index, p)).turned(|way| self.direction_from_shape(index, way));
         if let Some(scale) = self.scale(index) {
             let distance = value.distance() * p.x.uniform(scale);
             value = value.with_distance(distance);

@@ -19,6 +19,7 @@ use super::cached::Cached;
 use super::nearest_copy::ended;
 use super::twist::require_bounded;
 use crate::bounds::Bounds;
+use crate::nodes::carried::carries_child;
 use crate::nodes::transforms::around_child;
 use crate::nodes::{Child, Exactness, Node, NodeError, Sdf, SdfValue};
 use crate::real::{Real, Vec3, vec3};
@@ -67,6 +68,18 @@ struct BentBounds {
 }
 
 impl Bend {
+    fn outward<R: Real>(&self, q: Vec3<R>) -> Vec3<R> {
+        let &BentBounds { up, curvature, .. } = self.arc();
+        let (height, radius) = (q.y * q.x.uniform(up), q.x.uniform(1.0 / curvature));
+        let half_angle = q.x * q.x.uniform(0.5 * curvature);
+        let (half_sin, half_cos) = half_angle.sin_cos();
+        // 1 − cos, in a form that stays accurate if the angle is close to 0.
+        let fall = half_sin.square() * 2.0;
+        let x = half_sin * half_cos * 2.0 * (radius - height);
+        let y = fall.mul_add(radius - height, height);
+        vec3(x, y * q.x.uniform(up), q.z)
+    }
+
     fn arc(&self) -> &BentBounds {
         self.arc.get(|| {
             let Bounds { min: low, max: high } = ended(self.child.bounds(0.0));
@@ -109,7 +122,7 @@ impl Sdf for Bend {
         r#"{ "degrees_per_unit": 0, "child": { "box": { "size": [1.6, 0.4, 0.7] } } }"#,
     ];
 
-    fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>) -> V {
+    fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>, sample: &impl Fn(usize, Vec3<R>) -> V) -> V {
         let BentBounds { up, curvature, low, high, middle_z, half_z, end: (sin, cos), reach, top, stretch } =
             *self.arc();
         let (x, y) = (p.x, p.y * p.x.uniform(up));
@@ -119,7 +132,7 @@ impl Sdf for Bend {
         // 1/k − r, in a form that stays accurate if k is close to 0.
         let height = (y + y - x.square_add(y.square()) * p.x.uniform(curvature)) / (away + 1.0);
         let along = across.atan2(down) * p.x.uniform(1.0 / curvature);
-        let child: V = self.child.sample(vec3(along, height * p.x.uniform(up), p.z));
+        let child: V = sample(0, vec3(along, height * p.x.uniform(up), p.z));
         let past_end = x.abs().mul_add(p.x.uniform(cos), y.mul_add(p.x.uniform(sin), p.x.uniform(-sin / curvature)));
         let beyond = (p.x.uniform(low) - height)
             .max(height - p.x.uniform(high))
@@ -134,6 +147,8 @@ impl Sdf for Bend {
     }
 
     around_child!();
+
+    carries_child!(|self| self.degrees_per_unit.is_animated());
 
     fn lipschitz(&self) -> f32 {
         self.arc().stretch

@@ -4,8 +4,9 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::cached::Cached;
-use super::nearest_copy::{ChildBounds, RepeatedChild};
+use super::nearest_copy::{ChildBounds, RepeatedChild, sample_nearest};
 use crate::bounds::Bounds;
+use crate::nodes::carried::way_between;
 use crate::nodes::transforms::around_child;
 use crate::nodes::{Child, Exactness, Node, Sdf, SdfValue};
 use crate::real::{Real, Vec3, vec3};
@@ -56,6 +57,16 @@ impl Mirror {
     }
 }
 
+impl Mirror {
+    fn height<R: Real>(&self, p: Vec3<R>) -> R {
+        height(p, self.normal.unit(), self.offset.get())
+    }
+
+    fn image<R: Real>(&self, p: Vec3<R>) -> Vec3<R> {
+        Vec3::uniform(p.x, self.normal.unit()).mul_add(self.height(p) * -2.0, p)
+    }
+}
+
 impl Sdf for Mirror {
     const EXAMPLE: &'static str = r#"{ "normal": [1, 0, 0], "child": {
         "capsule": { "a": [0.9, -0.7, 0], "b": [-0.2, 0.6, 0], "radius": 0.25 }
@@ -69,7 +80,7 @@ impl Sdf for Mirror {
         } } } }"#,
     ];
 
-    fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>) -> V {
+    fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>, sample: &impl Fn(usize, Vec3<R>) -> V) -> V {
         let MirrorSides { main, is_one_sided: is_apart, ref held } = *self.sides();
         let original = RepeatedChild::new(&self.child, held);
         // Along the normal on the side of the shape: the mirror image of a point there is farther away.
@@ -83,10 +94,20 @@ impl Sdf for Mirror {
                 let image = Vec3::uniform(p.x, normal).mul_add(height(place, normal, offset) * -2.0, place);
                 (looked_at.lt(copies), (looked_at + 1.0, image, nearest))
             });
-        original.sample(nearest)
+        sample_nearest(nearest, sample)
     }
 
     around_child!();
+
+    /// An image moves as a mirror image does, also if the plane moves.
+    fn way_from_child<R: Real>(&self, next: &Self, [p, q]: [Vec3<R>; 2], way: Option<Vec3<R>>) -> Option<Vec3<R>> {
+        let is_animated = self.normal.is_animated() || self.offset.is_animated();
+        let of_image = way_between(q, way, is_animated, [&|q| self.image(q), &|q| next.image(q)])?;
+        let is_image = (self.height(p) * self.height(q)).below(0.0);
+        let zero = p.x.constant(0.0);
+        let of_original = way.unwrap_or(vec3(zero, zero, zero));
+        Some(Vec3::select(is_image, of_image, of_original))
+    }
 
     fn exactness(&self) -> Exactness {
         let child = self.child.exactness();

@@ -61,11 +61,14 @@ impl<'a> RepeatedChild<'a> {
         let nearer = distance.lt(found.0);
         (R::select(nearer, distance, found.0), Vec3::select(nearer, place, found.1))
     }
+}
 
-    /// Value of the nearest copy.
-    pub(super) fn sample<R: Real, V: SdfValue<R>>(&self, (distance, place): NearestCopy<R>) -> V {
-        V::from_known_distance(self.shape, place, distance)
-    }
+/// Value of the nearest copy of a node's only child.
+pub(super) fn sample_nearest<R: Real, V: SdfValue<R>>(
+    (distance, place): NearestCopy<R>,
+    sample: &impl Fn(usize, Vec3<R>) -> V,
+) -> V {
+    V::with_known_distance(distance, || sample(0, place))
 }
 
 /// Bounds with finite sides, farther away than any point.

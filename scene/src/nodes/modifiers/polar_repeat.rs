@@ -10,7 +10,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Deserializer, Serialize};
 
 use super::cached::Cached;
-use super::nearest_copy::{ChildBounds, RepeatedChild, max_overlapping, nearest_whole};
+use super::nearest_copy::{ChildBounds, RepeatedChild, max_overlapping, nearest_whole, sample_nearest};
 use crate::bounds::Bounds;
 use crate::nodes::transforms::around_child;
 use crate::nodes::{Child, Exactness, Node, NodeError, Sdf, SdfValue};
@@ -95,7 +95,7 @@ impl Sdf for PolarRepeat {
         } } } }"#,
     ];
 
-    fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>) -> V {
+    fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>, sample: &impl Fn(usize, Vec3<R>) -> V) -> V {
         let (sector, RingLayout { middle, reach, turn, held, .. }) = (self.sector(), self.ring());
         let original = RepeatedChild::new(&self.child, held);
         let angle = p.z.atan2(p.x);
@@ -114,10 +114,20 @@ impl Sdf for PolarRepeat {
                 (looked_at.lt(angle.uniform(*reach)), (looked_at + 1.0, next, nearest))
             },
         );
-        original.sample(nearest)
+        sample_nearest(nearest, sample)
     }
 
     around_child!();
+
+    /// Each copy is rotated as its points are.
+    fn way_from_child<R: Real>(&self, _: &Self, [p, q]: [Vec3<R>; 2], way: Option<Vec3<R>>) -> Option<Vec3<R>> {
+        way.map(|way| {
+            let per_square = p.x.constant(1.0) / q.x.square_add(q.z.square()).at_least(1e-12);
+            let cos = q.x.mul_add(p.x, q.z * p.z) * per_square;
+            let sin = q.x.mul_add(p.z, -(q.z * p.x)) * per_square;
+            vec3(way.x.mul_add(cos, -(way.z * sin)), way.y, way.x.mul_add(sin, way.z * cos))
+        })
+    }
 
     fn exactness(&self) -> Exactness {
         match self.child.exactness() {

@@ -8,7 +8,8 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Deserializer, Serialize};
 
 use super::cached::Cached;
-use super::nearest_copy::{ChildBounds, RepeatedChild, max_overlapping, nearest_whole};
+use super::elongation::way_of_parts;
+use super::nearest_copy::{ChildBounds, RepeatedChild, max_overlapping, nearest_whole, sample_nearest};
 use crate::bounds::Bounds;
 use crate::nodes::transforms::around_child;
 use crate::nodes::{Child, Exactness, Node, NodeError, Sdf, SdfValue};
@@ -146,7 +147,7 @@ impl Sdf for Repeat {
         } } }"#,
     ];
 
-    fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>) -> V {
+    fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>, sample: &impl Fn(usize, Vec3<R>) -> V) -> V {
         let GridLayout { axes: [x_axis, y_axis, z_axis], held } = self.grid();
         let original = RepeatedChild::new(&self.child, held);
         let nearest = for_each_copy(x_axis.as_ref(), p.x, RepeatedChild::start(p), |x, found| {
@@ -154,10 +155,19 @@ impl Sdf for Repeat {
                 for_each_copy(z_axis.as_ref(), p.z, found, |z, found| original.nearer(vec3(x, y, z), found))
             })
         });
-        original.sample(nearest)
+        sample_nearest(nearest, sample)
     }
 
     around_child!();
+
+    /// Copies move apart as the cells grow.
+    fn way_from_child<R: Real>(&self, next: &Self, [p, q]: [Vec3<R>; 2], way: Option<Vec3<R>>) -> Option<Vec3<R>> {
+        let growths = std::array::from_fn(|axis| {
+            let (cell, next) = (self.cell[axis].as_ref()?, next.cell[axis].as_ref()?);
+            cell.is_animated().then(|| next.get() / cell.get() - 1.0)
+        });
+        way_of_parts(growths, p - q, way)
+    }
 
     fn exactness(&self) -> Exactness {
         match self.child.exactness() {

@@ -13,6 +13,7 @@ use super::cached::Cached;
 use super::nearest_copy::ended;
 use super::twist::{radius_about_y, require_bounded};
 use crate::bounds::Bounds;
+use crate::nodes::carried::carries_child;
 use crate::nodes::transforms::around_child;
 use crate::nodes::{Child, Exactness, Node, NodeError, Sdf, SdfValue};
 use crate::real::{Real, Vec3, vec3};
@@ -59,6 +60,18 @@ struct BoundingFrustum {
 }
 
 impl Taper {
+    /// Factor at a height.
+    fn factor<R: Real>(&self, y: R) -> R {
+        let (bottom, top) = (self.bottom_factor.get(), self.top_factor.get());
+        let factor = (y - y.uniform(self.bottom.get())).mul_add(y.uniform(self.frustum().slope), y.uniform(bottom));
+        factor.max(y.uniform(bottom.min(top))).min(y.uniform(bottom.max(top)))
+    }
+
+    fn outward<R: Real>(&self, q: Vec3<R>) -> Vec3<R> {
+        let factor = self.factor(q.y);
+        vec3(q.x * factor, q.y, q.z * factor)
+    }
+
     fn frustum(&self) -> &BoundingFrustum {
         self.frustum.get(|| {
             let bounds = ended(self.child.bounds(0.0));
@@ -95,15 +108,13 @@ impl Sdf for Taper {
         "translate": { "by": [0.1, 0, 0], "child": { "cylinder": { "radius": 0.5, "height": 1.9 } } }
     } }"#];
 
-    fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>) -> V {
-        let BoundingFrustum { radius, low, high, slope, slant, value_scale: shrink, stretch } = *self.frustum();
-        let (bottom, top) = (self.bottom_factor.get(), self.top_factor.get());
+    fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>, sample: &impl Fn(usize, Vec3<R>) -> V) -> V {
+        let BoundingFrustum { radius, low, high, slope: _, slant, value_scale: shrink, stretch } = *self.frustum();
         let y = p.y.max(p.x.uniform(low)).min(p.x.uniform(high));
-        let factor = (y - p.x.uniform(self.bottom.get())).mul_add(p.x.uniform(slope), p.x.uniform(bottom));
-        let factor = factor.max(p.x.uniform(bottom.min(top))).min(p.x.uniform(bottom.max(top)));
+        let factor = self.factor(y);
         let away = p.x.square_add(p.z.square()).sqrt();
         let inwards = p.x.constant(1.0) / factor.max(away * p.x.uniform(1.0 / radius));
-        let child: V = self.child.sample(vec3(p.x * inwards, y, p.z * inwards));
+        let child: V = sample(0, vec3(p.x * inwards, y, p.z * inwards));
         let held = child.distance().max(p.x.uniform(-0.5 * radius)).min(p.x.uniform(0.5 * radius))
             * (factor * p.x.uniform(shrink));
         let beyond = (away - factor * p.x.uniform(radius)) * p.x.uniform(slant);
@@ -112,6 +123,12 @@ impl Sdf for Taper {
     }
 
     around_child!();
+
+    carries_child!(|self| {
+        let heights = [&self.bottom, &self.top];
+        let factors = [&self.bottom_factor, &self.top_factor];
+        heights.into_iter().any(Coordinate::is_animated) || factors.into_iter().any(ScaleFactor::is_animated)
+    });
 
     fn lipschitz(&self) -> f32 {
         self.frustum().stretch

@@ -48,8 +48,8 @@ macro_rules! at_a_distance {
 impl Sdf for Round {
     const EXAMPLE: &'static str = r#"{ "radius": 0.2, "child": { "pyramid": { "height": 0.9 } } }"#;
 
-    fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>) -> V {
-        let child: V = self.child.sample(p);
+    fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>, sample: &impl Fn(usize, Vec3<R>) -> V) -> V {
+        let child: V = sample(0, p);
         let distance = child.distance() - p.x.uniform(self.radius.get());
         child.with_distance(distance)
     }
@@ -67,8 +67,8 @@ impl Sdf for Onion {
         "torus": { "radius": 0.7, "tube": 0.3 }
     } } } }"#];
 
-    fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>) -> V {
-        let child: V = self.child.sample(p);
+    fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>, sample: &impl Fn(usize, Vec3<R>) -> V) -> V {
+        let child: V = sample(0, p);
         let distance = child.distance().abs() - p.x.uniform(0.5 * self.thickness.get());
         child.with_distance(distance)
     }

@@ -13,6 +13,7 @@ use serde::{Deserialize, Serialize};
 use super::cached::Cached;
 use super::nearest_copy::ended;
 use crate::bounds::Bounds;
+use crate::nodes::carried::carries_child;
 use crate::nodes::transforms::around_child;
 use crate::nodes::{Child, Exactness, Node, NodeError, Sdf, SdfValue};
 use crate::real::{Real, Vec3, vec3};
@@ -44,6 +45,17 @@ struct BoundingCylinder {
 }
 
 impl Twist {
+    /// Sine and cosine of the rotation at a height.
+    fn turn<R: Real>(&self, y: R) -> (R, R) {
+        let turns = y * y.uniform(self.degrees_per_unit.get() / 360.0);
+        ((turns - turns.floor()) * TAU).sin_cos()
+    }
+
+    fn outward<R: Real>(&self, q: Vec3<R>) -> Vec3<R> {
+        let (sin, cos) = self.turn(q.y);
+        vec3(q.x.mul_add(cos, q.z * sin), q.y, q.z.mul_add(cos, -(q.x * sin)))
+    }
+
     fn cylinder(&self) -> &BoundingCylinder {
         self.cylinder.get(|| {
             let bounds = ended(self.child.bounds(0.0));
@@ -87,21 +99,22 @@ impl Sdf for Twist {
         { "translate": { "by": [-0.35, 0, 0], "child": { "cylinder": { "radius": 0.2, "height": 1.9 } } } }
     ] } } }"#];
 
-    fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>) -> V {
+    fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>, sample: &impl Fn(usize, Vec3<R>) -> V) -> V {
         let BoundingCylinder { radius, low, high, stretch } = *self.cylinder();
         let away = p.x.square_add(p.z.square()).sqrt();
         let y = p.y.max(p.x.uniform(low)).min(p.x.uniform(high));
         let inwards = p.x.uniform(radius) / away.max(p.x.uniform(radius));
-        let turns = y * p.x.uniform(self.degrees_per_unit.get() / 360.0);
-        let (sin, cos) = ((turns - turns.floor()) * TAU).sin_cos();
+        let (sin, cos) = self.turn(y);
         let (x, z) = (p.x * inwards, p.z * inwards);
-        let child: V = self.child.sample(vec3(x.mul_add(cos, -(z * sin)), y, x.mul_add(sin, z * cos)));
+        let child: V = sample(0, vec3(x.mul_add(cos, -(z * sin)), y, x.mul_add(sin, z * cos)));
         let beyond = (away - p.x.uniform(radius)).max(p.y - p.x.uniform(high)).max(p.x.uniform(low) - p.y);
         let distance = child.distance().max(beyond * p.x.uniform(stretch));
         child.with_distance(distance)
     }
 
     around_child!();
+
+    carries_child!(|self| self.degrees_per_unit.is_animated());
 
     fn lipschitz(&self) -> f32 {
         self.cylinder().stretch

@@ -79,8 +79,8 @@ impl Sdf for Engrave {
         { "infinite_cylinder": { "radius": 0.5 } }
     ] }"#;
 
-    fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>) -> V {
-        let (shape, pattern): (V, V) = (self.of[0].sample(p), self.of[1].sample(p));
+    fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>, sample: &impl Fn(usize, Vec3<R>) -> V) -> V {
+        let (shape, pattern): (V, V) = (sample(0, p), sample(1, p));
         let uncut = shape.distance();
         let cut = (uncut + uncut.uniform(self.depth.get()) - pattern.distance().abs()) * FRAC_1_SQRT_2;
         shape.blend(pattern, uncut.max(cut), || indicator(uncut, uncut.lt(cut)))
@@ -109,8 +109,8 @@ impl Sdf for Groove {
         { "sphere": { "radius": 1 } }
     ] }"#;
 
-    fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>) -> V {
-        let (shape, pattern): (V, V) = (self.of[0].sample(p), self.of[1].sample(p));
+    fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>, sample: &impl Fn(usize, Vec3<R>) -> V) -> V {
+        let (shape, pattern): (V, V) = (sample(0, p), sample(1, p));
         let uncut = shape.distance();
         let wall = uncut.uniform(0.5 * self.width.get()) - pattern.distance().abs();
         let cut = wall.min(uncut + uncut.uniform(self.depth.get()));
@@ -134,8 +134,8 @@ impl Sdf for Tongue {
         { "infinite_cylinder": { "radius": 0.5 } }
     ] }"#;
 
-    fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>) -> V {
-        let (shape, pattern): (V, V) = (self.of[0].sample(p), self.of[1].sample(p));
+    fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>, sample: &impl Fn(usize, Vec3<R>) -> V) -> V {
+        let (shape, pattern): (V, V) = (sample(0, p), sample(1, p));
         let bare = shape.distance();
         let wall = pattern.distance().abs() - bare.uniform(0.5 * self.width.get());
         let ridge = wall.max(bare - bare.uniform(self.height.get()));
@@ -159,8 +159,8 @@ impl Sdf for Morph {
         { "torus": { "radius": 0.8, "tube": 0.3 } }
     ] }"#;
 
-    fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>) -> V {
-        let (first, second): (V, V) = (self.of[0].sample(p), self.of[1].sample(p));
+    fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>, sample: &impl Fn(usize, Vec3<R>) -> V) -> V {
+        let (first, second): (V, V) = (sample(0, p), sample(1, p));
         let (start, end) = (first.distance(), second.distance());
         let amount = start.uniform(self.amount.get());
         let distance = end.mul_add(amount, start * start.uniform(1.0 - self.amount.get()));

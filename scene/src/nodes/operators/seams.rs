@@ -158,9 +158,9 @@ impl Sdf for Chamfer {
         ] }"#,
     ];
 
-    fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>) -> V {
+    fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>, sample: &impl Fn(usize, Vec3<R>) -> V) -> V {
         let size = self.size.get();
-        fold_children(&self.of, p, |a, b| {
+        fold_children(&self.of, p, sample, |a, b| {
             self.kind.combine(a, b, &self.size, |a: R, b: R| a.min(b).min((a + b - a.uniform(size)) * FRAC_1_SQRT_2))
         })
     }
@@ -195,10 +195,10 @@ impl Sdf for Stairs {
         ] }"#,
     ];
 
-    fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>) -> V {
+    fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>, sample: &impl Fn(usize, Vec3<R>) -> V) -> V {
         let size = self.size.get();
         let step = size / (self.steps + 1) as f32;
-        fold_children(&self.of, p, |a, b| {
+        fold_children(&self.of, p, sample, |a, b| {
             self.kind.combine(a, b, &self.size, |a: R, b: R| {
                 let past = b - a.uniform(size);
                 let along = past - a + a.uniform(step);
@@ -254,11 +254,11 @@ impl Sdf for Columns {
         ] }"#,
     ];
 
-    fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>) -> V {
+    fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>, sample: &impl Fn(usize, Vec3<R>) -> V) -> V {
         let (radius, depth) = self.column_layout();
         // The row is centered on the diagonal, with a column there if their number is odd.
         let start = if self.columns % 2 == 1 { 0.5 } else { 0.0 };
-        fold_children(&self.of, p, |a, b| {
+        fold_children(&self.of, p, sample, |a, b| {
             self.kind.combine(a, b, &self.size, |a: R, b: R| {
                 let across = (a + b).mul_add(a.constant(FRAC_1_SQRT_2), a.uniform(-depth));
                 let along = (b - a) * FRAC_1_SQRT_2;

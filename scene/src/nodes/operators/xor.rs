@@ -31,8 +31,8 @@ impl Sdf for Xor {
         { "box": { "size": [0.8, 3, 0.8] } }
     ] }"#];
 
-    fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>) -> V {
-        fold_children(&self.of, p, xor_distance)
+    fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>, sample: &impl Fn(usize, Vec3<R>) -> V) -> V {
+        fold_children(&self.of, p, sample, xor_distance)
     }
 
     around_joined!();

@@ -144,7 +144,7 @@ fn keys_have_the_values_of_the_schema() {
     let image = find(&table, Family::Document, "image");
     let words: Vec<&Value> = key(image, "format").shape.words.iter().map(|word| &word.word).collect();
     assert_eq!(words, ["png", "exr"]);
-    assert_eq!((&*key(image, "layers").shape.kind, key(image, "layers").shape.words.len()), ("words", 8));
+    assert_eq!((&*key(image, "layers").shape.kind, key(image, "layers").shape.words.len()), ("words", 11));
     let solid = find(&table, Family::Background, "color");
     assert_eq!(solid.value.as_ref().map(|value| &*value.kind), Some("color"));
     assert_eq!(find(&table, Family::Background, "transparent").example, json!("transparent"));

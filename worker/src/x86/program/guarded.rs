@@ -138,8 +138,17 @@ mod tests {
     use crate::tape::{Expr, LinearTape, Tape, record};
     use crate::x86::{AVX2, AVX512, compile};
 
-    const ALL_LAYERS: [Layer; 6] =
-        [Layer::Depth, Layer::Normal, Layer::Albedo, Layer::Object, Layer::Position, Layer::Steps];
+    const ALL_LAYERS: [Layer; 9] = [
+        Layer::Depth,
+        Layer::Normal,
+        Layer::Albedo,
+        Layer::Object,
+        Layer::Position,
+        Layer::Steps,
+        Layer::Motion,
+        Layer::CryptoObject,
+        Layer::CryptoMaterial,
+    ];
 
     /// Runs an entry on two packets, on the heap and at both edges of guarded memory; all results must be equal.
     fn assert_inside(name: &str, tape: &Tape, entry: &str, arguments: &[f32], results: usize) {

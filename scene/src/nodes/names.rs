@@ -1,0 +1,29 @@
+//! Names of nodes and of their parts, in JSON and in documentation.
+
+/// Node for documentation and tests.
+#[derive(Clone, Debug)]
+pub struct NodeExample {
+    /// The node's type.
+    pub kind: &'static str,
+    /// Index among the examples of its type, from 0.
+    pub index: usize,
+    /// Its JSON.
+    pub node: String,
+}
+
+/// JSON pointer in a node of a material that it names; a placement's has the placement's index.
+pub(crate) fn material_pointer(placement: Option<usize>) -> String {
+    placement.map_or_else(|| "/material".to_owned(), |index| format!("/at/{index}/material"))
+}
+
+/// Name in JSON: `InfiniteCylinder` becomes `infinite_cylinder`.
+pub fn snake_case(name: &str) -> String {
+    let mut snake = String::new();
+    for (index, letter) in name.char_indices() {
+        if letter.is_ascii_uppercase() && index > 0 {
+            snake.push('_');
+        }
+        snake.push(letter.to_ascii_lowercase());
+    }
+    snake
+}
