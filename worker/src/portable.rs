@@ -446,10 +446,7 @@ impl Run<'_> {
 
     #[inline(always)]
     fn has_lane(&self, mask: Source) -> bool {
-        match mask {
-            Source::Slot(slot) => self.frame.slots[slot].0.iter().fold(0, |any, lane| any | lane) != 0,
-            Source::Input(index) => self.frame.inputs[index] != 0,
-        }
+        self.lane_count(mask) > 0
     }
 
     fn lane_count(&self, mask: Source) -> u32 {

@@ -56,12 +56,7 @@ impl Integrator<'_> {
     }
 
     /// The hit of a march that touches a surface.
-    fn touched_surface<R: Real>(
-        &self,
-        ray: &Ray<R>,
-        marched: MarchResult<R>,
-        approach: Approach<R>,
-    ) -> MarchResult<R> {
+    fn touched_surface<R: Real>(&self, ray: &Ray<R>, marched: MarchResult<R>, approach: Approach<R>) -> MarchResult<R> {
         if !self.fine.is_empty() {
             return MarchResult { hit: MaskValue(marched.t.below(f32::MAX)), ..marched };
         }

@@ -15,6 +15,9 @@ use crate::march::{March, MarchResult, RELAXATION};
 use crate::real::{MaskValue, Real, Vec3, bundle};
 use crate::sampling::PixelSampler;
 
+/// Maximum number of rounds, more than the samples that are rendered at once ever take.
+const MAX_ROUNDS: u32 = 1 << 31;
+
 /// Samples of a pixel, the path of one of them, and the march along its shadow ray or its ray.
 #[derive(Clone, Copy)]
 struct Lane<R: Real> {
@@ -59,7 +62,7 @@ impl Integrator<'_> {
         let start = Lane { sample: first, sum, path, march, farthest };
         // In each round, every lane takes a step of a march, or what follows a march.
         let rays = self.samples.saturating_mul(2 * segments(max_bounces));
-        let rounds = rays.saturating_mul(2 * (self.scene.march.max_steps + 1));
+        let rounds = rays.saturating_mul(2 * (self.scene.march.max_steps + 1)).min(MAX_ROUNDS);
         let end = R::repeat(rounds, start, |lane| {
             let march = R::when(lane.march.goes_on.0, lane.march, || self.march_on(&lane));
             let lane = Lane { march, ..lane };
@@ -95,8 +98,7 @@ impl Integrator<'_> {
         })
     }
 
-    /// What follows a march: the search for the root, and then the light of a shadow ray, or the bounce of a path. Starts
-    /// the next march.
+    /// Searches the root where a march has ended, and then adds the light of a shadow ray, or bounces. Starts the next march.
     fn after_marching<R: Real>(&self, lane: Lane<R>, pixel: &PixelSampler<R>, max_bounces: u32) -> Lane<R> {
         let Lane { sample, sum, path, march, farthest } = lane;
         let ray = path.next_ray();

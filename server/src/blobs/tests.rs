@@ -9,12 +9,15 @@ use object_store::PutPayload;
 use super::*;
 use crate::blobs::bucket::Settings;
 use crate::db::FarmId;
+use crate::delivery_check::HEAD_BYTES;
 use crate::seaweedfs::SeaweedFs;
 
 mod endpoint;
 
 const PICTURE: ContentKind = ContentKind::Picture;
 const BLOB: ContentKind = ContentKind::Blob;
+/// Bytes at the start of a file that its check reads.
+const HEAD: usize = HEAD_BYTES as usize;
 /// Sent to S3 in three parts, and written to a file in 81 pieces.
 const LARGE_BYTES: usize = (20 << 20) + 5;
 
@@ -94,7 +97,7 @@ async fn missing_content_is_none(store: &BlobStore) {
 }
 
 async fn content_is_stored_once_and_read_in_ranges(store: &BlobStore) {
-    for size_bytes in [0, 1, 11, 12, 13, 16 << 10, (16 << 10) + 1, 300_000] {
+    for size_bytes in [0, 1, 11, 12, 13, HEAD, HEAD + 1, 300_000] {
         let bytes = content(1, size_bytes);
         let name = put(store, PICTURE, &bytes).await;
         assert_eq!(put(store, PICTURE, &bytes).await, name, "twice is once");
@@ -103,7 +106,7 @@ async fn content_is_stored_once_and_read_in_ranges(store: &BlobStore) {
         assert_eq!(state(store, &name, size_bytes + 1).await, FileState::Damaged, "another size was recorded");
         let ends = store.ends(PICTURE, &name).await.expect("reads").expect("is there");
         assert_eq!(ends.size_bytes, size_bytes as u64);
-        assert_eq!(ends.head, bytes.slice(..size_bytes.min(16 << 10)));
+        assert_eq!(ends.head, bytes.slice(..size_bytes.min(HEAD)));
         assert_eq!(ends.tail, bytes.slice(size_bytes.saturating_sub(12)..));
         for range in [0..1, 5..11, size_bytes.saturating_sub(3)..size_bytes] {
             if range.end <= size_bytes && !range.is_empty() {
@@ -193,7 +196,7 @@ async fn content_is_listed_and_deleted(store: &BlobStore) {
 
 /// Another server reads what the first remembers.
 async fn ends_are_those_that_are_remembered(store: &BlobStore, other: &BlobStore) {
-    for size_bytes in [0, 1, 12, 16 << 10, (16 << 10) + 1, 300_000] {
+    for size_bytes in [0, 1, 12, HEAD, HEAD + 1, 300_000] {
         let name = put(store, BLOB, &content(11, size_bytes)).await;
         let (ours, theirs) = (store.ends(BLOB, &name).await, other.ends(BLOB, &name).await);
         let ends = |ends: Result<Option<FileEnds>, ContentError>| {

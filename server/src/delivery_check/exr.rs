@@ -124,7 +124,7 @@ mod tests {
             (picture(8, 2, &provenance), "9×6 pixels instead of 8×6"),
             (picture(7, 1, &provenance), "channels"),
             (picture(7, 2, "{}"), "another scene"),
-            ([right.clone(), vec![0; 200_000]].concat(), "at most"),
+            ([right.clone(), vec![0; 600_000]].concat(), "at most"),
         ] {
             let error = expected.check(&ends(&wrong)).expect_err(reason);
             assert!(error.contains(reason), "{error} is not {reason}");

@@ -81,7 +81,7 @@ mod tests {
             (picture(9, 2, &provenance), "9×6 pixels instead of 8×6"),
             (picture(8, 6, &provenance), "type 6"),
             (picture(8, 2, "{}"), "another scene"),
-            ([right.clone(), vec![0; 200_000]].concat(), "at most"),
+            ([right.clone(), vec![0; 600_000]].concat(), "at most"),
         ] {
             let error = expected.check(&ends(&wrong)).expect_err(reason);
             assert!(error.contains(reason), "{error} is not {reason}");

@@ -22,7 +22,7 @@ const MAX_ROW_WORDS: u32 = 1 << 16;
 const MAX_WAITING: u32 = 64;
 const MAX_FOLDED: usize = 64;
 /// Maximum number of runs of a loop, whose counter has 32 bits.
-const MAX_REPEATS: u32 = u32::MAX - 1;
+const MAX_REPEATS: u32 = 1 << 31;
 
 /// Error of a tape that breaks a rule: a bug of the recorder or of a formula.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]

@@ -329,6 +329,21 @@ fn nudge(value: &mut Value) {
 }
 
 #[test]
+fn the_longest_paths_have_a_valid_program() {
+    let job = serde_json::json!({
+        "scene": {
+            "integrator": { "path": { "max_bounces": 32 } },
+            "march": { "max_steps": 65_536 },
+            "camera": { "position": [0, 0, 4], "look_at": [0, 0, 0] },
+            "objects": [{ "shape": { "sphere": { "radius": 1 } }, "material": { "diffuse": {} } }]
+        },
+        "image": { "width": 8, "height": 8, "samples": 65_536 }
+    });
+    let job = scene::parse(job.to_string().as_bytes()).expect("a valid job");
+    KernelSource::new(&job.at(0).expect("it is not animated")).expect("a recorded tape is valid");
+}
+
+#[test]
 fn kernel_source_does_not_depend_on_a_scenes_numbers() {
     for Shipped { name, text } in shipped() {
         let mut changed: Value = serde_json::from_slice(&text).expect("a scene is JSON");

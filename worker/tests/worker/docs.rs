@@ -5,6 +5,7 @@
 mod camera_and_sky;
 mod gallery;
 mod hover;
+mod light;
 mod lights;
 mod materials;
 mod nodes;
@@ -114,6 +115,11 @@ fn the_page_of_materials_is_current() {
 #[test]
 fn the_page_of_lights_is_current() {
     assert_fresh(&lights::page(), Compared::Provenance);
+}
+
+#[test]
+fn the_page_of_light_is_current() {
+    assert_fresh(&light::page(), Compared::Provenance);
 }
 
 #[test]
