@@ -31,7 +31,7 @@ struct Pair {
     both: Changes,
     before: Changes,
     after: Changes,
-    /// What is seen before and after.
+    /// Titles of the two pictures.
     captions: [&'static str; 2],
 }
 
