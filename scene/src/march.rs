@@ -338,6 +338,12 @@ impl<R: Real> March<R> {
         }
     }
 
+    /// The result, if there is no step left to take.
+    pub fn result(&self) -> MarchResult<R> {
+        let Self { t, gap, steps, hit, past: _, goes_on: _, part: _ } = *self;
+        MarchResult { t, near: t, distance: gap, steps, evaluations: steps, hit }
+    }
+
     /// Takes a step, with the tolerance at its start.
     ///
     /// It is longer than the radius of the sphere around its start, within a part of the ray. If the sphere around its end
@@ -394,5 +400,5 @@ pub fn march<R: Real>(
         let next = march.step(reach.t_max, reach.relaxation, &tolerance, both_sides, field);
         (next.goes_on.0, next)
     });
-    MarchResult { t: end.t, near: end.t, distance: end.gap, steps: end.steps, evaluations: end.steps, hit: end.hit }
+    end.result()
 }

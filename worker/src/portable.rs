@@ -3,6 +3,7 @@
 
 mod arithmetic;
 mod fold;
+mod masks;
 
 use std::collections::{HashMap, HashSet};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -441,18 +442,6 @@ impl Run<'_> {
         }
         for &(from, to) in &function.results {
             self.copy(to, from);
-        }
-    }
-
-    #[inline(always)]
-    fn has_lane(&self, mask: Source) -> bool {
-        self.lane_count(mask) > 0
-    }
-
-    fn lane_count(&self, mask: Source) -> u32 {
-        match mask {
-            Source::Slot(slot) => self.frame.slots[slot].0.iter().map(|&lane| u32::from(lane != 0)).sum(),
-            Source::Input(index) => LANES as u32 * u32::from(self.frame.inputs[index] != 0),
         }
     }
 

@@ -310,10 +310,12 @@ impl Integrator<'_> {
         let ray = Ray { origin: p, direction: chosen.direction };
         let is = |index: usize| (chosen.emitter - index as f32).abs().below(0.5);
         // Other lights are in the way, too.
-        let is_blocked = self.emitters.bodies().fold(zero.above(0.0), |is_blocked, (index, _, body)| {
-            is_blocked | (body.shape.distance_along(&ray).lt(chosen.distance) & !is(index))
+        let MaskValue(is_blocked) = R::when(shines & casts_shadows, MaskValue(zero.above(0.0)), || {
+            MaskValue(self.emitters.bodies().fold(zero.above(0.0), |is_blocked, (index, _, body)| {
+                is_blocked | (body.shape.distance_along(&ray).lt(chosen.distance) & !is(index))
+            }))
         });
-        let arrives = shines & !(is_blocked & casts_shadows);
+        let arrives = shines & !is_blocked;
         let none = zero.constant(-1.0);
         let object = self
             .emitters

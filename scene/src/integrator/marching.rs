@@ -77,7 +77,7 @@ impl Integrator<'_> {
         let found = R::when(marched.hit.0, marched, || {
             settle(ray, marched, approach, |p| self.distance(p), |p| self.is_fine(p))
         });
-        let touches = !marched.hit.0 & self.touches(&marched, farthest);
+        let touches = self.touches(&marched, farthest);
         R::when(touches, found, || self.touched_surface(ray, marched, approach))
     }
 

@@ -11,7 +11,7 @@ use super::lighting::SHADOW_SLOPE;
 use super::scene_distance::AlongRay;
 use super::{Integrator, Radiance};
 use crate::camera::Ray;
-use crate::march::{March, MarchResult, RELAXATION};
+use crate::march::{March, RELAXATION};
 use crate::real::{MaskValue, Real, Vec3, bundle};
 use crate::sampling::PixelSampler;
 
@@ -102,14 +102,7 @@ impl Integrator<'_> {
     fn after_marching<R: Real>(&self, lane: Lane<R>, pixel: &PixelSampler<R>, max_bounces: u32) -> Lane<R> {
         let Lane { sample, sum, path, march, farthest } = lane;
         let ray = path.next_ray();
-        let marched = MarchResult {
-            t: march.t,
-            near: march.t,
-            distance: march.gap,
-            steps: march.steps,
-            evaluations: march.steps,
-            hit: march.hit,
-        };
+        let marched = march.result();
         let found =
             R::when(!path.ends_at_light(), marched, || self.found_surface(&ray, path.epsilon, marched, farthest));
         let mut path = path;

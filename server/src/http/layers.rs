@@ -96,7 +96,7 @@ pub(super) async fn list(
     params(
         ("id" = String, Path, description = "The job"),
         ("frame" = u32, Path, description = "The frame, from 0"),
-        ("layer" = String, Path, description = "The layer: color, depth, normal, position, albedo, object, steps"),
+        ("layer" = String, Path, description = "The layer, by its name in the list of the picture's layers"),
         ("width" = Option<u32>, Query, description = "Maximum width, in pixels; 960 by default", minimum = 1, maximum = 2048),
         ("exposure" = Option<f32>, Query, description = "Exposure of colors, in stops; 0 by default", minimum = -20, maximum = 20),
     ),
