@@ -89,6 +89,50 @@ fn layers_of_an_exr_are_pictures_and_its_pixels_have_all_values() {
 }
 
 #[test]
+fn light_groups_of_an_exr_are_layers_with_an_exposure() {
+    let farm = Farm::start(&["--workers", "1", "--device", "cpu"]);
+    let rectangle = |x: f32, color: Value, group: Option<&str>| {
+        json!({ "rectangle": {
+            "position": [x, 3, 2], "direction": [-x, -3, -2], "width": 1, "height": 1, "color": color, "group": group
+        } })
+    };
+    let mut job = layered();
+    job["scene"]["integrator"] = json!({ "path": {} });
+    job["scene"]["lights"] =
+        json!([rectangle(-2.0, json!([20, 0, 0]), Some("warm-1")), rectangle(2.0, json!([0, 0, 20]), None),]);
+    for object in job["scene"]["objects"].as_array_mut().expect("a list") {
+        object["material"] = json!({ "diffuse": { "kd": [0.5, 0.5, 0.5] } });
+    }
+    job["image"]["layers"] = json!(["noisy"]);
+    job["image"]["samples"] = json!(4);
+    job["image"]["denoise"] = json!(true);
+    job["image"]["light_groups"] = json!(["warm-1"]);
+    let id = farm.accept(&job.to_string());
+    let frame = format!("/v1/jobs/{id}/frames/0");
+    farm.succeeded(&id);
+    let layers = farm.get(&format!("{frame}/layers")).json();
+    assert_eq!(layers["layers"], json!(["color", "noisy", "light.rest", "light.warm-1"]));
+    let sum = |name: &str, stops: i32| {
+        let picture = decoded(&farm.get(&format!("{frame}/layers/{name}?width=96&exposure={stops}")).body);
+        assert_eq!(picture.dimensions(), (96, 54), "{name}");
+        [0, 2].map(|color| picture.pixels().map(|pixel| u32::from(pixel[color])).sum::<u32>())
+    };
+    let [red, blue] = sum("light.warm-1", 0);
+    assert!(red > 10_000 && blue == 0, "{red} {blue}");
+    let [red, blue] = sum("light.rest", 0);
+    assert!(blue > 10_000 && blue > red, "the background is of no listed group: {red} {blue}");
+    for name in ["color", "noisy", "light.warm-1", "light.rest"] {
+        let ([dark, _], [bright, _]) = (sum(name, 0), sum(name, 1));
+        assert!(bright > dark, "{name}: {dark} {bright}");
+    }
+    for unknown in ["light.cold", "light.", "light.a%0Ab", "light.warm-1.R"] {
+        let problem = farm.get(&format!("{frame}/layers/{unknown}")).problem(404, "unknown_layer");
+        let detail = problem["detail"].as_str().expect("a text");
+        assert!(detail.contains("color, noisy, light.rest, light.warm-1"), "{detail}");
+    }
+}
+
+#[test]
 fn a_png_has_colors_and_their_linear_light() {
     let farm = Farm::start(&["--workers", "1", "--device", "cpu"]);
     let mut job = layered();

@@ -15,7 +15,7 @@ mod thumbnail;
 use std::time::Duration;
 
 use anyhow::Context;
-use proto::preview_helper::{HelperRequest, PickView};
+use proto::preview_helper::{HelperRequest, PickView, PictureLayer, StoredLayer};
 use worker::image::stored::StoredPicture;
 use worker::{CancelFlag, CpuRenderer, Simd};
 
@@ -31,7 +31,9 @@ pub(crate) fn handle(sketch: &HelperRequest) -> anyhow::Result<Vec<u8>> {
             let job = scene::parse(job.as_bytes())?;
             preview::draw(&job, *frame, *width_px, tiles, &coarse::CoarseCache { file: coarse, limit_ms: *coarse_ms })
         }
-        HelperRequest::Thumbnail { file, width_px } => thumbnail::draw(file, *width_px, 0.0),
+        HelperRequest::Thumbnail { file, width_px } => {
+            thumbnail::draw(file, &StoredLayer::Listed(PictureLayer::Color), *width_px, 0.0)
+        }
         HelperRequest::Verify { job, frame, file, tiles, render_ms } => {
             let job = scene::parse(job.as_bytes())?;
             let file = std::fs::read(file).context("could not read the stored picture")?;
@@ -55,7 +57,7 @@ pub(crate) fn handle(sketch: &HelperRequest) -> anyhow::Result<Vec<u8>> {
         }
         HelperRequest::ReadLayers { file } => stored_picture::layers(file),
         HelperRequest::DrawLayer { file, layer, width_px, exposure } => {
-            stored_picture::draw(file, *layer, *width_px, *exposure)
+            stored_picture::draw(file, layer, *width_px, *exposure)
         }
         HelperRequest::ReadPixel { file, x, y } => stored_picture::pixel(file, *x, *y),
         HelperRequest::Pick { job: text, frame, at } => {

@@ -1,12 +1,15 @@
 //! Requests to the server's helper process, which draws or measures: a line of JSON on its standard input, a
 //! response on its standard output. The server itself touches no pixel and evaluates no scene.
 
+mod layer;
+
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
-use scene::Layer;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+
+pub use layer::{PictureLayer, StoredLayer};
 
 /// First argument that selects the helper in the worker program.
 pub const HELPER_COMMAND: &str = "preview-helper";
@@ -100,7 +103,7 @@ pub enum HelperRequest {
         /// The picture's file.
         file: PathBuf,
         /// The layer.
-        layer: PictureLayer,
+        layer: StoredLayer,
         /// Maximum width of the PNG, in pixels.
         width_px: u32,
         /// Exposure of colors, in stops.
@@ -135,7 +138,7 @@ pub enum StoredAnswer {
     /// A pixel of it.
     Pixel(PixelView),
     /// It lacks the layer: it has these.
-    NoLayer(Vec<PictureLayer>),
+    NoLayer(Vec<StoredLayer>),
     /// The pixel is outside the picture.
     Outside {
         /// Width of the picture, in pixels.
@@ -149,7 +152,7 @@ pub enum StoredAnswer {
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct LayersView {
     /// The layers that can be shown.
-    pub layers: Vec<PictureLayer>,
+    pub layers: Vec<StoredLayer>,
     /// Width of the picture, in pixels.
     pub width: u32,
     /// Height of the picture, in pixels.
@@ -221,91 +224,6 @@ pub struct Drawing {
     pub layer: PictureLayer,
     /// Time after which fewer pixels are rendered, in milliseconds.
     pub limit_ms: u64,
-}
-
-/// Layer of a picture that can be shown.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum PictureLayer {
-    /// The colors.
-    #[default]
-    Color,
-    /// Distance from the camera: near is bright, far is dark.
-    Depth,
-    /// Normals: each coordinate from -1 to 1 as a color channel.
-    Normal,
-    /// Positions: each coordinate within the picture's range as a color channel.
-    Position,
-    /// Colors of the surfaces, without light.
-    Albedo,
-    /// Objects, each in a color of its own.
-    Object,
-    /// Steps of the rays, as a heat map.
-    Steps,
-    /// Samples of the pixels, as a heat map.
-    Samples,
-    /// The colors before the denoiser.
-    Noisy,
-    /// Ways until the next frame: to the right as red, up as green, and gray where nothing moves.
-    Motion,
-    /// The object that covers most of each pixel, each in a color of its own.
-    CryptoObject,
-    /// The material that covers most of each pixel, each in a color of its own.
-    CryptoMaterial,
-}
-
-impl PictureLayer {
-    /// All of them, in the order of their names in the schema of jobs.
-    pub const ALL: [Self; 12] = [
-        Self::Color,
-        Self::Depth,
-        Self::Normal,
-        Self::Position,
-        Self::Albedo,
-        Self::Object,
-        Self::Steps,
-        Self::Samples,
-        Self::Noisy,
-        Self::Motion,
-        Self::CryptoObject,
-        Self::CryptoMaterial,
-    ];
-
-    /// Its name in JSON.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Color => "color",
-            Self::Depth => "depth",
-            Self::Normal => "normal",
-            Self::Position => "position",
-            Self::Albedo => "albedo",
-            Self::Object => "object",
-            Self::Steps => "steps",
-            Self::Samples => "samples",
-            Self::Noisy => "noisy",
-            Self::Motion => "motion",
-            Self::CryptoObject => "crypto_object",
-            Self::CryptoMaterial => "crypto_material",
-        }
-    }
-
-    /// Layer of an EXR that it shows; `None` for the colors, which each picture has.
-    pub fn of_exr(self) -> Option<Layer> {
-        match self {
-            Self::Color => None,
-            Self::Depth => Some(Layer::Depth),
-            Self::Normal => Some(Layer::Normal),
-            Self::Position => Some(Layer::Position),
-            Self::Albedo => Some(Layer::Albedo),
-            Self::Object => Some(Layer::Object),
-            Self::Steps => Some(Layer::Steps),
-            Self::Samples => Some(Layer::Samples),
-            Self::Noisy => Some(Layer::Noisy),
-            Self::Motion => Some(Layer::Motion),
-            Self::CryptoObject => Some(Layer::CryptoObject),
-            Self::CryptoMaterial => Some(Layer::CryptoMaterial),
-        }
-    }
 }
 
 /// A helper's picture and what it shows: a line of JSON, then the PNG.

@@ -69,6 +69,15 @@ impl JobAtFrame<'_> {
         Self { scene: Cow::Owned(scene), ..self.clone() }
     }
 
+    /// The same frame of a picture whose light is summed as a whole alone: not by light groups, nor by brightness.
+    pub fn without_parts_of_light(&self) -> Self {
+        let mut still = self.clone();
+        if still.image.has_parts_of_light() {
+            still.image.to_mut().clear_parts_of_light();
+        }
+        still
+    }
+
     /// The picture's size and file format, with every number evaluated at this frame.
     pub fn image(&self) -> &Image {
         &self.image

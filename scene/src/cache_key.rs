@@ -5,6 +5,7 @@ use serde::Serialize;
 use crate::PICTURE_VERSION;
 use crate::animation::{Exposure, JobAtFrame};
 use crate::job::{Bits, Crop, Format, Image, Job, Layer, Precision, ToneMap};
+use crate::light_groups::LightGroups;
 use crate::mattes::Matte;
 use crate::sample_count::SampleCount;
 use crate::scene::Scene;
@@ -31,6 +32,10 @@ struct CanonicalPixels<'a> {
     /// Names in the picture's mattes, whose hashes are in its pixels.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     mattes: Vec<Matte>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    light_groups: Option<LightGroups>,
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    reweight_fireflies: bool,
 }
 
 /// Everything that decides the bytes of a frame's picture.
@@ -69,9 +74,12 @@ impl Job {
 
 impl JobAtFrame<'_> {
     /// Hash of the scene alone, written into its pictures as provenance; with the next frame's if they show motion, and
-    /// with the names in their mattes.
+    /// with the names in their mattes and their light groups.
     pub fn scene_hash(&self) -> blake3::Hash {
         let (next, mattes) = (self.next_scene(), self.mattes());
+        if let Some(light_groups) = self.light_groups() {
+            return hash(&(self.scene(), next, mattes, light_groups));
+        }
         if next.is_none() && mattes.is_empty() {
             return hash(self.scene());
         }
@@ -105,6 +113,8 @@ impl JobAtFrame<'_> {
             seed,
             denoise,
             layers,
+            light_groups: _,
+            reweight_fireflies,
             crop,
             region: _,
             format: _,
@@ -126,6 +136,8 @@ impl JobAtFrame<'_> {
             crop: *crop,
             next: self.next_scene(),
             mattes: self.mattes(),
+            light_groups: self.light_groups(),
+            reweight_fireflies: *reweight_fireflies,
         })
     }
 
@@ -155,6 +167,8 @@ impl JobAtFrame<'_> {
             seed: _,
             denoise: _,
             layers: _,
+            light_groups: _,
+            reweight_fireflies: _,
             region: _,
             crop: _,
         } = image;

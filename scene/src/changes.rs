@@ -33,7 +33,9 @@ pub fn reached(before: &JobAtFrame<'_>, after: &JobAtFrame<'_>, tiles: &[&Visite
     let differs = |slot: &u32| materials[*slot as usize] != others[*slot as usize];
     let has_material = |tile: &&Visited| tile.materials.iter().any(differs);
     let mut are_reached: Vec<bool> = tiles.iter().map(has_material).collect();
-    let mut ids = ContentIds::new(before.image().layers.contains(&Layer::Object));
+    // Light groups are found by the index of the object, as the layer of objects is.
+    let image = before.image();
+    let mut ids = ContentIds::new(image.layers.contains(&Layer::Object) || !image.light_groups.is_empty());
     let old = Contents::new(&old_program, before.scene(), &mut ids);
     let new = Contents::new(&new_program, after.scene(), &mut ids);
     if old.all() == new.all() {

@@ -1,9 +1,12 @@
 //! Integrator: computes the color of a pixel from rays, march, normal, lights and materials. Written once for all
 //! devices.
 
+mod brightness_levels;
 mod by_cells;
+mod colors;
 mod coverage;
 mod emitters;
+mod grouped_light;
 mod guides;
 mod light_path;
 mod lighting;
@@ -19,6 +22,7 @@ mod scene_distance;
 mod shading;
 mod sky_table;
 mod step_budget;
+mod straight_shadows;
 
 use std::ops::Add;
 
@@ -36,13 +40,17 @@ use crate::scene::Scene;
 use crate::transport::{PathSettings, Transport};
 use crate::visible::RayKind;
 use crate::visits::Visits;
+pub use brightness_levels::{BRIGHTNESS_LEVELS, LEAST_BRIGHTNESS, LEVEL_RATIO, LeveledLight};
 use coverage::MatteIds;
 pub use coverage::{Coverage, MAX_COVERAGE_SAMPLES, RANKS, Rank, Ranks};
 use emitters::Emitters;
+use grouped_light::GroupPlaces;
+pub use grouped_light::GroupedLight;
 pub use guides::Guides;
 use media::Media;
 use motion::NextFrame;
 use ray_kinds::CallNames;
+pub use regeneration::{Lane, MarchedRay, PathSteps};
 use shading::MaterialTable;
 
 /// A frame of a job, prepared for rendering its pixels.
@@ -60,6 +68,10 @@ pub struct Integrator<'a> {
     media: Option<Media<'a>>,
     /// The lights, and the objects that shine.
     emitters: Emitters,
+    /// The picture's light groups, if it has any.
+    light_groups: Option<GroupPlaces>,
+    /// Number of levels of brightness by which light is summed, too.
+    levels: usize,
     /// Whether some surface reflects or transmits rays.
     sends_on: bool,
     /// Whether some surface transmits rays.
@@ -110,6 +122,10 @@ pub struct Radiance<R> {
     pub color: Vec3<R>,
     /// Coverage if the background is transparent; else 1.
     pub alpha: R,
+    /// The same light by the picture's light groups.
+    pub groups: GroupedLight<R>,
+    /// The same light by the brightness of the samples.
+    pub levels: LeveledLight<R>,
     /// Number of evaluations of the scene's distance, alone or with the nearest object: for marches, searches for
     /// roots, normals, shadows, ambient occlusion and materials. Distances of a single object are not counted.
     pub evaluations: R,
@@ -146,7 +162,15 @@ struct Hit<R: Real> {
     is_inside: MaskValue<R>,
 }
 
-bundle!(Radiance { color, alpha, evaluations });
+bundle!(Radiance { color, alpha, groups, levels, evaluations });
+
+impl<R: Real> Radiance<R> {
+    /// Its channels, see [`crate::Image::sum_channels`].
+    pub fn channels(self) -> Vec<R> {
+        let Self { color, alpha, groups, levels, evaluations: _ } = self;
+        [color.x, color.y, color.z, alpha].into_iter().chain(groups.numbers()).chain(levels.numbers()).collect()
+    }
+}
 
 impl<R: Real> Add for Radiance<R> {
     type Output = Self;
@@ -155,6 +179,8 @@ impl<R: Real> Add for Radiance<R> {
         Self {
             color: self.color + other.color,
             alpha: self.alpha + other.alpha,
+            groups: self.groups + other.groups,
+            levels: self.levels + other.levels,
             evaluations: self.evaluations + other.evaluations,
         }
     }
@@ -220,6 +246,8 @@ impl<'a> Integrator<'a> {
             step_scales,
             media: Media::new(scene, rays, &view),
             emitters: Emitters::new(scene, &surfaces),
+            light_groups: still.light_groups().map(GroupPlaces::new),
+            levels: if image.is_reweighted() { BRIGHTNESS_LEVELS } else { 0 },
             sends_on,
             lets_through,
             materials: clothes,
@@ -239,31 +267,44 @@ impl<'a> Integrator<'a> {
     /// Color of the pixel in column `x` and row `y`, both integers.
     pub fn pixel<R: Real>(&self, x: R, y: R) -> Radiance<R> {
         let zero = x.constant(0.0);
-        let nothing = Radiance { color: vec3(zero, zero, zero), alpha: zero, evaluations: zero };
-        self.mean(self.accumulate(x, y, zero, x.constant(self.samples as f32), nothing))
+        self.mean(self.accumulate(x, y, zero, x.constant(self.samples as f32), self.no_light(zero)))
+    }
+
+    /// A sum of no samples.
+    pub fn no_light<R: Real>(&self, zero: R) -> Radiance<R> {
+        let (color, groups) = (vec3(zero, zero, zero), self.no_grouped_light(zero));
+        Radiance { color, alpha: zero, groups, levels: self.leveled(color), evaluations: zero }
+    }
+
+    /// The sum with these channels ([`crate::Image::sum_channels`]), without counted evaluations.
+    pub fn sum_of_channels<R: Real>(&self, channels: &[R]) -> Radiance<R> {
+        let &[red, green, blue, alpha, ref parts @ ..] = channels else { panic!("a sum has its channels") };
+        let (groups, levels) = parts.split_at(3 * self.group_count());
+        let (groups, levels) = (GroupedLight::from_numbers(groups), LeveledLight::from_numbers(levels));
+        Radiance { color: vec3(red, green, blue), alpha, groups, levels, evaluations: alpha.constant(0.0) }
     }
 
     /// Adds samples of a pixel to `sum`: from `first` up to but excluding `end`, which is greater than `first`. Adding
     /// in parts, in order, gives bit-identical sums.
     pub fn accumulate<R: Real>(&self, x: R, y: R, first: R, end: R, sum: Radiance<R>) -> Radiance<R> {
-        let [x, y] = self.in_whole_picture(x, y);
-        let pixel = PixelSampler::new(x, y, self.samples, self.frame_key);
-        match self.scene.integrator {
-            // Rays of other kinds may see other objects, by other formulas.
-            Transport::Path(PathSettings { max_bounces })
-                if self.of_reflections.is_none() && self.of_shadows.is_none() =>
-            {
-                self.accumulate_paths(&pixel, [first, end], sum, max_bounces)
-            }
-            _ if self.samples == 1 => sum + self.radiance(&pixel, &pixel.sample(x.constant(0.0))),
-            _ => {
-                let (_, sum) = R::repeat(MAX_SAMPLES, (first, sum), |(sample, sum)| {
-                    let next = sample + 1.0;
-                    (next.lt(end), (next, sum + self.radiance(&pixel, &pixel.sample(sample))))
-                });
-                sum
-            }
+        if let Some(paths) = self.path_steps() {
+            return paths.accumulate([x, y], [first, end], sum);
         }
+        let pixel = self.pixel_sampler(x, y);
+        if self.samples == 1 {
+            return sum + self.radiance(&pixel, &pixel.sample(x.constant(0.0)));
+        }
+        let (_, sum) = R::repeat(MAX_SAMPLES, (first, sum), |(sample, sum)| {
+            let next = sample + 1.0;
+            (next.lt(end), (next, sum + self.radiance(&pixel, &pixel.sample(sample))))
+        });
+        sum
+    }
+
+    /// Sampler of the pixel in this column and row of what is rendered.
+    fn pixel_sampler<R: Real>(&self, x: R, y: R) -> PixelSampler<R> {
+        let [x, y] = self.in_whole_picture(x, y);
+        PixelSampler::new(x, y, self.samples, self.frame_key)
     }
 
     /// Column and row in the whole picture, of which only a region may be rendered.
@@ -278,7 +319,13 @@ impl<'a> Integrator<'a> {
             return sum;
         }
         let share = sum.alpha.uniform(1.0 / self.samples as f32);
-        Radiance { color: sum.color * share, alpha: sum.alpha * share, evaluations: sum.evaluations }
+        Radiance {
+            color: sum.color * share,
+            alpha: sum.alpha * share,
+            groups: sum.groups * share,
+            levels: sum.levels * share,
+            evaluations: sum.evaluations,
+        }
     }
 
     /// Layer (AOV) values of the ray through the center of the pixel in column `x` and row `y`.
@@ -313,7 +360,7 @@ impl<'a> Integrator<'a> {
     fn radiance<R: Real>(&self, pixel: &PixelSampler<R>, dice: &Sampler<R>) -> Radiance<R> {
         let ray = self.ray_of_sample(pixel, dice);
         let zero = ray.direction.x.constant(0.0);
-        if let Transport::Path(PathSettings { max_bounces }) = self.scene.integrator {
+        if let Transport::Path(PathSettings { max_bounces, straight_shadows: _ }) = self.scene.integrator {
             return self.light_path(&ray, max_bounces, dice);
         }
         if self.sends_on || self.materials.catches_shadows || self.media.is_some() || self.scene.fog.is_some() {
@@ -332,7 +379,7 @@ impl<'a> Integrator<'a> {
                 (Vec3::select(is_seen, light, color), R::select(is_seen, zero.constant(1.0), alpha))
             }
         };
-        Radiance { color, alpha, evaluations }
+        Radiance { color, alpha, groups: GroupedLight::none(), levels: LeveledLight::none(), evaluations }
     }
 
     /// Radiance of the background along a ray, and its alpha.

@@ -2,13 +2,16 @@
 
 mod region;
 
+use std::borrow::Cow;
 use std::ops::Range;
 use std::sync::Arc;
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Deserializer, Serialize};
 
-use crate::limits::{MAX_EDGE_PX, MAX_FRAMES};
+use crate::integrator::BRIGHTNESS_LEVELS;
+use crate::light_groups::{LightGroup, REST};
+use crate::limits::{MAX_EDGE_PX, MAX_FRAMES, MAX_LIGHT_GROUPS, MIN_REWEIGHTED_SAMPLES};
 use crate::sample_count::SampleCount;
 use crate::scene::Scene;
 use crate::seek::Seek;
@@ -65,6 +68,10 @@ pub struct Image {
     /// the difference between them.
     #[serde(default)]
     pub denoise: bool,
+    /// Whether light of the few samples that are much brighter than others around them counts less, as fireflies are: a
+    /// biased picture with less noise, which approaches the unbiased one with more samples. False when absent.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub reweight_fireflies: bool,
     /// File format.
     #[serde(default)]
     pub format: Format,
@@ -78,6 +85,11 @@ pub struct Image {
     #[serde(default)]
     #[schemars(extend("uniqueItems" = true))]
     pub layers: Vec<Layer>,
+    /// Light groups whose light an EXR stores in addition to the colors: `light.NAME.R`, `.G` and `.B` of each, and
+    /// `light.rest` of all other light. They sum to the colors. None when absent.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    #[schemars(length(max = MAX_LIGHT_GROUPS), extend("uniqueItems" = true))]
+    pub light_groups: Vec<LightGroup>,
     /// Exposure of a PNG, in stops above the scene's light.
     #[serde(default = "default_exposure")]
     pub exposure: ExposureStops,
@@ -154,7 +166,7 @@ pub enum Layer {
     Steps,
     /// `samples`: the samples of the pixel, which differ with adaptive ones.
     Samples,
-    /// `noisy.R noisy.G noisy.B`: the colors before the denoiser.
+    /// `noisy.R noisy.G noisy.B`: the colors as sampled, before the denoiser, and with all light of fireflies.
     Noisy,
     /// `motion.X motion.Y`: the way in the picture until the next frame, in pixels to the right and up.
     Motion,
@@ -178,6 +190,9 @@ pub struct Frames {
     /// time of the frame.
     pub shutter: Shutter,
 }
+
+/// The channel of a rendered pixel with its number of samples, by which fireflies are reweighted.
+pub const COUNT_CHANNEL: &str = "levels.samples";
 
 /// The channels of a rendered pixel that only the denoiser reads: albedo, normal and inverse depth
 /// ([`crate::integrator::Guides`]), and the standard error of the brightness.
@@ -254,16 +269,66 @@ impl Layer {
 }
 
 impl Image {
-    /// The channels of a finished pixel: red, green, blue, alpha, then those of the layers.
-    pub fn channels(&self) -> Vec<&'static str> {
-        let layers = self.layers.iter().flat_map(|layer| layer.channels());
-        ["R", "G", "B", "A"].iter().chain(layers).copied().collect()
+    /// The channels of a finished pixel: red, green, blue, alpha, then those of the light groups, and those of the layers.
+    pub fn channels(&self) -> Vec<Cow<'static, str>> {
+        let mut channels = ["R", "G", "B", "A"].map(Cow::Borrowed).to_vec();
+        if !self.light_groups.is_empty() {
+            for group in self.light_groups.iter().map(LightGroup::name).chain([REST]) {
+                channels.extend(["R", "G", "B"].map(|channel| Cow::Owned(format!("light.{group}.{channel}"))));
+            }
+        }
+        channels.extend(self.layers.iter().flat_map(|layer| layer.channels()).copied().map(Cow::Borrowed));
+        channels
     }
 
-    /// The channels of a rendered pixel: those of a finished one, and [`GUIDE_CHANNELS`] if the picture is denoised.
-    pub fn rendered_channels(&self) -> Vec<&'static str> {
+    /// The channels of a rendered pixel. After the light of a finished pixel, those of the light by its brightness, and at
+    /// the end [`COUNT_CHANNEL`], if fireflies are reweighted; and then [`GUIDE_CHANNELS`] if the picture is denoised.
+    pub fn rendered_channels(&self) -> Vec<Cow<'static, str>> {
+        let mut channels = self.channels();
+        let layers = channels.split_off(self.light_channels());
+        if self.is_reweighted() {
+            let of_level = |level| ["R", "G", "B"].map(|channel| Cow::Owned(format!("levels.{level}.{channel}")));
+            channels.extend((1..=BRIGHTNESS_LEVELS).flat_map(of_level));
+        }
+        channels.extend(layers);
+        channels.extend(self.is_reweighted().then_some(Cow::Borrowed(COUNT_CHANNEL)));
         let guides = self.is_denoised().then_some(GUIDE_CHANNELS);
-        self.channels().into_iter().chain(guides.into_iter().flatten()).collect()
+        channels.extend(guides.into_iter().flatten().map(Cow::Borrowed));
+        channels
+    }
+
+    /// Number of the first channels of a finished pixel, which are means of light over its samples: the colors, alpha, and
+    /// those of the light groups.
+    pub fn light_channels(&self) -> usize {
+        if self.light_groups.is_empty() { 4 } else { 4 + 3 * (self.light_groups.len() + 1) }
+    }
+
+    /// Number of the first channels of a rendered pixel, which are means of light over its samples: those of a finished
+    /// one, and those of the light by its brightness.
+    pub fn sum_channels(&self) -> usize {
+        self.light_channels() + if self.is_reweighted() { 3 * BRIGHTNESS_LEVELS } else { 0 }
+    }
+
+    /// Leaves out all layers and light groups, and leaves fireflies as they are.
+    pub fn clear_layers(&mut self) {
+        self.layers.clear();
+        self.clear_parts_of_light();
+    }
+
+    /// Whether light is summed by light groups or by brightness, too.
+    pub(crate) fn has_parts_of_light(&self) -> bool {
+        self.sum_channels() > 4
+    }
+
+    /// Leaves out light groups, and leaves fireflies as they are.
+    pub fn clear_parts_of_light(&mut self) {
+        self.light_groups.clear();
+        self.reweight_fireflies = false;
+    }
+
+    /// Whether its fireflies are reweighted: a preview may have too few samples for that.
+    pub fn is_reweighted(&self) -> bool {
+        self.reweight_fireflies && self.samples.min() >= MIN_REWEIGHTED_SAMPLES
     }
 
     /// Whether it is denoised: a preview may have too few samples for that.
@@ -271,9 +336,9 @@ impl Image {
         self.denoise && self.samples.max() > 1
     }
 
-    /// Whether a rendered pixel has more channels than its color.
+    /// Whether a rendered pixel has more channels than those of light.
     pub fn has_layers(&self) -> bool {
-        self.rendered_channels().len() > 4
+        self.rendered_channels().len() > self.sum_channels()
     }
 
     /// The samples of each round. All pixels have those of the first two.
@@ -290,10 +355,10 @@ impl Image {
         self.is_denoised().then(|| self.rendered_channels().len() - 1)
     }
 
-    /// Index among the channels of the number of samples, if that is stored.
-    pub fn samples_plane(&self) -> Option<usize> {
-        let name = Layer::Samples.channels()[0];
-        self.channels().iter().position(|channel| *channel == name)
+    /// Indices among the rendered channels of the number of samples.
+    pub fn samples_planes(&self) -> [Option<usize>; 2] {
+        let channels = self.rendered_channels();
+        [Layer::Samples.channels()[0], COUNT_CHANNEL].map(|name| channels.iter().position(|channel| channel == name))
     }
 
     /// Bytes of a rendered pixel, each channel an `f32`.
@@ -369,7 +434,7 @@ impl<'de> Deserialize<'de> for Bits {
 }
 
 impl JsonSchema for Bits {
-    fn schema_name() -> std::borrow::Cow<'static, str> {
+    fn schema_name() -> Cow<'static, str> {
         "Bits".into()
     }
 

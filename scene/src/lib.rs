@@ -25,6 +25,7 @@ pub mod integrator;
 pub mod job;
 mod json_scan;
 pub mod kinds;
+pub mod light_groups;
 pub mod lights;
 pub mod limits;
 pub mod march;

@@ -31,6 +31,7 @@ pub use sun::Sun;
 
 use crate::backgrounds::{Background, Day};
 pub use crate::kinds::{Example, HasExamples};
+use crate::light_groups::LightGroup;
 use crate::materials::microfacet::orthonormal_basis;
 use crate::nodes::{NodeError, snake_case};
 use crate::real::{Real, Vec3, bundle};
@@ -75,6 +76,9 @@ pub trait LightSource {
         let _ = background;
         None
     }
+
+    /// Its light group, if it has one.
+    fn group(&self) -> Option<&LightGroup>;
 
     /// Whether objects cast shadows in this light.
     fn casts_shadows(&self) -> bool;
@@ -133,6 +137,10 @@ macro_rules! lights {
 
             fn ambient<'a>(&'a self, background: &'a Background) -> Option<AmbientLight<'a>> {
                 match self { $($(#[$attribute])* Self::$Kind(light) => light.ambient(background)),* }
+            }
+
+            fn group(&self) -> Option<&LightGroup> {
+                match self { $($(#[$attribute])* Self::$Kind(light) => light.group()),* }
             }
 
             fn casts_shadows(&self) -> bool {
@@ -230,7 +238,13 @@ fn strength_of_point<R: Real>(p: Vec3<R>, position: &Point, color: &Color, size:
 /// The lights of a scene without a `lights` member.
 pub(crate) fn default_lights() -> Vec<Light> {
     let direction = serde_json::from_str("[0.6, 0.7, 0.5]").expect("a direction");
-    vec![Light::Directional(Directional { direction, color: default_color(), angle: default_angle(), shadow: true })]
+    vec![Light::Directional(Directional {
+        direction,
+        color: default_color(),
+        angle: default_angle(),
+        shadow: true,
+        group: None,
+    })]
 }
 
 pub(crate) fn default_color() -> Color {

@@ -20,6 +20,12 @@ pub const MAX_PLACING_COST: f32 = 2e6;
 pub const MAX_MATERIALS: usize = 1_024;
 /// Maximum number of lights of a scene.
 pub const MAX_LIGHTS: usize = 64;
+/// Maximum number of light groups of a picture.
+pub const MAX_LIGHT_GROUPS: usize = 8;
+/// Minimum number of samples of each pixel of a picture whose fireflies are reweighted.
+pub const MIN_REWEIGHTED_SAMPLES: u32 = 16;
+/// Maximum number of times that the light group changes from an object to the next.
+pub const MAX_LIGHT_GROUP_RUNS: usize = 256;
 /// Maximum number of pixels of a frame.
 pub const MAX_PIXELS: u64 = 1 << 28;
 /// Maximum width and height of a picture, in pixels.

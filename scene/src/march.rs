@@ -321,7 +321,7 @@ pub struct March<R: Real> {
     pub part: Option<Part<R>>,
 }
 
-bundle!(March { t, past, gap, steps, hit, goes_on, part });
+bundle!(March { goes_on, t, past, gap, steps, hit, part });
 
 impl<R: Real> March<R> {
     /// A march from `t`, if it lies before the ray's end.

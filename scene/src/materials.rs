@@ -131,6 +131,11 @@ pub trait Shade {
         self.is_lit()
     }
 
+    /// Whether it says something about ambient light, which paths of light do not have.
+    fn has_own_ambient(&self) -> bool {
+        false
+    }
+
     /// Whether it is black or nearly so without lights. If all materials are, a scene without lights gets a warning.
     fn is_black_without_light(&self) -> bool {
         self.is_lit()
@@ -242,6 +247,10 @@ macro_rules! materials {
 
             fn uses_lights(&self) -> bool {
                 match self { $($(#[$attribute])* Self::$Kind(material) => material.uses_lights()),* }
+            }
+
+            fn has_own_ambient(&self) -> bool {
+                match self { $($(#[$attribute])* Self::$Kind(material) => material.has_own_ambient()),* }
             }
 
             fn is_black_without_light(&self) -> bool {

@@ -6,6 +6,7 @@ mod depends;
 mod expand;
 mod form;
 mod groups;
+mod light_groups;
 mod messages;
 mod names;
 mod nodes;
@@ -36,9 +37,11 @@ use crate::json_scan::{self, ScanError, ScanErrorKind};
 use crate::lights::PlacedLight;
 use crate::limits::{
     MAX_JSON_DEPTH, MAX_KEY_BYTES, MAX_LIGHTS, MAX_MATERIALS, MAX_NAME_CHARS, MAX_NODE_DEPTH, MAX_PIXELS, MAX_RAYS,
+    MIN_REWEIGHTED_SAMPLES,
 };
 use crate::sample_count::AdaptiveSamples;
 use crate::seek::{FrameTime, Seek};
+use crate::transport::{PathSettings, Transport};
 
 /// Maximum number of errors in one response.
 const MAX_ERRORS: usize = 100;
@@ -231,6 +234,12 @@ fn validate_flat(
     mut faults: SemanticErrors,
 ) -> Result<(Job, Vec<f64>), SemanticErrors> {
     let JobDocument { schema: _, name, mut scene, mut image, frames, priority } = document;
+    if let Transport::Path(PathSettings { straight_shadows: true, max_bounces: _ }) = scene.integrator
+        && scene.objects.iter().any(|object| !object.visible.is_full())
+    {
+        let message = "does not go with objects that some rays do not see: leave it out, or `visible` of the objects";
+        faults.push(("/scene/integrator/path/straight_shadows".to_owned(), message.to_owned()));
+    }
     let mut shapes = nodes::expand(&mut scene, groups, &mut faults);
     let names: Vec<String> = scene.materials.keys().cloned().collect();
     let resolved = scene.resolve(lights, &mut shapes);
@@ -244,6 +253,7 @@ fn validate_flat(
     let in_scene = scene.validation_errors().into_iter();
     let in_scene: BTreeSet<_> = in_scene.map(|(pointer, message)| (in_document(pointer), message)).collect();
     faults.extend(in_scene.into_iter().map(|(pointer, message)| (format!("/scene{pointer}"), message)));
+    faults.extend(light_groups::errors(&image, &scene));
     if material_count > MAX_MATERIALS {
         let message =
             format!("uses {material_count} materials: use at most {MAX_MATERIALS}; materials with a name count once");
@@ -328,10 +338,26 @@ fn image(document: &JobDocument, fault: &mut impl FnMut(&str, String)) {
         );
     }
     let noisy = image.layers.iter().position(|layer| *layer == Layer::Noisy);
-    if let Some(index) = noisy.filter(|_| !image.denoise) {
+    if let Some(index) = noisy.filter(|_| !image.denoise && !image.reweight_fireflies) {
         fault(
             &format!("/image/layers/{index}"),
-            "has the colors before the denoiser: set denoise to true, or leave this layer out".to_owned(),
+            "has the colors before the denoiser: set denoise or reweight_fireflies to true, or leave this layer out"
+                .to_owned(),
+        );
+    }
+    if image.reweight_fireflies && image.samples.min() < MIN_REWEIGHTED_SAMPLES {
+        let places = if image.samples.adaptive().is_some() { "samples.adaptive.min" } else { "samples" };
+        fault(
+            "/image/reweight_fireflies",
+            format!(
+                "needs {MIN_REWEIGHTED_SAMPLES} samples or more, among which fireflies are rare: set {places} to {MIN_REWEIGHTED_SAMPLES}, or leave it out"
+            ),
+        );
+    }
+    if image.reweight_fireflies && !document.scene.integrator.is_path() {
+        fault(
+            "/image/reweight_fireflies",
+            "is of the integrator \"path\" only: set scene.integrator to { \"path\": {} }, or leave it out".to_owned(),
         );
     }
     let matte = image.layers.iter().position(|layer| layer.is_matte());

@@ -9,6 +9,7 @@ use crate::ambient_occlusion::AmbientOcclusion;
 use crate::backgrounds::{Backdrop, Background};
 use crate::camera::Camera;
 use crate::fog::Fog;
+use crate::light_groups::LightGroup;
 use crate::lights::{AmbientLight, LightSource, PlacedLight};
 use crate::limits::{MAX_BOUNCES, MAX_STEPS};
 use crate::materials::{Material, MaterialRef, Shade};
@@ -68,6 +69,9 @@ pub struct Object {
     #[serde(default, skip_serializing_if = "Visible::is_full")]
     #[schemars(extend("default" = { "camera": true, "shadow": true, "reflection": true }))]
     pub visible: Visible,
+    /// Light group of the light that the object sends out, which an EXR has in layers of its own (`image.light_groups`).
+    #[serde(default, skip_serializing)]
+    pub light_group: Option<LightGroup>,
 }
 
 /// Limits of ray marching.
@@ -134,6 +138,13 @@ impl Scene {
         let lights = self.lights.iter().filter_map(|light| light.ambient(environment));
         let has_none = lights.clone().next().is_none();
         lights.chain(has_none.then_some(AmbientLight { from: environment, strength: 1.0 }))
+    }
+
+    /// Indices of the sky lights.
+    pub(crate) fn sky_lights(&self) -> impl Iterator<Item = usize> {
+        let environment = self.environment();
+        let lights = self.lights.iter().enumerate();
+        lights.filter(move |(_, light)| light.ambient(environment).is_some()).map(|(index, _)| index)
     }
 
     /// Radiance of the light that comes from the skies in a direction.

@@ -27,11 +27,15 @@ pub struct PathSettings {
     #[serde(deserialize_with = "max_bounces")]
     #[schemars(range(min = 0, max = MAX_BOUNCES))]
     pub max_bounces: u32,
+    /// Whether light goes straight through glass to what it lights, in the color of the glass, instead of being refracted: no
+    /// caustics, and less noise. Biased. False when absent.
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    pub straight_shadows: bool,
 }
 
 impl Default for PathSettings {
     fn default() -> Self {
-        Self { max_bounces: 8 }
+        Self { max_bounces: 8, straight_shadows: false }
     }
 }
 

@@ -129,6 +129,8 @@ fn job_warnings(job: &Job) -> Vec<String> {
         );
     }
     warnings.extend(job.scene.camera.projection.warning(&job.image));
+    warnings.extend(samples::too_few(job));
+    warnings.extend(scene::lost_ambient(job));
     for name in &job.unused_materials {
         warnings.push(format!("material \"{name}\" is not used"));
     }

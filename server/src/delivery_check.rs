@@ -98,8 +98,8 @@ impl ExpectedPicture {
                 let channels = image.channels().into_iter().enumerate();
                 let mut channels: Vec<_> = channels
                     .map(|(index, name)| ExrChannel {
-                        name: name.to_owned(),
-                        sample: if index < 4 { color } else { ExrSample::Float },
+                        name: name.into_owned(),
+                        sample: if index < image.light_channels() { color } else { ExrSample::Float },
                     })
                     .collect();
                 channels.sort();

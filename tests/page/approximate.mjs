@@ -137,7 +137,7 @@ try {
     delete job.image.region;
     delete job.image.layers;
     const height = Math.max(1, Math.round(job.image.height * WIDTH / job.image.width));
-    job.image = { ...job.image, width: WIDTH, height, samples: 1, format: 'png', bits: 8 };
+    job.image = { ...job.image, width: WIDTH, height, samples: 1, denoise: false, format: 'png', bits: 8 };
     job.frames = undefined;
     try {
       const begun = performance.now();

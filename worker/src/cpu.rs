@@ -149,12 +149,13 @@ impl CpuRenderer {
     ) -> Result<TilePixels, RenderError> {
         let (left, width) = (run.rect.x, run.rect.width as usize);
         let mut pixels = TilePixels::zeroed(run.rect, run.job.image.rendered_channels().len());
+        let sum_channels = run.job.image.sum_channels();
         let (rounds, samples) = (Rounds::of(exposure.last().image()), exposure.samples());
         let height = if rounds.is_some() { BLOCK_PX as usize } else { block(kernel.lanes()).1 };
         let band = |(index, planes)| {
             let top = run.rect.y + (index * height) as u32;
             let (progress, cancel) = (Progress::new(progress), cancel.flag());
-            Band { samples: &samples, rounds, left, top, width, planes, progress, cancel }
+            Band { samples: &samples, rounds, left, top, width, planes, sum_channels, progress, cancel }
         };
         let bands = bands(&mut pixels.planes, width * height).into_iter().enumerate().map(band).collect();
         self.render_bands(exposure, kernel, bands, cancel)?;

@@ -11,6 +11,7 @@ mod compiler;
 mod device;
 mod error;
 mod launches;
+mod paths;
 mod render;
 mod source;
 mod tuning;

@@ -10,12 +10,8 @@
 //! A pixel depends on those up to [`MARGIN_PX`] away and on nothing else, and on IEEE-754 arithmetic in a fixed order: the
 //! bits are the same for any division into regions, on every machine.
 
-mod rows;
-
 use rayon::prelude::*;
 use scene::real::Real;
-
-pub(crate) use rows::{DenoisedPlanes, DenoisedRows};
 
 /// Number of passes; the distance between the pixels of a pass doubles from one to the next.
 const PASSES: u32 = 5;

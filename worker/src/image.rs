@@ -8,6 +8,7 @@ pub mod metadata;
 pub mod png;
 pub mod stored;
 
+use std::borrow::Cow;
 use std::io::{self, Seek, Write};
 
 use proto::Rect;
@@ -24,7 +25,7 @@ pub use scene::Provenance;
 /// Name of the PNG chunk and of the EXR attribute that store a picture's provenance.
 pub const PROVENANCE_KEYWORD: &str = "sdfarm";
 
-use crate::denoise::{DenoisedPlanes, DenoisedRows, MARGIN_PX};
+use crate::finish::{Finish, FinishedRows};
 use crate::renderer::{CancelFlag, TilePixels};
 use crate::stitch::{RowSource, StitchError};
 use crate::tape::InvalidTape;
@@ -37,19 +38,21 @@ pub struct PictureSpec {
     /// Height, in pixels.
     pub height: u32,
     /// Names of the planes, R G B A first.
-    pub channels: Vec<&'static str>,
+    pub channels: Vec<Cow<'static, str>>,
+    /// Number of the planes of light, which come first: R G B A, and those of the light groups.
+    pub light_channels: usize,
     /// The file format.
     pub format: Format,
     /// Bits per channel of a PNG.
     pub bits: Bits,
-    /// Precision of R G B A in an EXR.
+    /// Precision of light in an EXR.
     pub precision: Precision,
     /// Display transform of a PNG.
     pub display_transform: DisplayTransform,
     /// Alpha is 1 in every pixel.
     pub opaque: bool,
-    /// The planes that the denoiser reads and replaces, if the picture is denoised.
-    denoised: Option<DenoisedPlanes>,
+    /// How its planes are finished, unless they are as rendered.
+    finish: Option<Finish>,
     /// Mattes among the planes, for the header of an EXR.
     pub mattes: Vec<Matte>,
     /// Camera matrices and frame rate for the header of an EXR.
@@ -66,25 +69,24 @@ impl PictureSpec {
             width: image.width,
             height: image.height,
             channels: image.channels(),
+            light_channels: image.light_channels(),
             format: image.format,
             bits: image.bits,
             precision: image.precision,
             display_transform: DisplayTransform::new(image),
             opaque: !still.scene().is_transparent(),
-            denoised: DenoisedPlanes::of(image),
+            finish: Finish::of(image),
             mattes: still.mattes(),
             metadata: Metadata::new(still),
             provenance: Provenance::new(still),
         }
     }
 
-    /// The pixels that must be rendered for those of a rectangle: more if the denoiser reads its neighbors.
+    /// The pixels that must be rendered for those of a rectangle: more if finishing them reads their neighbors.
     pub fn rendered_for(&self, rect: Rect) -> Rect {
-        if self.denoised.is_none() {
-            return rect;
-        }
+        let Some(finish) = self.finish else { return rect };
         // Blocks of adaptive samples begin at multiples of their size.
-        let reach = MARGIN_PX.next_multiple_of(BLOCK_PX);
+        let reach = finish.margin_px().next_multiple_of(BLOCK_PX);
         let (x, y) = (rect.x.saturating_sub(reach), rect.y.saturating_sub(reach));
         let end = |start: u32, length: u32, edge: u32| {
             (start + length).next_multiple_of(BLOCK_PX).saturating_add(reach).min(edge)
@@ -95,9 +97,9 @@ impl PictureSpec {
 
     /// The pixels of a rectangle, from those of [`Self::rendered_for`].
     pub fn finished_tile(&self, rendered: TilePixels, rect: Rect) -> TilePixels {
-        match self.denoised {
+        match self.finish {
             None => rendered,
-            Some(planes) => planes.finished_tile(rendered, rect),
+            Some(finish) => finish.finished_tile(rendered, rect),
         }
     }
 
@@ -120,12 +122,12 @@ impl PictureSpec {
         out: &mut (impl Write + Seek + Send),
         cancel: &CancelFlag,
     ) -> Result<(), ImageError> {
-        let mut denoised;
-        let source = match self.denoised {
+        let mut finished;
+        let source = match self.finish {
             None => source,
-            Some(planes) => {
-                denoised = DenoisedRows::new(source, planes, self.width);
-                &mut denoised
+            Some(finish) => {
+                finished = FinishedRows::new(source, finish, self.width);
+                &mut finished
             }
         };
         match self.format {

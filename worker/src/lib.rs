@@ -12,6 +12,8 @@ pub mod cells;
 pub mod cpu;
 pub mod cuda;
 mod denoise;
+mod finish;
+mod fireflies;
 pub mod frame;
 pub mod image;
 mod picture_tape;

@@ -1,16 +1,16 @@
 //! Records the formulas of a picture, for every compiler.
 
 use scene::color::{DisplayTransform, level_of_256, srgb_from_linear};
-use scene::integrator::{Aovs, Coverage, Guides, Radiance, Rank, Ranks};
+use scene::integrator::{Aovs, Coverage, Guides, Rank, Ranks};
 use scene::real::{Real, vec3};
 use scene::sampling::thresholds;
 use scene::{Image, Integrator, JobAtFrame, Layer};
 
 use crate::cells::FastBuilder;
-use crate::tape::{Expr, Recording, Tape, record};
+use crate::tape::{Recording, Tape, record};
 
-/// Adds samples to the sum of a pixel: column, row, first sample, end of the samples, red, green, blue, alpha. Results
-/// are the new sum.
+/// Adds samples to the sum of a pixel: column, row, first sample, end of the samples, and the sum: red, green, blue, alpha,
+/// and those of its parts. Results are the new sum.
 pub(crate) const ACCUMULATE: &str = "accumulate";
 /// Color of a pixel from the sum of its samples.
 pub(crate) const MEAN: &str = "mean";
@@ -32,33 +32,35 @@ pub(crate) fn record_picture(still: &JobAtFrame<'_>, cells: FastBuilder) -> Tape
 
 /// Records the entries of [`record_picture`] of an integrator.
 pub(crate) fn record_entries(program: &Integrator<'_>, still: &JobAtFrame<'_>) -> Tape {
-    let image = still.image();
     record(|recording| {
-        accumulate(recording, program);
-        recording.entry(MEAN, |all| channels(program.mean(sum(all))).to_vec());
-        if image.has_layers() {
-            recording.entry(LAYERS, |[x, y]| layer_channels(program, image, x, y));
-        }
+        accumulate(recording, program, still.image());
+        finish(recording, program, still.image());
     })
 }
 
-/// Records the entry [`ACCUMULATE`].
-fn accumulate(recording: &Recording, program: &Integrator<'_>) {
-    recording.entry(ACCUMULATE, |[x, y, first, end, r, g, b, alpha]| {
-        channels(program.accumulate(x, y, first, end, sum([r, g, b, alpha]))).to_vec()
-    });
+/// Records the entries [`MEAN`] and, if the image has layers, [`LAYERS`].
+pub(crate) fn finish(recording: &Recording, program: &Integrator<'_>, image: &Image) {
+    recording.entry_of(MEAN, image.sum_channels(), |all| program.mean(program.sum_of_channels(&all)).channels());
+    if image.has_layers() {
+        recording.entry(LAYERS, |[x, y]| layer_channels(program, image, x, y));
+    }
 }
 
-fn sum([r, g, b, alpha]: [Expr; 4]) -> Radiance<Expr> {
-    Radiance { color: vec3(r, g, b), alpha, evaluations: alpha.constant(0.0) }
+/// Records the entry [`ACCUMULATE`].
+pub(crate) fn accumulate(recording: &Recording, program: &Integrator<'_>, image: &Image) {
+    recording.entry_of(ACCUMULATE, 4 + image.sum_channels(), |all| {
+        let sum = program.sum_of_channels(&all[4..]);
+        program.accumulate(all[0], all[1], all[2], all[3], sum).channels()
+    });
 }
 
 /// Records the entries [`ACCUMULATE`] and [`LEVELS`].
 pub(crate) fn record_shown_picture(still: &JobAtFrame<'_>, cells: FastBuilder) -> Tape {
+    let still = &still.without_parts_of_light();
     let program = Integrator::of_picture(still, &cells);
     let transform = DisplayTransform::new(still.image());
     record(|recording| {
-        accumulate(recording, &program);
+        accumulate(recording, &program, still.image());
         recording.entry(LEVELS, |[red, green, blue, x, y]| {
             let level = |linear, threshold| level_of_256(srgb_from_linear(transform.apply(linear)), threshold);
             let [at_red, at_green, at_blue] = thresholds(x, y);
@@ -70,13 +72,9 @@ pub(crate) fn record_shown_picture(still: &JobAtFrame<'_>, cells: FastBuilder) -
 /// Records the entry [`EVALUATIONS`].
 pub(crate) fn record_evaluations(still: &JobAtFrame<'_>) -> Tape {
     let program = Integrator::of_picture(still, &FastBuilder::UNLIMITED);
-    let nothing = |x: Expr| {
-        let zero = x.constant(0.0);
-        Radiance { color: vec3(zero, zero, zero), alpha: zero, evaluations: zero }
-    };
     record(|recording| {
         recording.entry(EVALUATIONS, |[x, y, first, end]| {
-            vec![program.accumulate(x, y, first, end, nothing(x)).evaluations]
+            vec![program.accumulate(x, y, first, end, program.no_light(x.constant(0.0))).evaluations]
         });
     })
 }
@@ -87,17 +85,15 @@ pub(crate) fn record_distance(still: &JobAtFrame<'_>) -> Tape {
     record(|recording| recording.entry(DISTANCE, |[x, y, z]| vec![program.distance(vec3(x, y, z))]))
 }
 
-/// The channels of every picture.
-pub(crate) fn channels<R: Real>(light: Radiance<R>) -> [R; 4] {
-    [light.color.x, light.color.y, light.color.z, light.alpha]
-}
-
-/// The channels of a pixel's layers, and what guides the denoiser.
+/// The channels of a pixel's layers, and of what only its finishing reads.
 pub(crate) fn layer_channels<R: Real>(program: &Integrator<'_>, image: &Image, x: R, y: R) -> Vec<R> {
     let mut channels = Vec::new();
     if !image.layers.is_empty() {
         let coverage = image.layers.iter().any(|layer| layer.is_matte()).then(|| program.coverage(x, y));
         channels.extend(channels_of(&program.aovs(x, y), coverage.as_ref(), &image.layers));
+    }
+    if image.is_reweighted() {
+        channels.push(x.uniform(image.samples.max() as f32));
     }
     if image.is_denoised() {
         let Guides { albedo, normal, inverse_depth } = program.guides(x, y);

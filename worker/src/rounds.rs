@@ -5,7 +5,7 @@
 use scene::sample_count::standard_error;
 use scene::{AdaptiveSamples, Image};
 
-/// Channels of every picture: red, green, blue, alpha.
+/// Channels of every picture, which decide about its samples: red, green, blue, alpha.
 pub(crate) const CHANNELS: usize = 4;
 
 /// Sums of the samples of a pixel: red, green, blue, alpha.
@@ -16,7 +16,8 @@ pub(crate) type Sums = [f32; CHANNELS];
 pub(crate) struct Rounds<'a> {
     adaptive: Option<&'a AdaptiveSamples>,
     max_samples: u32,
-    samples_plane: Option<usize>,
+    sum_channels: usize,
+    samples_planes: [Option<usize>; 2],
     error_plane: Option<usize>,
 }
 
@@ -26,7 +27,8 @@ impl<'a> Rounds<'a> {
         (image.rounds().len() > 1).then(|| Self {
             adaptive: image.samples.adaptive(),
             max_samples: image.samples.max(),
-            samples_plane: image.samples_plane(),
+            sum_channels: image.sum_channels(),
+            samples_planes: image.samples_planes(),
             error_plane: image.error_plane(),
         })
     }
@@ -34,6 +36,11 @@ impl<'a> Rounds<'a> {
     /// Greatest number of samples of a pixel.
     pub(crate) fn max_samples(&self) -> u32 {
         self.max_samples
+    }
+
+    /// Number of planes of sums, see [`Image::sum_channels`].
+    pub(crate) fn sum_channels(&self) -> usize {
+        self.sum_channels
     }
 
     /// Whether a block whose pixels have these sums, of the samples before a round and after it, needs no more than the
@@ -45,14 +52,13 @@ impl<'a> Rounds<'a> {
     /// Numbers of a finished pixel that do not follow from its sums: pairs of a plane and a number. Its last round
     /// doubled its samples to `count`, but for an odd one.
     pub(crate) fn extras(&self, count: u32, before: Sums, sum: Sums) -> impl Iterator<Item = (usize, f32)> {
-        let samples = self.samples_plane.map(|plane| (plane, count as f32));
+        let samples = self.samples_planes.into_iter().flatten().map(move |plane| (plane, count as f32));
         let error = self.error_plane.map(|plane| (plane, standard_error([count / 2, count], before, sum)));
-        samples.into_iter().chain(error)
+        samples.chain(error)
     }
 }
 
-/// The color of a pixel from the sums of its samples.
-pub(crate) fn mean(count: u32, sum: Sums) -> Sums {
-    let share = 1.0 / count as f32;
-    sum.map(|sum| sum * share)
+/// The mean of a pixel's samples from their sum.
+pub(crate) fn mean(count: u32, sum: f32) -> f32 {
+    sum * (1.0 / count as f32)
 }

@@ -97,7 +97,7 @@ fn with_width(job: &Job, width: u32) -> Job {
     let height = u64::from(job.image.height) * u64::from(width) / u64::from(job.image.width);
     small.image.resize(width, u32::try_from(height).unwrap_or(1).clamp(1, 4 * LAST_PX));
     small.image.samples = 1.into();
-    small.image.layers.clear();
+    small.image.clear_layers();
     small.image.denoise = false;
     small
 }

@@ -84,6 +84,8 @@ fn resized(written: &Image, drawing: &Drawing, width_px: u32) -> Image {
         image.samples = drawing.samples.into();
     }
     image.denoise &= drawing.layer == PictureLayer::Color;
+    image.reweight_fireflies &= drawing.layer == PictureLayer::Color;
+    image.light_groups.clear();
     (image.format, image.layers) = match drawing.layer.of_exr().filter(|layer| *layer != Layer::Noisy) {
         None => (Format::Png, Vec::new()),
         Some(layer) => (Format::Exr, vec![layer]),

@@ -18,7 +18,7 @@ pub(super) fn of(
     let height = (u64::from(image.height) * u64::from(width) + u64::from(image.width) / 2) / u64::from(image.width);
     image.resize(width, height.clamp(1, MAX_EDGE_PX.into()) as u32);
     (image.format, image.bits, image.samples) = (Format::Png, Bits::Eight, samples.into());
-    image.layers.clear();
+    image.clear_layers();
     let (width, height) = (image.width, image.height);
     let still = job.at(frame)?;
     let none = ShaderView {

@@ -13,7 +13,9 @@ use exr::meta::MetaData;
 use exr::meta::attribute::SampleType;
 use exr::prelude::{Vec2, f16};
 use png::Decoder;
-use proto::preview_helper::{AboutPicture, HelperPicture, LayersView, PictureLayer, PixelView, StoredAnswer};
+use proto::preview_helper::{
+    AboutPicture, HelperPicture, LayersView, PictureLayer, PixelView, StoredAnswer, StoredLayer,
+};
 use scene::Layer;
 use scene::color::linear_from_srgb;
 
@@ -65,32 +67,32 @@ fn view(file: &Path) -> anyhow::Result<LayersView> {
         Stored::Png(input) => {
             let reader = Decoder::new_with_limits(input, limits()).read_info()?;
             let (width, height) = (reader.info().width, reader.info().height);
-            LayersView { layers: vec![PictureLayer::Color], width, height, format: PNG.to_owned() }
+            LayersView { layers: vec![StoredLayer::Listed(PictureLayer::Color)], width, height, format: PNG.to_owned() }
         }
         Stored::Exr(mut input) => {
             let meta = MetaData::read_from_buffered(&mut input, false)?;
             let header = meta.headers.first().context("it has no header")?;
             let names: Vec<String> = header.channels.list.iter().map(|channel| channel.name.to_string()).collect();
-            let has = |name: &&str| names.iter().any(|known| known == name);
-            let layers = PictureLayer::ALL.into_iter().filter(|layer| match layer.of_exr() {
-                None => ["R", "G", "B"].iter().all(has),
-                Some(layer) => layer.channels().iter().all(has),
-            });
             let Vec2(width, height) = header.layer_size;
-            LayersView { layers: layers.collect(), width: width as u32, height: height as u32, format: EXR.to_owned() }
+            let layers = StoredLayer::of_channels(&names);
+            LayersView { layers, width: width as u32, height: height as u32, format: EXR.to_owned() }
         }
     })
 }
 
 /// Draws a layer as a PNG of at most this width; an exposure, in stops, applies to colors.
-pub(super) fn draw(file: &Path, layer: PictureLayer, width_px: u32, exposure: f32) -> anyhow::Result<Vec<u8>> {
+pub(super) fn draw(file: &Path, layer: &StoredLayer, width_px: u32, exposure: f32) -> anyhow::Result<Vec<u8>> {
     let view = view(file).with_context(|| unreadable(file))?;
-    if !view.layers.contains(&layer) {
+    if !view.layers.contains(layer) {
         return Ok(serde_json::to_vec(&StoredAnswer::NoLayer(view.layers))?);
     }
-    let picture = match layer.of_exr() {
+    let values = match layer {
+        StoredLayer::Listed(PictureLayer::Noisy) | StoredLayer::Light(_) => None,
+        StoredLayer::Listed(layer) => layer.of_exr(),
+    };
+    let picture = match values {
         None => {
-            let png = thumbnail::draw(file, width_px, exposure)?;
+            let png = thumbnail::draw(file, layer, width_px, exposure)?;
             let rendered_px = width_px.min(view.width);
             HelperPicture { about: AboutPicture { rendered_px, samples: 0, range: [Vec::new(), Vec::new()] }, png }
         }

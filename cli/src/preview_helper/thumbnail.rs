@@ -4,10 +4,11 @@ use std::fs::File;
 use std::io::{BufRead, BufReader, Read, Seek};
 use std::path::Path;
 
-use anyhow::{Context, bail, ensure};
+use anyhow::{Context, anyhow, bail, ensure};
 use exr::meta::{BlockDescription, MetaData};
-use exr::prelude::{ReadChannels, ReadLayers, Vec2, read};
+use exr::prelude::{ReadChannels, ReadLayers, ReadSpecificChannel, Vec2, read};
 use png::{BitDepth, ColorType, Decoder, Limits, Reader};
+use proto::preview_helper::StoredLayer;
 use scene::Image;
 use scene::color::{DisplayTransform, linear_from_srgb};
 use scene::limits::{MAX_EDGE_PX, MAX_PIXELS};
@@ -23,8 +24,8 @@ pub(super) const PNG_MAGIC: [u8; 4] = [0x89, b'P', b'N', b'G'];
 /// First bytes of an EXR.
 pub(super) const EXR_MAGIC: [u8; 4] = [0x76, 0x2f, 0x31, 0x01];
 
-/// Draws the thumbnail as a PNG of at most this width, with an exposure in stops.
-pub(super) fn draw(file: &Path, width_px: u32, exposure: f32) -> anyhow::Result<Vec<u8>> {
+/// Draws a layer of colors as a PNG of at most this width, with an exposure in stops; a PNG has one layer.
+pub(super) fn draw(file: &Path, layer: &StoredLayer, width_px: u32, exposure: f32) -> anyhow::Result<Vec<u8>> {
     let context = || format!("could not read the stored picture {}", file.display());
     let mut input = BufReader::new(File::open(file).with_context(context)?);
     let mut magic = [0; 4];
@@ -32,7 +33,7 @@ pub(super) fn draw(file: &Path, width_px: u32, exposure: f32) -> anyhow::Result<
     input.rewind().with_context(context)?;
     let canvas = match magic {
         PNG_MAGIC => of_png(input, width_px, exposure).with_context(context)?,
-        EXR_MAGIC => of_exr(input, width_px, exposure).with_context(context)?,
+        EXR_MAGIC => of_exr(input, layer, width_px, exposure).with_context(context)?,
         _ => bail!("the stored picture {} is neither PNG nor EXR", file.display()),
     };
     canvas.png(None)
@@ -118,9 +119,10 @@ pub(super) fn check_exr_size(input: &mut BufReader<File>) -> anyhow::Result<()> 
     Ok(())
 }
 
-fn of_exr(mut input: BufReader<File>, width_px: u32, exposure: f32) -> anyhow::Result<Canvas> {
+fn of_exr(mut input: BufReader<File>, layer: &StoredLayer, width_px: u32, exposure: f32) -> anyhow::Result<Canvas> {
     check_exr_size(&mut input)?;
     let grade = linear_transform(exposure)?;
+    let [red, green, blue] = layer.channels().try_into().map_err(|_| anyhow!("{layer} has no colors"))?;
     let one = move |canvas: &mut Canvas, at: Vec2<usize>, (r, g, b, a): (f32, f32, f32, f32)| {
         let pixel: DisplayPixel = shown([r, g, b, a], grade, false);
         canvas.add(at.x() as u32, at.y() as u32, std::iter::once(pixel));
@@ -129,7 +131,12 @@ fn of_exr(mut input: BufReader<File>, width_px: u32, exposure: f32) -> anyhow::R
     let picture = read()
         .no_deep_data()
         .largest_resolution_level()
-        .rgba_channels(create, one)
+        .specific_channels()
+        .required(red.as_str())
+        .required(green.as_str())
+        .required(blue.as_str())
+        .optional("A", 1.0)
+        .collect_pixels(create, one)
         .first_valid_layer()
         .all_attributes()
         .non_parallel()

@@ -84,6 +84,7 @@ impl<'a> Integrator<'a> {
             origin: _,
             samples: _,
             frame_key: _,
+            levels: _,
             tolerance: _,
             resolution: _,
             normal_epsilon: _,
@@ -105,6 +106,7 @@ impl<'a> Integrator<'a> {
             surfaces,
             materials,
             emitters,
+            light_groups,
             sends_on,
             lets_through,
             bounds,
@@ -121,6 +123,7 @@ impl<'a> Integrator<'a> {
             && *lets_through == other.lets_through
             && materials.is_alike(&other.materials)
             && emitters.is_alike(&other.emitters)
+            && *light_groups == other.light_groups
             && is_lit(self) == is_lit(other)
     }
 }

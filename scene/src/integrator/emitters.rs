@@ -7,6 +7,7 @@ use super::lighting::{OF_LIGHT, ON_LIGHT};
 use super::sky_table::{SkyDirection, SkyTable};
 use crate::backgrounds::Backdrop;
 use crate::camera::Ray;
+use crate::light_groups::LightGroups;
 use crate::lights::{LightBody, LightSource, NEVER, PlacedLight, direction_around};
 use crate::materials::Shade;
 use crate::materials::microfacet::orthonormal_basis;
@@ -36,10 +37,23 @@ struct EmittingObject {
     radiance: Vec3<f32>,
 }
 
+impl Emitter {
+    /// Place of its light group.
+    fn group(&self, groups: &LightGroups) -> usize {
+        match self {
+            Self::Light { index, .. } => groups.lights[*index],
+            Self::Object(object) => groups.objects[object.index],
+            Self::Sky(_) => groups.sky,
+        }
+    }
+}
+
 /// The objects and lights of a scene that send light out.
 #[derive(Clone, Debug)]
 pub(super) struct Emitters {
     all: Vec<Emitter>,
+    /// Whether rays of some kind see an object that is sampled as a light.
+    has_objects: bool,
 }
 
 /// A direction that was sampled toward a light.
@@ -56,9 +70,11 @@ struct LightRay<R> {
     emitter: R,
     /// 0 if the light casts no shadows.
     casts_shadows: R,
+    /// Place of its light group; `None` if the picture has no groups.
+    group: Option<R>,
 }
 
-bundle!(LightRay { direction, distance, arriving, density, emitter, casts_shadows });
+bundle!(LightRay { direction, distance, arriving, density, emitter, casts_shadows, group });
 
 /// A light that a ray meets.
 #[derive(Clone, Copy)]
@@ -68,9 +84,11 @@ pub(super) struct MetLight<R> {
     pub(super) radiance: Vec3<R>,
     /// Density with which next-event estimation would have chosen the direction.
     pub(super) density: R,
+    /// Place of its light group; `None` if the picture has no groups.
+    pub(super) group: Option<R>,
 }
 
-bundle!(MetLight { distance, radiance, density });
+bundle!(MetLight { distance, radiance, density, group });
 
 /// Light that arrives at a surface from the chosen light, if nothing is in the way.
 pub(super) struct NextEvent<R: Real> {
@@ -93,11 +111,13 @@ pub(super) struct ShadowRay<R: Real> {
     pub(super) object: Option<R>,
     /// Light that it brings to the camera, if nothing is in the way.
     pub(super) color: Vec3<R>,
+    /// Place of the light's group; `None` if the picture has no groups.
+    pub(super) group: Option<R>,
     /// Whether it has still to be traced.
     pub(super) is_traced: MaskValue<R>,
 }
 
-bundle!(ShadowRay { direction, distance, object, color, is_traced });
+bundle!(ShadowRay { direction, distance, object, color, group, is_traced });
 
 /// The vertex that a ray comes from, as the lights saw it.
 #[derive(Clone, Copy)]
@@ -118,7 +138,7 @@ impl Emitters {
             |light: &PlacedLight| light.sample_at(vec3(0.0, 0.0, 0.0), 1.0, day, || (0.5, 0.5)).is_some();
         let lights = scene.lights.iter().enumerate().filter(|(_, light)| !light.is_dark() && has_direction(light));
         let lights = lights.map(|(index, light)| Emitter::Light { index, body: light.body_in_scene() });
-        let objects = surfaces.iter().filter_map(|&index| {
+        let emitting = |index: usize| {
             let object = &scene.objects[index];
             let radiance = scene.material_of(index).uniform_emission()?;
             let bounds = object.shape.bounds(0.0);
@@ -127,10 +147,12 @@ impl Emitters {
             }
             let center = (bounds.min + bounds.max) * 0.5;
             Some(Emitter::Object(EmittingObject { index, center, radius: bounds.diagonal() * 0.5005, radiance }))
-        });
+        };
+        let objects = surfaces.iter().filter_map(|&index| emitting(index));
+        let has_objects = (0..scene.objects.len()).any(|index| emitting(index).is_some());
         let has_table = scene.integrator.is_path() && scene.skies().any(|sky| sky.from.day().is_some());
         let sky = has_table.then(|| Emitter::Sky(SkyTable::new(|direction| scene.light_of_sky(direction))));
-        Self { all: lights.chain(objects.take(MAX_EMITTING_OBJECTS)).chain(sky).collect() }
+        Self { all: lights.chain(objects.take(MAX_EMITTING_OBJECTS)).chain(sky).collect(), has_objects }
     }
 
     /// The lights that rays meet, with their indices and shapes.
@@ -149,9 +171,9 @@ impl Emitters {
         })
     }
 
-    /// Whether some object is sampled as a light.
+    /// Whether some object is sampled as a light, by this integrator or those of other kinds of rays.
     pub(super) fn has_objects(&self) -> bool {
-        self.objects().next().is_some()
+        self.has_objects
     }
 
     /// Whether the emitters of another scene are the same objects and lights.
@@ -193,6 +215,7 @@ impl EmittingObject {
             density: self.density(p),
             emitter: p.x.constant(-1.0),
             casts_shadows: p.x.constant(1.0),
+            group: None,
         }
     }
 }
@@ -221,7 +244,12 @@ impl Integrator<'_> {
     /// The first visible light on a ray from a vertex.
     pub(super) fn met_light<R: Real>(&self, ray: &Ray<R>, from: &Vertex<R>) -> MetLight<R> {
         let zero = ray.direction.x.constant(0.0);
-        let nothing = MetLight { distance: zero.constant(NEVER), radiance: vec3(zero, zero, zero), density: zero };
+        let nothing = MetLight {
+            distance: zero.constant(NEVER),
+            radiance: vec3(zero, zero, zero),
+            density: zero,
+            group: self.group_number(zero, LightGroups::rest),
+        };
         self.emitters.bodies().fold(nothing, |first, (_, emitter, LightBody { shape, radiance })| {
             let distance = shape.distance_along(ray);
             R::when(distance.lt(first.distance), first, || {
@@ -229,7 +257,8 @@ impl Integrator<'_> {
                 let radiance = Vec3::select(shines, Vec3::uniform(zero, *radiance), vec3(zero, zero, zero));
                 let share = self.strength_of(emitter, from.position) / from.strength.at_least(1e-30);
                 let density = shape.density(from.position, ray.direction, distance) * share;
-                MetLight { distance, radiance, density }
+                let group = self.group_number(zero, |groups| emitter.group(groups));
+                MetLight { distance, radiance, density, group }
             })
         })
     }
@@ -238,7 +267,7 @@ impl Integrator<'_> {
     pub(super) fn seen_light<R: Real>(&self, ray: &Ray<R>, length: R) -> Option<(R::Mask, R, Vec3<R>)> {
         self.emitters.bodies().next()?;
         let from = Vertex { position: ray.origin, strength: length.constant(1.0) };
-        let MetLight { distance, radiance, density: _ } = self.met_light(ray, &from);
+        let MetLight { distance, radiance, density: _, group: _ } = self.met_light(ray, &from);
         Some((distance.lt(length), distance, radiance))
     }
 
@@ -286,6 +315,7 @@ impl Integrator<'_> {
             density: zero,
             emitter: zero.constant(-1.0),
             casts_shadows: zero,
+            group: self.group_number(zero, LightGroups::rest),
         };
         let (target, mut before) = (choice * here.strength, zero);
         for (index, emitter) in self.emitters.all.iter().enumerate() {
@@ -299,6 +329,7 @@ impl Integrator<'_> {
                     arriving: ray.arriving * (zero.constant(1.0) / share),
                     density: ray.density * share,
                     emitter: zero.constant(index as f32),
+                    group: self.group_number(zero, |groups| emitter.group(groups)),
                     ..ray
                 }
             });
@@ -330,6 +361,7 @@ impl Integrator<'_> {
                 distance: chosen.distance,
                 object: self.emitters.has_objects().then_some(object),
                 color: black,
+                group: chosen.group,
                 is_traced: MaskValue(arrives & casts_shadows),
             },
         }
@@ -343,6 +375,7 @@ impl Integrator<'_> {
             distance: zero,
             object: self.emitters.has_objects().then_some(zero.constant(-1.0)),
             color: black,
+            group: self.group_number(zero, LightGroups::rest),
             is_traced: MaskValue(zero.above(0.0)),
         }
     }
@@ -360,6 +393,7 @@ impl Integrator<'_> {
                     density,
                     emitter: zero.constant(-1.0),
                     casts_shadows: zero.constant(1.0),
+                    group: None,
                 }
             }
             Emitter::Light { index, body } => {
@@ -377,6 +411,7 @@ impl Integrator<'_> {
                     density,
                     emitter: zero.constant(-1.0),
                     casts_shadows,
+                    group: None,
                 }
             }
         }

@@ -5,10 +5,12 @@
 //! Veach and Leonidas Guibas, "Optimally combining sampling techniques for Monte Carlo rendering", SIGGRAPH 1995.
 
 use super::emitters::{MetLight, NextEvent, ShadowRay, Vertex};
+use super::grouped_light::GroupedLight;
 use super::lighting::{OF_DIRECTION, OF_LOBE, OF_ROULETTE};
 use super::{Hit, Integrator, Radiance};
 use crate::backgrounds::Backdrop;
 use crate::camera::Ray;
+use crate::light_groups::LightGroups;
 use crate::lights::NEVER;
 use crate::march::{MarchResult, Tolerance};
 use crate::materials::bsdf::Geometry;
@@ -23,6 +25,8 @@ const SURVIVAL_PER_THROUGHPUT: f32 = 4.0;
 const MIN_SURVIVAL: f32 = 0.05;
 /// Density of rays that next-event estimation does not find: from the camera, and after a transmission.
 const UNRIVALED: f32 = -1.0;
+/// Density of rays whose light shadow rays find straight through glass: after a transmission that is not seen directly.
+const FOUND_STRAIGHT: f32 = -2.0;
 
 /// State of a path after some bounces.
 #[derive(Clone, Copy)]
@@ -35,6 +39,8 @@ pub(super) struct LightPath<R: Real> {
     /// Fraction of the light at the path's end that reaches the camera, over the densities of the path.
     pub(super) throughput: Vec3<R>,
     pub(super) color: Vec3<R>,
+    /// The same light by its groups.
+    pub(super) groups: GroupedLight<R>,
     /// Fraction of the background straight behind that reaches the camera.
     pub(super) background_weight: R,
     pub(super) evaluations: R,
@@ -54,6 +60,7 @@ bundle!(LightPath {
     t,
     throughput,
     color,
+    groups,
     background_weight,
     evaluations,
     bounce,
@@ -69,22 +76,26 @@ pub(super) fn segments(max_bounces: u32) -> u32 {
 }
 
 impl<R: Real> LightPath<R> {
-    /// Weight of light that the ray meets, for the density with which next-event estimation would have found it.
-    fn weight(&self, rival: R) -> R {
-        let one = rival.constant(1.0);
-        R::select(self.density.below(0.0), one, self.density / (self.density + rival).at_least(1e-30))
+    /// Adds light of the group in this place to what the path has found.
+    fn found(&mut self, light: Vec3<R>, place: usize) {
+        self.color = self.color + light;
+        self.groups = self.groups.with(light, place);
     }
 
     /// Adds light to what the path has found, unless a shadow ray has to be traced first.
     pub(super) fn lit(self, light: Vec3<R>, shadow: ShadowRay<R>) -> Self {
-        let color = Vec3::select(shadow.is_traced.0, self.color, self.color + light);
-        Self { color, shadow: ShadowRay { color: light, ..shadow }, ..self }
+        let waits = shadow.is_traced.0;
+        let color = Vec3::select(waits, self.color, self.color + light);
+        let groups = GroupedLight::select(waits, self.groups, self.groups.with_chosen(light, shadow.group));
+        Self { color, groups, shadow: ShadowRay { color: light, ..shadow }, ..self }
     }
 
     /// Adds the light of the shadow ray, of which this fraction arrives.
     pub(super) fn shadow_ray_traced(self, visible: R, evaluations: R) -> Self {
+        let light = self.shadow.color * visible;
         Self {
-            color: self.color + self.shadow.color * visible,
+            color: self.color + light,
+            groups: self.groups.with_chosen(light, self.shadow.group),
             evaluations: self.evaluations + evaluations,
             shadow: ShadowRay { is_traced: MaskValue(visible.below(-1.0)), ..self.shadow },
             ..self
@@ -131,6 +142,7 @@ impl Integrator<'_> {
             t: zero,
             throughput: vec3(one, one, one),
             color: vec3(zero, zero, zero),
+            groups: self.no_grouped_light(zero),
             background_weight: one,
             evaluations: zero,
             bounce: zero,
@@ -145,7 +157,8 @@ impl Integrator<'_> {
     pub(super) fn radiance_of<R: Real>(&self, path: &LightPath<R>) -> Radiance<R> {
         let alpha = self.background(path.ray.direction).1;
         let alpha = path.background_weight.mul_add(alpha - 1.0, alpha.constant(1.0));
-        Radiance { color: path.color, alpha, evaluations: path.evaluations }
+        let (color, evaluations) = (path.color, path.evaluations);
+        Radiance { color, alpha, groups: path.groups, levels: self.leveled(color), evaluations }
     }
 
     /// Follows a path to the next surface or light, and samples the bounce there.
@@ -160,6 +173,17 @@ impl Integrator<'_> {
         })
     }
 
+    /// Weight of light that a path's ray meets, for the density with which next-event estimation would have found it.
+    fn weight<R: Real>(&self, path: &LightPath<R>, rival: R) -> R {
+        let one = rival.constant(1.0);
+        let share = R::select(path.density.below(0.0), one, path.density / (path.density + rival).at_least(1e-30));
+        if !self.has_straight_shadows() {
+            return share;
+        }
+        let is_found = path.density.below(FOUND_STRAIGHT + 0.5) & rival.above(0.0);
+        R::select(is_found, rival.constant(0.0), share)
+    }
+
     /// Samples the bounce where a path's ray has met something.
     pub(super) fn after_march<R: Real>(
         &self,
@@ -171,7 +195,7 @@ impl Integrator<'_> {
         let zero = path.epsilon.constant(0.0);
         let farthest = zero.uniform(self.scene.march.max_distance.get());
         let surface = R::select(marched.hit.0, marched.t, farthest);
-        let MetLight { distance, radiance, density } = self.met_light(&path.ray, &path.from);
+        let MetLight { distance, radiance, density, group } = self.met_light(&path.ray, &path.from);
         let meets_light = distance.lt(surface);
         let length = distance.min(surface);
         let mut path = path;
@@ -180,15 +204,19 @@ impl Integrator<'_> {
         if let Some(fog) = &self.scene.fog {
             let clear = fog.transmittance(&path.ray, length);
             let veil = self.fog_color(fog, path.ray.direction) * (zero.constant(1.0) - clear);
-            path.color = path.color + path.throughput.mul_elementwise(veil);
+            path.found(path.throughput.mul_elementwise(veil), self.group(LightGroups::rest));
             path.throughput = path.throughput * clear;
             path.background_weight = path.background_weight * clear;
         }
         let rival = self.density_of_sky(path.ray.direction, &path.from);
-        let sky = self.radiance_of_sky(path.ray.direction, path.background_weight) * path.weight(rival);
-        let behind = Vec3::select(meets_light, radiance * path.weight(density), sky);
+        let sky = self.radiance_of_sky(path.ray.direction, path.background_weight) * self.weight(&path, rival);
+        let behind = Vec3::select(meets_light, radiance * self.weight(&path, density), sky);
+        let behind = path.throughput.mul_elementwise(behind);
+        let of_sky = self.group_number(zero, |groups| groups.sky);
+        let group = group.zip(of_sky).map(|(met, sky)| R::select(meets_light, met, sky));
         let ended = LightPath {
-            color: path.color + path.throughput.mul_elementwise(behind),
+            color: path.color + behind,
+            groups: path.groups.with_chosen(behind, group),
             background_weight: R::select(meets_light, zero, path.background_weight),
             is_active: MaskValue(zero.above(0.0)),
             ..path
@@ -236,7 +264,9 @@ impl Integrator<'_> {
         let bsdf = self.bsdf(&hit, &path.ray, object);
         let rival = self.density_of_object(object, &path.from);
         let mut path = path;
-        path.color = path.color + path.throughput.mul_elementwise(bsdf.emission) * path.weight(rival);
+        let emitted = path.throughput.mul_elementwise(bsdf.emission) * self.weight(&path, rival);
+        path.color = path.color + emitted;
+        path.groups = path.groups.with_chosen(emitted, self.group_of_object(object));
         path.evaluations = path.evaluations + (super::lighting::NORMAL_EVALUATIONS + self.detail_evaluations());
         path.evaluations = path.evaluations + self.object_evaluations();
         let through = self.caught_shadow(&mut path, &hit, dice);
@@ -260,6 +290,11 @@ impl Integrator<'_> {
             let throughput = path.throughput.mul_elementwise(onward.weight);
             // Straight transmission leaves the background visible.
             let straight = is_transmitted & (bsdf.ior - 1.0).abs().below(1e-4);
+            let mut unrivaled = zero + UNRIVALED;
+            if self.has_straight_shadows() {
+                let is_seen = path.density.below(0.0) & path.density.above(FOUND_STRAIGHT + 0.5);
+                unrivaled = R::select(is_seen, unrivaled, zero + FOUND_STRAIGHT);
+            }
             let see_through = R::select(straight, path.background_weight * onward.weight.mean(), zero);
             let (goes_on, throughput) = path.after_roulette(throughput, dice);
             let next = LightPath {
@@ -268,10 +303,11 @@ impl Integrator<'_> {
                 t: hit.t,
                 throughput,
                 color: path.color,
+                groups: path.groups,
                 background_weight: see_through + through,
                 evaluations: path.evaluations,
                 bounce: path.bounce + 1.0,
-                density: R::select(is_transmitted, zero + UNRIVALED, onward.density),
+                density: R::select(is_transmitted, unrivaled, onward.density),
                 from: here,
                 shadow: path.shadow,
                 is_active: MaskValue(goes_on),
@@ -290,7 +326,7 @@ impl Integrator<'_> {
         path.evaluations = path.evaluations + evaluations;
         self.shadow_transparency(hit, &path.ray, &light).map_or(zero, |clear| {
             let behind = self.radiance_of_sky(path.ray.direction, path.background_weight);
-            path.color = path.color + path.throughput.mul_elementwise(behind) * clear;
+            path.found(path.throughput.mul_elementwise(behind) * clear, self.group(|groups| groups.sky));
             path.background_weight * clear
         })
     }

@@ -32,7 +32,7 @@ pub(super) struct Media<'a> {
 /// An object with a medium material.
 #[derive(Clone, Debug)]
 pub(super) struct Medium<'a> {
-    object: usize,
+    pub(super) object: usize,
     pub(super) material: MediumMaterial<'a>,
     /// Length of a step inside.
     step: f32,

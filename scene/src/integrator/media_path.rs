@@ -14,6 +14,7 @@ use super::light_path::LightPath;
 use super::lighting::{IN_MEDIA, IN_SHADOWING_MEDIA, OF_DIRECTION, OF_LOBE};
 use super::media::Media;
 use crate::camera::Ray;
+use crate::light_groups::LightGroups;
 use crate::lights::{NEVER, direction_around};
 use crate::materials::MediumScattering;
 use crate::materials::microfacet::orthonormal_basis;
@@ -33,9 +34,11 @@ struct Scatterer<R> {
     albedo: Vec3<R>,
     emission: Vec3<R>,
     anisotropy: R,
+    /// Place of the light group of its emission; `None` if the picture has no groups.
+    group: Option<R>,
 }
 
-bundle!(Scatterer { albedo, emission, anisotropy });
+bundle!(Scatterer { albedo, emission, anisotropy, group });
 
 impl Integrator<'_> {
     /// Distance of a ray's next collision with media; [`NEVER`] if there is none before `farthest`.
@@ -94,8 +97,9 @@ impl Integrator<'_> {
         let zero = t.constant(0.0);
         let p = path.ray.at(t);
         let scatterer = self.scatterer(media, p, dice.get_2d(OF_LOBE).1);
-        let color = path.color + path.throughput.mul_elementwise(scatterer.emission);
-        let ended = LightPath { color, background_weight: zero, is_active: MaskValue(zero.above(0.0)), ..path };
+        let emitted = path.throughput.mul_elementwise(scatterer.emission);
+        let (color, groups) = (path.color + emitted, path.groups.with_chosen(emitted, scatterer.group));
+        let ended = LightPath { color, groups, background_weight: zero, is_active: MaskValue(zero.above(0.0)), ..path };
         let is_last = path.bounce.above(max_bounces as f32 + 0.5);
         R::when(!is_last, ended, || {
             let throughput = path.throughput.mul_elementwise(scatterer.albedo);
@@ -113,6 +117,7 @@ impl Integrator<'_> {
                 t: path.t + t,
                 throughput,
                 color,
+                groups,
                 background_weight: zero,
                 evaluations: path.evaluations,
                 bounce: path.bounce + 1.0,
@@ -131,7 +136,8 @@ impl Integrator<'_> {
         let extinctions: Vec<R> = media.all.iter().map(|medium| self.extinction_of(medium, p)).collect();
         let target = choice * extinctions.iter().fold(zero, |sum, extinction| sum + *extinction);
         let black = vec3(zero, zero, zero);
-        let mut chosen = Scatterer { albedo: black, emission: black, anisotropy: zero };
+        let group = self.group_number(zero, LightGroups::rest);
+        let mut chosen = Scatterer { albedo: black, emission: black, anisotropy: zero, group };
         let mut before = zero;
         for (medium, extinction) in media.all.iter().zip(extinctions) {
             let after = before + extinction;
@@ -142,6 +148,7 @@ impl Integrator<'_> {
                     albedo: Vec3::uniform(zero, albedo),
                     emission: Vec3::uniform(zero, emission),
                     anisotropy: zero.uniform(anisotropy),
+                    group: self.group_number(zero, |groups| groups.objects[medium.object]),
                 }
             });
             before = after;

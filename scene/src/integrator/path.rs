@@ -1,5 +1,7 @@
 //! Direct light: follows a ray through reflections and transmissions at surfaces, each lit by all lights.
 
+use super::brightness_levels::LeveledLight;
+use super::grouped_light::GroupedLight;
 use super::lighting::{OF_DIRECTION, OF_LOBE};
 use super::media::MediumSegment;
 use super::{Hit, Integrator, Radiance};
@@ -76,7 +78,13 @@ impl Integrator<'_> {
         let color = Vec3::select(end.is_active.0, end.color + rest, end.color);
         let alpha = self.background(end.ray.direction).1;
         let alpha = end.background_weight.mul_add(alpha - 1.0, one);
-        Radiance { color, alpha, evaluations: end.evaluations }
+        Radiance {
+            color,
+            alpha,
+            groups: GroupedLight::none(),
+            levels: LeveledLight::none(),
+            evaluations: end.evaluations,
+        }
     }
 
     /// Traces a path over at most `limit` segments.

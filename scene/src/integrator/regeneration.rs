@@ -9,27 +9,61 @@
 use super::light_path::{LightPath, segments};
 use super::lighting::SHADOW_SLOPE;
 use super::scene_distance::AlongRay;
+use super::straight_shadows::Glass;
 use super::{Integrator, Radiance};
 use crate::camera::Ray;
 use crate::march::{March, RELAXATION};
 use crate::real::{MaskValue, Real, Vec3, bundle};
 use crate::sampling::PixelSampler;
+use crate::transport::{PathSettings, Transport};
 
 /// Maximum number of rounds, more than the samples that are rendered at once ever take.
 const MAX_ROUNDS: u32 = 1 << 31;
 
 /// Samples of a pixel, the path of one of them, and the march along its shadow ray or its ray.
 #[derive(Clone, Copy)]
-struct Lane<R: Real> {
+pub struct Lane<R: Real> {
+    march: March<R>,
     sample: R,
     sum: Radiance<R>,
     path: LightPath<R>,
-    march: March<R>,
     /// Where the ray leaves the scene's bounds, or is at its light.
     farthest: R,
 }
 
-bundle!(Lane { sample, sum, path, march, farthest });
+bundle!(Lane { march, sample, sum, path, farthest });
+
+/// The part of a lane that its march needs.
+#[derive(Clone, Copy)]
+pub struct MarchedRay<R: Real> {
+    ray: Ray<R>,
+    near: R,
+    slope: R,
+    farthest: R,
+}
+
+bundle!(MarchedRay { ray, near, slope, farthest });
+
+/// The steps of [`Integrator::accumulate`] where it traces paths, for processors that run their loops otherwise: a lane
+/// starts, marches while its march goes on, takes what follows its march, and marches again, until its sample is the end.
+#[derive(Clone, Copy, Debug)]
+pub struct PathSteps<'a> {
+    integrator: &'a Integrator<'a>,
+    max_bounces: u32,
+}
+
+impl<R: Real> Lane<R> {
+    /// The march.
+    pub fn march(&self) -> March<R> {
+        self.march
+    }
+
+    /// The lane with another number in place of its evaluations of the distance field, which are not counted then.
+    pub fn without_evaluations(self, none: R) -> Self {
+        let sum = Radiance { evaluations: none, ..self.sum };
+        Self { sum, path: LightPath { evaluations: none, ..self.path }, ..self }
+    }
+}
 
 impl<R: Real> LightPath<R> {
     /// The ray to trace next.
@@ -49,75 +83,126 @@ impl<R: Real> LightPath<R> {
 }
 
 impl Integrator<'_> {
+    /// The steps of paths, if [`Integrator::accumulate`] takes them: not if rays of other kinds see other objects, by
+    /// other formulas.
+    pub fn path_steps(&self) -> Option<PathSteps<'_>> {
+        match self.scene.integrator {
+            Transport::Path(PathSettings { max_bounces, straight_shadows: _ })
+                if self.of_reflections.is_none() && self.of_shadows.is_none() =>
+            {
+                Some(PathSteps { integrator: self, max_bounces })
+            }
+            Transport::Path(_) | Transport::Direct => None,
+        }
+    }
+}
+
+impl PathSteps<'_> {
     /// Adds samples of a pixel to `sum`, as [`Integrator::accumulate`] does.
-    pub(super) fn accumulate_paths<R: Real>(
-        &self,
-        pixel: &PixelSampler<R>,
-        [first, end]: [R; 2],
-        sum: Radiance<R>,
-        max_bounces: u32,
-    ) -> Radiance<R> {
-        let path = self.start_path_of(pixel, first);
-        let (march, farthest) = self.start_march(&path);
-        let start = Lane { sample: first, sum, path, march, farthest };
+    pub(super) fn accumulate<R: Real>(&self, [x, y]: [R; 2], [first, end]: [R; 2], sum: Radiance<R>) -> Radiance<R> {
+        let all = self.integrator;
+        let pixel = all.pixel_sampler(x, y);
+        let start = self.start_lane(&pixel, first, sum);
         // In each round, every lane takes a step of a march, or what follows a march.
-        let rays = self.samples.saturating_mul(2 * segments(max_bounces));
-        let rounds = rays.saturating_mul(2 * (self.scene.march.max_steps + 1)).min(MAX_ROUNDS);
-        let end = R::repeat(rounds, start, |lane| {
-            let march = R::when(lane.march.goes_on.0, lane.march, || self.march_on(&lane));
+        let rays = all.samples.saturating_mul(2 * segments(self.max_bounces));
+        let rounds = rays.saturating_mul(2 * (all.scene.march.max_steps + 1)).min(MAX_ROUNDS);
+        let last = R::repeat(rounds, start, |lane| {
+            // Marches on, until few of the lanes that do have steps left to take.
+            let march = R::when(lane.march.goes_on.0, lane.march, || {
+                let ray = self.marched_ray(&lane);
+                R::repeat_while_many(all.scene.march.max_steps, lane.march, |march| {
+                    let next = self.march_step(&ray, march);
+                    (next.goes_on.0, next)
+                })
+            });
             let lane = Lane { march, ..lane };
-            let lane = R::when(!march.goes_on.0, lane, || self.after_marching(lane, pixel, max_bounces));
+            let lane = R::when(!march.goes_on.0, lane, || self.end_march(lane, &pixel));
             (lane.sample.lt(end), lane)
         });
-        end.sum
+        last.sum
     }
 
-    fn start_path_of<R: Real>(&self, pixel: &PixelSampler<R>, sample: R) -> LightPath<R> {
-        self.start_path(self.ray_of_sample(pixel, &pixel.sample(sample)))
+    /// A lane that starts with a sample of the pixel (`x`, `y`), to be added to `sum`.
+    pub fn start<R: Real>(&self, x: R, y: R, sample: R, sum: Radiance<R>) -> Lane<R> {
+        self.start_lane(&self.integrator.pixel_sampler(x, y), sample, sum)
+    }
+
+    fn start_lane<R: Real>(&self, pixel: &PixelSampler<R>, sample: R, sum: Radiance<R>) -> Lane<R> {
+        let path = self.start_path(pixel, sample);
+        let (march, farthest) = self.start_march(&path);
+        Lane { march, sample, sum, path, farthest }
+    }
+
+    fn start_path<R: Real>(&self, pixel: &PixelSampler<R>, sample: R) -> LightPath<R> {
+        self.integrator.start_path(self.integrator.ray_of_sample(pixel, &pixel.sample(sample)))
     }
 
     /// A march along a path's next ray, and where that ends.
     fn start_march<R: Real>(&self, path: &LightPath<R>) -> (March<R>, R) {
+        let all = self.integrator;
         let ray = path.next_ray();
-        let farthest = path.t.uniform(self.scene.march.max_distance.get());
+        let farthest = path.t.uniform(all.scene.march.max_distance.get());
         let farthest = R::select(path.ends_at_light(), path.shadow.distance, farthest);
-        let (nearest, farthest) = self.bounds.intersect_ray(&ray, farthest);
-        (March::start(nearest, farthest, &AlongRay { integrator: self, ray: &ray }), farthest)
+        let (nearest, farthest) = all.bounds.intersect_ray(&ray, farthest);
+        (March::start(nearest, farthest, &AlongRay { integrator: all, ray: &ray }), farthest)
     }
 
-    /// Marches on, until few of the lanes that do have steps left to take.
-    fn march_on<R: Real>(&self, lane: &Lane<R>) -> March<R> {
-        let (ray, near, max_steps) = (lane.path.next_ray(), lane.path.epsilon, self.scene.march.max_steps);
-        let slope = near.uniform(self.tolerance.slope);
+    /// The part of the lane that its march needs.
+    pub fn marched_ray<R: Real>(&self, lane: &Lane<R>) -> MarchedRay<R> {
+        let near = lane.path.epsilon;
+        let slope = near.uniform(self.integrator.tolerance.slope);
         let slope = R::select(lane.path.ends_at_light(), near.constant(SHADOW_SLOPE), slope);
-        let along = AlongRay { integrator: self, ray: &ray };
-        R::repeat_while_many(max_steps, lane.march, |march| {
-            let next = march.step(lane.farthest, RELAXATION, |t| t.mul_add(slope, near), self.lets_through, &along);
-            let goes_on = next.goes_on.0 & next.steps.below(max_steps as f32);
-            (goes_on, March { goes_on: MaskValue(goes_on), ..next })
-        })
+        MarchedRay { ray: lane.path.next_ray(), near, slope, farthest: lane.farthest }
+    }
+
+    /// A step of a march that goes on.
+    pub fn march_step<R: Real>(&self, marched: &MarchedRay<R>, march: March<R>) -> March<R> {
+        let MarchedRay { ray, near, slope, farthest } = *marched;
+        let all = self.integrator;
+        let along = AlongRay { integrator: all, ray: &ray };
+        let next = march.step(farthest, RELAXATION, |t| t.mul_add(slope, near), all.lets_through, &along);
+        let goes_on = next.goes_on.0 & next.steps.below(all.scene.march.max_steps as f32);
+        March { goes_on: MaskValue(goes_on), ..next }
+    }
+
+    /// The lane after a march of the pixel (`x`, `y`) that has ended.
+    pub fn after_march<R: Real>(&self, x: R, y: R, lane: Lane<R>) -> Lane<R> {
+        self.end_march(lane, &self.integrator.pixel_sampler(x, y))
     }
 
     /// Searches the root where a march has ended, and then adds the light of a shadow ray, or bounces. Starts the next march.
-    fn after_marching<R: Real>(&self, lane: Lane<R>, pixel: &PixelSampler<R>, max_bounces: u32) -> Lane<R> {
-        let Lane { sample, sum, path, march, farthest } = lane;
+    fn end_march<R: Real>(&self, lane: Lane<R>, pixel: &PixelSampler<R>) -> Lane<R> {
+        let all = self.integrator;
+        let Lane { march, sample, sum, path, farthest } = lane;
         let ray = path.next_ray();
         let marched = march.result();
         let found =
-            R::when(!path.ends_at_light(), marched, || self.found_surface(&ray, path.epsilon, marched, farthest));
+            R::when(!path.ends_at_light(), marched, || all.found_surface(&ray, path.epsilon, marched, farthest));
         let mut path = path;
         path.evaluations = path.evaluations + (found.evaluations - march.steps);
-        let passes = marched.hit.0 & !found.hit.0 & found.t.lt(farthest);
-        let passes = passes & found.steps.below(self.scene.march.max_steps as f32);
-        let along = AlongRay { integrator: self, ray: &ray };
-        let further = March { steps: found.steps, ..March::start(found.t, farthest, &along) };
-        R::when(!passes, Lane { sample, sum, path, march: further, farthest }, || {
+        let has_steps = found.steps.below(all.scene.march.max_steps as f32);
+        let mut passes = marched.hit.0 & !found.hit.0 & found.t.lt(farthest) & has_steps;
+        let mut next = found.t;
+        if all.has_straight_shadows() {
+            let is_met = path.shadow.is_traced.0 & found.hit.0;
+            let glass =
+                R::when(is_met, Glass::opaque(found.t.constant(0.0)), || all.glass_in_the_way(&path, &ray, &found));
+            let goes_through = glass.tint.max_element().above(0.0);
+            path.shadow.color =
+                Vec3::select(goes_through, path.shadow.color.mul_elementwise(glass.tint), path.shadow.color);
+            next = R::select(goes_through, glass.beyond, next);
+            path.evaluations = path.evaluations + glass.evaluations;
+            passes = passes | (goes_through & has_steps);
+        }
+        let along = AlongRay { integrator: all, ray: &ray };
+        let further = March { steps: found.steps, ..March::start(next, farthest, &along) };
+        R::when(!passes, Lane { march: further, sample, sum, path, farthest }, || {
             let mut path = path;
             path.evaluations = path.evaluations + march.steps;
             let dice = pixel.sample(sample);
             let is_shadow = path.shadow.is_traced.0;
             let bounced =
-                R::when(!is_shadow, path, || self.after_march(path, &found, max_bounces, &dice.after(path.bounce)));
+                R::when(!is_shadow, path, || all.after_march(path, &found, self.max_bounces, &dice.after(path.bounce)));
             let path = R::when(is_shadow, bounced, || {
                 let mut visible = R::select(found.hit.0, found.t.constant(0.0), found.t.constant(1.0));
                 let mut length = path.shadow.distance;
@@ -125,20 +210,20 @@ impl Integrator<'_> {
                     let of_light = object.below(-0.5);
                     length = R::select(of_light, length, found.t);
                     visible = R::when(!of_light, visible, || {
-                        R::when(found.hit.0, found.t.constant(0.0), || self.is_of_object(&ray, found.t, object))
+                        R::when(found.hit.0, found.t.constant(0.0), || all.is_of_object(&ray, found.t, object))
                     });
                 }
                 let visible =
-                    self.through_media(ray.origin, visible, length, ray.direction, &dice.after(path.bounce - 1.0));
+                    all.through_media(ray.origin, visible, length, ray.direction, &dice.after(path.bounce - 1.0));
                 path.shadow_ray_traced(visible, found.t.constant(0.0))
             });
             let has_ended = !path.is_active.0 & !path.shadow.is_traced.0;
             let (sample, sum, path) = R::when(has_ended, (sample, sum, path), || {
                 let next = sample + 1.0;
-                (next, sum + self.radiance_of(&path), self.start_path_of(pixel, next))
+                (next, sum + all.radiance_of(&path), self.start_path(pixel, next))
             });
             let (march, farthest) = self.start_march(&path);
-            Lane { sample, sum, path, march, farthest }
+            Lane { march, sample, sum, path, farthest }
         })
     }
 }

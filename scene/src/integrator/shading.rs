@@ -190,7 +190,7 @@ impl Integrator<'_> {
 
     /// Index of the nearest object at a hit; 0 if nothing depends on it.
     pub(super) fn object_at<R: Real>(&self, hit: &Hit<R>) -> R {
-        if self.materials.single_slot.is_some() && !self.emitters.has_objects() {
+        if self.materials.single_slot.is_some() && !self.asks_for_objects() {
             return hit.t.constant(0.0);
         }
         self.nearest_object(hit.position).1
@@ -198,7 +198,12 @@ impl Integrator<'_> {
 
     /// Evaluations of the scene's distance in one call of `object_at` and `bsdf`.
     pub(super) fn object_evaluations(&self) -> f32 {
-        if self.emitters.has_objects() { 1.0 } else { self.shade_evaluations() }
+        if self.asks_for_objects() { 1.0 } else { self.shade_evaluations() }
+    }
+
+    /// Whether a path asks for the object of a surface, whatever materials there are.
+    fn asks_for_objects(&self) -> bool {
+        self.emitters.has_objects() || self.has_groups_of_objects()
     }
 
     /// BSDF at a hit of an object.

@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{HasExamples, LightSample, LightSource};
 use crate::backgrounds::Day;
+use crate::light_groups::LightGroup;
 use crate::real::{Real, Vec3};
 use crate::seek::Seek;
 use crate::values::{Color, Direction};
@@ -17,6 +18,9 @@ pub struct AddedLight {
     pub direction: Direction,
     /// Its color at height 0.
     pub color: Color,
+    /// Light group, whose light an EXR has in layers of its own (`image.light_groups`).
+    #[serde(default, skip_serializing)]
+    pub group: Option<LightGroup>,
 }
 
 impl HasExamples for AddedLight {
@@ -34,6 +38,10 @@ impl LightSource for AddedLight {
         let one = p.x.constant(1.0);
         let radiance = Vec3::uniform(p.x, self.color.get()) * (one / (p.y.square() + one));
         Some((LightSample { direction: Vec3::uniform(p.x, self.direction.unit()), radiance }, farthest))
+    }
+
+    fn group(&self) -> Option<&LightGroup> {
+        self.group.as_ref()
     }
 
     fn casts_shadows(&self) -> bool {

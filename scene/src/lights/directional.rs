@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{HasExamples, LightSample, LightSource, default_angle, default_color, default_shadow, sample_cone};
 use crate::backgrounds::Day;
+use crate::light_groups::LightGroup;
 use crate::real::{Real, Vec3};
 use crate::seek::Seek;
 use crate::values::{Color, Direction, FullAngle};
@@ -24,6 +25,9 @@ pub struct Directional {
     /// Whether objects cast shadows in this light.
     #[serde(default = "default_shadow")]
     pub shadow: bool,
+    /// Light group, whose light an EXR has in layers of its own (`image.light_groups`).
+    #[serde(default, skip_serializing)]
+    pub group: Option<LightGroup>,
 }
 
 impl HasExamples for Directional {
@@ -43,6 +47,10 @@ impl LightSource for Directional {
         let direction = sample_cone(p.x, self.direction.unit(), &self.angle, pair);
         let radiance = Vec3::uniform(p.x, self.color.get());
         Some((LightSample { direction, radiance }, farthest))
+    }
+
+    fn group(&self) -> Option<&LightGroup> {
+        self.group.as_ref()
     }
 
     fn casts_shadows(&self) -> bool {

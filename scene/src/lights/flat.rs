@@ -6,6 +6,7 @@ use serde::{Deserialize, Serialize};
 use super::body::{LightBody, LightShape, Outline, PointOfLight};
 use super::{HasExamples, LightSample, LightSource, default_color, default_shadow, strength_of_point};
 use crate::backgrounds::Day;
+use crate::light_groups::LightGroup;
 use crate::materials::microfacet::orthonormal_basis;
 use crate::real::{Real, Vec3};
 use crate::seek::Seek;
@@ -36,6 +37,9 @@ pub struct RectangleLight {
     /// Whether the rectangle itself is seen.
     #[serde(default)]
     pub visible: bool,
+    /// Light group, whose light an EXR has in layers of its own (`image.light_groups`).
+    #[serde(default, skip_serializing)]
+    pub group: Option<LightGroup>,
 }
 
 /// Light from a disc, to one side. It lights distant surfaces that it faces like a point light of the same color.
@@ -57,6 +61,9 @@ pub struct DiscLight {
     /// Whether the disc itself is seen.
     #[serde(default)]
     pub visible: bool,
+    /// Light group, whose light an EXR has in layers of its own (`image.light_groups`).
+    #[serde(default, skip_serializing)]
+    pub group: Option<LightGroup>,
 }
 
 /// A flat light.
@@ -144,6 +151,10 @@ macro_rules! flat_light {
                 pair: impl FnOnce() -> (R, R),
             ) -> Option<(LightSample<R>, R)> {
                 Some(self.flat().sample(p, pair()))
+            }
+
+            fn group(&self) -> Option<&LightGroup> {
+                self.group.as_ref()
             }
 
             fn casts_shadows(&self) -> bool {

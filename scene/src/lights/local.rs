@@ -6,6 +6,7 @@ use serde::{Deserialize, Serialize};
 use super::body::{LightBody, LightShape, PointOfLight};
 use super::{HasExamples, LightSample, LightSource, default_color, default_shadow, strength_of_point};
 use crate::backgrounds::Day;
+use crate::light_groups::LightGroup;
 use crate::real::{Real, Vec3};
 use crate::seek::Seek;
 use crate::values::{Color, Direction, Fraction, FullAngle, Length, Point};
@@ -30,6 +31,9 @@ pub struct SpotLight {
     /// Whether objects cast shadows in this light.
     #[serde(default = "default_shadow")]
     pub shadow: bool,
+    /// Light group, whose light an EXR has in layers of its own (`image.light_groups`).
+    #[serde(default, skip_serializing)]
+    pub group: Option<LightGroup>,
 }
 
 /// Light from a ball. It lights distant surfaces like a point light of the same color, and its shadows have soft
@@ -50,6 +54,9 @@ pub struct SphereLight {
     /// Whether the ball itself is seen.
     #[serde(default)]
     pub visible: bool,
+    /// Light group, whose light an EXR has in layers of its own (`image.light_groups`).
+    #[serde(default, skip_serializing)]
+    pub group: Option<LightGroup>,
 }
 
 impl HasExamples for SpotLight {
@@ -93,6 +100,10 @@ impl LightSource for SpotLight {
         R::select(edge.lt(-toward.dot_uniform(self.direction.unit())), strength, p.x.constant(0.0))
     }
 
+    fn group(&self) -> Option<&LightGroup> {
+        self.group.as_ref()
+    }
+
     fn casts_shadows(&self) -> bool {
         self.shadow
     }
@@ -119,6 +130,10 @@ impl LightSource for SphereLight {
         let body = self.shape_and_radiance();
         let PointOfLight { direction, distance, solid_angle } = body.shape.sample(p, pair());
         Some((LightSample { direction, radiance: body.arriving(solid_angle) }, distance))
+    }
+
+    fn group(&self) -> Option<&LightGroup> {
+        self.group.as_ref()
     }
 
     fn casts_shadows(&self) -> bool {

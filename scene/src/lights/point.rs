@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{HasExamples, LightSample, LightSource, default_color, default_shadow, strength_of_point};
 use crate::backgrounds::Day;
+use crate::light_groups::LightGroup;
 use crate::real::{Real, Vec3};
 use crate::seek::Seek;
 use crate::values::{Color, Point};
@@ -21,6 +22,9 @@ pub struct PointLight {
     /// Whether objects cast shadows in this light.
     #[serde(default = "default_shadow")]
     pub shadow: bool,
+    /// Light group, whose light an EXR has in layers of its own (`image.light_groups`).
+    #[serde(default, skip_serializing)]
+    pub group: Option<LightGroup>,
 }
 
 impl HasExamples for PointLight {
@@ -40,6 +44,10 @@ impl LightSource for PointLight {
         let per_distance = p.x.constant(1.0) / distance;
         let radiance = Vec3::uniform(p.x, self.color.get()) * per_distance.square();
         Some((LightSample { direction: toward * per_distance, radiance }, distance))
+    }
+
+    fn group(&self) -> Option<&LightGroup> {
+        self.group.as_ref()
     }
 
     fn casts_shadows(&self) -> bool {

@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{AmbientLight, HasExamples, LightSample, LightSource, default_shadow, default_strength};
 use crate::backgrounds::{Backdrop, Background, Day};
+use crate::light_groups::LightGroup;
 use crate::nodes::NodeError;
 use crate::real::{Real, Vec3};
 use crate::seek::Seek;
@@ -26,6 +27,9 @@ pub struct SkyLight {
     /// Whether objects cast shadows in this light.
     #[serde(default = "default_shadow")]
     pub shadow: bool,
+    /// Light group, whose light an EXR has in layers of its own (`image.light_groups`).
+    #[serde(default, skip_serializing)]
+    pub group: Option<LightGroup>,
 }
 
 impl HasExamples for SkyLight {
@@ -49,6 +53,10 @@ impl LightSource for SkyLight {
 
     fn ambient<'a>(&'a self, background: &'a Background) -> Option<AmbientLight<'a>> {
         Some(AmbientLight { from: self.from.as_ref().unwrap_or(background), strength: self.strength.get() })
+    }
+
+    fn group(&self) -> Option<&LightGroup> {
+        self.group.as_ref()
     }
 
     fn casts_shadows(&self) -> bool {

@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{HasExamples, LightSample, LightSource, default_shadow, default_strength, sample_cone};
 use crate::backgrounds::{Backdrop, Background, Day};
+use crate::light_groups::LightGroup;
 use crate::nodes::NodeError;
 use crate::real::{Real, Vec3};
 use crate::seek::Seek;
@@ -23,6 +24,9 @@ pub struct Sun {
     /// Whether objects cast shadows in this light.
     #[serde(default = "default_shadow")]
     pub shadow: bool,
+    /// Light group, whose light an EXR has in layers of its own (`image.light_groups`).
+    #[serde(default, skip_serializing)]
+    pub group: Option<LightGroup>,
 }
 
 impl HasExamples for Sun {
@@ -43,6 +47,10 @@ impl LightSource for Sun {
         let (color, strength) = (day.sun_color(), self.strength.get());
         let radiance = Vec3::uniform(p.x, color.map(|channel| channel * strength));
         Some((LightSample { direction, radiance }, farthest))
+    }
+
+    fn group(&self) -> Option<&LightGroup> {
+        self.group.as_ref()
     }
 
     fn casts_shadows(&self) -> bool {

@@ -264,6 +264,13 @@ impl<R: Real> Bsdf<R> {
         }
     }
 
+    /// Fraction of the light that goes through a surface, as if it were not bent, by channel.
+    pub fn straight_transmittance(&self, lobes: Lobes, seen: &Geometry<R>) -> Vec3<R> {
+        let facing = seen.viewer_cosine();
+        let uncoated = facing.constant(1.0) - self.coat_reflectance(schlick_weight(facing));
+        self.facet(lobes, facing, seen.is_inside).passed * uncoated.square()
+    }
+
     /// Reflectance of the clear coat, for a [`schlick_weight`].
     fn coat_reflectance(&self, rise: R) -> R {
         self.coat * rise.mul_add(rise.constant(1.0 - CLEARCOAT_F0), rise.constant(CLEARCOAT_F0))

@@ -116,6 +116,10 @@ impl Shade for Diffuse {
         true
     }
 
+    fn has_own_ambient(&self) -> bool {
+        self.ka.is_some() || self.ambient != default_ambient()
+    }
+
     fn is_black_without_light(&self) -> bool {
         const FAINT: f32 = 0.1;
         self.ambient.as_constant().is_some_and(|ambient| ambient.get().max_element() <= FAINT && !ambient.is_animated())

@@ -40,6 +40,11 @@ fn needed(pointer: &str, has_use: &dyn Fn(&str) -> bool) -> Vec<Needed> {
         }
         ["scene", "shapes", name, rest @ ..] => of_node(pointer, format!("/scene/shapes/{name}"), rest, has_use),
         ["scene", "objects", _, "material"] => vec![whole(pointer), alone("/scene/materials")],
+        ["image", "light_groups", ..] => {
+            let parts = ["lights", "objects", "groups", "integrator"].map(|part| whole(&format!("/scene/{part}")));
+            [whole("/image/light_groups"), alone("/image/format")].into_iter().chain(parts).collect()
+        }
+        ["image", "reweight_fireflies"] => vec![alone(pointer), whole("/image/samples"), whole("/scene/integrator")],
         ["image", "region", ..] => vec![whole(pointer), alone("/image/width"), alone("/image/height")],
         ["image", "layers" | "exposure" | "tone_map", ..] => {
             vec![whole(pointer), alone("/image/format"), alone("/image/layers")]

@@ -148,7 +148,7 @@ impl Flat<'_> {
 
 /// An object inside the nodes that place it, and their names with the pointers of their groups, the outermost first.
 fn placed(object: Object, outer: &[(Placement, String)], is_textured: bool) -> (Object, Vec<(&'static str, String)>) {
-    let Object { material, mut shape, name, visible } = object;
+    let Object { material, mut shape, name, visible, light_group } = object;
     let mut around = Vec::new();
     if is_textured {
         shape = Node::painted(material.clone(), shape);
@@ -160,7 +160,7 @@ fn placed(object: Object, outer: &[(Placement, String)], is_textured: bool) -> (
         around.extend(names.into_iter().map(|name| (name, pointer.clone())));
     }
     around.reverse();
-    (Object { material, shape, name, visible }, around)
+    (Object { material, shape, name, visible, light_group }, around)
 }
 
 /// Number of the lights of some groups.

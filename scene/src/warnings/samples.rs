@@ -1,8 +1,8 @@
-//! Warnings about samples that make no visible difference.
+//! Warnings about samples that make no visible difference, or that are too few to blur.
 
 use serde_json::Value;
 
-use crate::job::{Bits, Format, Image};
+use crate::job::{Bits, Format, Image, Job};
 use crate::lights::Light;
 use crate::materials::Shade;
 use crate::sample_count::SampleCount;
@@ -20,6 +20,24 @@ pub(super) fn too_many(scene: &Scene, image: &Image) -> Option<String> {
     }
     Some(format!(
         "/image/samples is {samples}, and the scene has no noise: more than {MIN_SAMPLES} make no difference with 8 bits; use {MIN_SAMPLES} or fewer"
+    ))
+}
+
+/// Samples with which a blur does not show its single points.
+const MIN_BLUR_SAMPLES: u32 = 16;
+
+/// So few samples that the blur of a lens or of a shutter falls apart.
+pub(super) fn too_few(job: &Job) -> Option<String> {
+    let samples = job.image.samples.max();
+    let blurs = match (job.scene.camera.lens.is_some(), job.is_blurred()) {
+        _ if samples >= MIN_BLUR_SAMPLES => return None,
+        (true, true) => "the lens and the shutter blur",
+        (true, false) => "the lens blurs",
+        (false, true) => "the shutter blurs",
+        (false, false) => return None,
+    };
+    Some(format!(
+        "/image/samples is {samples}, and {blurs}: what is blurred looks grainy; use {MIN_BLUR_SAMPLES} or more, 64 for a final picture"
     ))
 }
 

@@ -3,6 +3,7 @@
 use super::objects;
 use crate::animation::JobAtFrame;
 use crate::backgrounds::Backdrop;
+use crate::job::Job;
 use crate::lights::{LightSource, PlacedLight, default_lights};
 use crate::limits::MAX_MEDIUM_STEPS;
 use crate::materials::{Material, Shade};
@@ -92,9 +93,21 @@ pub(super) fn light(scene: &Scene) -> Option<String> {
     None
 }
 
+/// Ambient light of a material's own, which paths of light do not have.
+pub(super) fn lost_ambient(job: &Job) -> Option<String> {
+    if !job.scene.integrator.is_path() {
+        return None;
+    }
+    let mut materials = job.scene.used_materials().iter().zip(&job.material_pointers);
+    let (_, pointer) = materials.find(|(material, _)| material.has_own_ambient())?;
+    Some(format!(
+        "/scene{pointer} has ambient light of its own, which has no effect with `integrator` path, where light comes from lights and surfaces: use `surface` with `emission` if it shines, or leave out `ka` and `ambient`"
+    ))
+}
+
 /// Whether a material emits light.
 fn shines_itself(scene: &Scene) -> bool {
-    scene.used_materials().iter().any(|material| !material.is_black_without_light())
+    scene.used_materials().iter().any(|material| !material.is_black_without_light() && !material.has_own_ambient())
 }
 
 /// Whether light comes from the environment: paths of light meet it.

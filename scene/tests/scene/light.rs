@@ -254,3 +254,46 @@ fn rays_at_right_angles_do_not_pass_walls() {
         assert!((depth - (2.5 + 0.013 * f64::from(distance))).abs() < 1e-4, "{depth} at {distance}");
     }
 }
+
+/// A floor below a pane of glass, lit from above.
+fn under_glass(surface: &Value, light: &Value, straight: bool) -> Value {
+    let mut job = job(
+        6,
+        json!({
+            "camera": { "position": [2.5, -0.8, 0.3], "look_at": [0.1, -2, 0.1] },
+            "lights": [light],
+            "objects": [
+                { "material": { "diffuse": { "kd": [0.8, 0.8, 0.8] } },
+                  "shape": { "plane": { "normal": [0, 1, 0], "offset": -2 } } },
+                { "material": { "surface": surface }, "shape": { "box": { "size": [3, 0.3, 3] } } }
+            ]
+        }),
+    );
+    job["scene"]["integrator"]["path"]["straight_shadows"] = json!(straight);
+    job
+}
+
+#[test]
+fn light_goes_straight_through_glass_if_wished() {
+    // Glass that does not bend light: the same light, however it is found.
+    let clear = json!({ "base_color": [0.9, 0.5, 0.3], "transmission": 1, "ior": 1, "roughness": 0 });
+    for light in [
+        json!({ "disc": { "position": [0.3, 2, 0], "direction": [0, -1, 0], "radius": 0.8, "color": [20, 20, 20], "visible": true } }),
+        json!({ "sphere": { "position": [0.3, 2, 0], "radius": 0.7, "color": [20, 20, 20], "visible": true } }),
+    ] {
+        let jobs = [false, true].map(|straight| under_glass(&clear, &light, straight));
+        let [bent, straight] = jobs;
+        assert_equal(&[("found by chance", bent), ("found straight", straight)]);
+    }
+    // Two surfaces that reflect a twenty-fifth each, and the color of the glass.
+    let glass = json!({ "base_color": [0.9, 0.5, 0.3], "transmission": 1, "ior": 1.5, "roughness": 0 });
+    let sun = json!({ "directional": { "direction": [0, 1, 0], "color": [2, 2, 2] } });
+    let through = |tint: f64| 0.8 * 2.0 * 0.96_f64.powi(2) * tint;
+    let job = under_glass(&glass, &sun, true);
+    let mut direct = job.clone();
+    direct["scene"]["integrator"]["path"]["max_bounces"] = json!(0);
+    assert_is(&direct, [through(0.9), through(0.5), through(0.3)]);
+    let (lit, _) = estimate(&job, 256, 8);
+    let (dark, _) = estimate(&under_glass(&glass, &sun, false), 256, 8);
+    assert!(lit[0] > 5.0 * dark[0], "{lit:?} {dark:?}");
+}

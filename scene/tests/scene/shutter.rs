@@ -1,7 +1,5 @@
 //! Motion blur: instants of a frame, their samples, keys, and the blur itself.
 
-use scene::integrator::Radiance;
-use scene::real::vec3;
 use scene::{Integrator, Job, JobAtFrame};
 use serde_json::{Value, json};
 
@@ -33,9 +31,8 @@ fn row(job: &Job, frame: u32) -> Vec<f32> {
     let exposure = job.exposure(frame).expect("a valid frame");
     let integrators: Vec<Integrator<'_>> = exposure.instants.iter().map(Integrator::new).collect();
     let pixel = |x: u32| {
-        let black = Radiance { color: vec3(0.0, 0.0, 0.0), alpha: 0.0, evaluations: 0.0 };
         let parts = integrators.iter().zip(exposure.samples().concat());
-        let sum = parts.fold(black, |sum, (integrator, samples)| {
+        let sum = parts.fold(integrators[0].no_light(0.0), |sum, (integrator, samples)| {
             integrator.accumulate(x as f32, (SIZE / 2) as f32, samples.start as f32, samples.end as f32, sum)
         });
         integrators[0].mean(sum).color.x

@@ -408,3 +408,28 @@ fn scattered_copies_that_miss_their_shape_are_reported() {
     let sound = warnings(&scatter(1.5));
     assert!(!sound.iter().any(|text| text.contains("at a height of")), "{sound:?}");
 }
+
+#[test]
+fn blurs_of_few_samples_and_ambient_light_on_paths_get_one() {
+    const PATH: &str = r#"{ "path": { "max_bounces": 4 } }"#;
+    let lens = format!("{CAMERA}, \"lens\": {{ \"aperture\": 0.2, \"focus\": 4 }}");
+    let blurred = |samples: &str| {
+        let text = format!(
+            r#"{{ "scene": {{ "camera": {{ {lens} }}, "objects": [{SPHERE}] }},
+                "image": {{ "width": 64, "height": 48, "samples": {samples} }} }}"#
+        );
+        job(&text).warnings()
+    };
+    one(&blurred("4"), &["/image/samples is 4", "the lens blurs", "16 or more"]);
+    none(&blurred("16"));
+    none(&blurred(r#"{ "adaptive": { "min": 4, "max": 64 } }"#));
+    let of_paths = |integrator: &str, diffuse: &str| {
+        of(&format!(
+            r#""integrator": {integrator}, "objects": [{{ "shape": {{ "sphere": {{ "radius": 1 }} }}, "material": {{ "diffuse": {{ {diffuse} }} }} }}]"#
+        ))
+    };
+    one(&of_paths(PATH, r#""ambient": [1, 1, 1]"#), &["/scene/objects/0/material has ambient light", "`emission`"]);
+    one(&of_paths(PATH, r#""ka": [1, 0, 0]"#), &["/scene/objects/0/material", "`ka`"]);
+    none(&of_paths(PATH, r#""kd": [1, 0, 0]"#));
+    none(&of_paths(r#""direct""#, r#""ambient": [1, 1, 1]"#));
+}

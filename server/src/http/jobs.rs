@@ -68,6 +68,7 @@ pub(super) fn job_id(text: &str) -> Result<JobId, ApiError> {
         (status = 200, description = "The job is valid (dry run), or the job that was accepted before with the same Idempotency-Key", body = ref("#/components/schemas/SubmitAnswer")),
         (status = 400, description = "Not JSON, or damaged in its content encoding", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
         (status = 403, description = "The priority is above the highest of the key", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
+        (status = 404, description = "The job of `based_on` does not exist", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
         (status = 413, description = "Too large, as sent or when it is unpacked", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
         (status = 415, description = "The content type is not JSON, or the content encoding is not gzip or zstd", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
         (status = 422, description = "The job is invalid: `errors` lists all errors", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),

@@ -7,7 +7,7 @@ use axum::extract::{Path, State};
 use axum::http::{HeaderMap, StatusCode, Uri, header};
 use axum::response::{IntoResponse, Response};
 use proto::JobId;
-use proto::preview_helper::{HelperPicture, HelperRequest, LayersView, PictureLayer, PixelView, StoredAnswer};
+use proto::preview_helper::{HelperPicture, HelperRequest, LayersView, PixelView, StoredAnswer, StoredLayer};
 use serde::Deserialize;
 
 use super::auth::Caller;
@@ -127,7 +127,7 @@ pub(super) async fn layer(
         )));
     }
     let stored = StoredFrame::find(&previews, &id, &frame).await?;
-    let Ok(layer) = serde_json::from_value::<PictureLayer>(name.clone().into()) else {
+    let Ok(layer) = StoredLayer::try_from(name.clone()) else {
         return Err(previews.unknown_layer(&caller, &stored, name).await);
     };
     let tag = format!("\"{}-{name}-{width_px}-{exposure}\"", stored.hash);
@@ -233,8 +233,8 @@ impl Previews {
     }
 }
 
-fn no_layer(stored: &StoredFrame, layer: String, layers: &[PictureLayer]) -> ApiError {
-    let layers = layers.iter().map(|layer| layer.name()).collect::<Vec<_>>().join(", ");
+fn no_layer(stored: &StoredFrame, layer: String, layers: &[StoredLayer]) -> ApiError {
+    let layers = layers.iter().map(StoredLayer::to_string).collect::<Vec<_>>().join(", ");
     ApiError::UnknownLayer { job: stored.job, frame: stored.frame, layer, layers }
 }
 

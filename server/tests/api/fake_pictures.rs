@@ -67,12 +67,12 @@ fn exr_head(job: &Job, frame: u32) -> Vec<u8> {
         [name.as_bytes(), b"\0", kind.as_bytes(), b"\0", &(value.len() as u32).to_le_bytes(), value].concat()
     };
     let color = if job.image.precision == Precision::Half { 1 } else { 2 };
-    let mut channels: Vec<(&str, i32)> = job
+    let mut channels: Vec<(String, i32)> = job
         .image
         .channels()
         .into_iter()
         .enumerate()
-        .map(|(plane, name)| (name, if plane < 4 { color } else { 2 }))
+        .map(|(plane, name)| (name.into_owned(), if plane < job.image.light_channels() { color } else { 2 }))
         .collect();
     channels.sort_unstable();
     let mut list: Vec<u8> = channels

@@ -101,6 +101,28 @@ export async function exposure_and_layers_change_what_is_seen() {
   await until('the color again', async () => (await first()) === color);
 }
 
+export async function a_light_group_is_a_layer_that_an_exposure_brightens() {
+  await start();
+  const lights = [{ directional: { direction: [1, 2, 1], group: 'key' } }, { directional: { direction: [-1, 2, 1], color: [0, 0, 1] } }];
+  const job = await farm.render(smallJob('groups', { scene: { integrator: { path: {} }, lights }, image: { format: 'exr', light_groups: ['key'] } }));
+  const page = await open(farm, `#/jobs/${job.id}`);
+  await inRoom(page, 'groups');
+  await shown(page);
+  const layers = page.getByLabel('Layer');
+  await until('the layers', async () => (await layers.locator('option').allTextContents()).join(' ') === 'color light.key light.rest');
+  const first = () => page.evaluate(() => document.querySelector('canvas.viewer-picture').toDataURL());
+  const color = await first();
+  await layers.selectOption('light.key');
+  await until('the light of the group', async () => (await first()) !== color);
+  const key = await first();
+  await layers.selectOption('light.rest');
+  await until('all other light', async () => ![color, key].includes(await first()));
+  await layers.selectOption('light.key');
+  await until('the light of the group again', async () => (await first()) === key);
+  await page.getByLabel('Exposure in stops').fill('2');
+  await until('more light', async () => (await first()) !== key);
+}
+
 export async function exposure_of_a_png_multiplies_its_light() {
   const job = await finished();
   const page = await open(farm, `#/jobs/${job.id}`);

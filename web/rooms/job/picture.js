@@ -125,7 +125,7 @@ export class Picture extends EventTarget {
     }
     const isExr = this.#view.file?.endsWith('.exr') ?? false;
     if (this.#layers !== null && (isExr || this.#layer !== 'color')) {
-      return { path: `${base}/layers/${this.#layer}`, query: { width, ...(this.#layer === 'color' && this.#stops !== 0 ? { exposure: this.#stops } : {}) }, isWhole: this.#layer !== 'color' || isExr };
+      return { path: `${base}/layers/${this.#layer}`, query: { width, ...(isOfLight(this.#layer) && this.#stops !== 0 ? { exposure: this.#stops } : {}) }, isWhole: this.#layer !== 'color' || isExr };
     }
     return isExr ? { path: `${base}/thumbnail`, query: { width }, isWhole: false } : { path: `${base}/image`, query: {}, isWhole: false };
   }
@@ -199,7 +199,7 @@ export class Picture extends EventTarget {
   /** @param {string} layer */
   setLayer(layer) {
     this.#layer = layer;
-    this.exposure.disabled = layer !== 'color';
+    this.exposure.disabled = !isOfLight(layer);
     void this.#load();
   }
 
@@ -299,6 +299,14 @@ function candidate(job) {
   const picture = h('span', { class: 'picture' });
   showThumbnail(picture, thumbnailPath(job));
   return h('button', { type: 'submit', value: job.id, class: 'candidate' }, picture, h('span', { class: 'ellipsis' }, job.name), h('span', { class: 'muted small' }, ago(job.created_at)));
+}
+
+/**
+ * Whether a layer has colors of light, which an exposure brightens.
+ * @param {string} layer
+ */
+function isOfLight(layer) {
+  return layer === 'color' || layer === 'noisy' || layer.startsWith('light.');
 }
 
 /**

@@ -27,6 +27,8 @@ struct Pixel {
     /// Sums of the samples of all rounds but the last, and of all.
     before: Sums,
     sum: Sums,
+    /// Sums of the parts of light.
+    parts: Vec<f32>,
 }
 
 impl Band<'_, '_> {
@@ -67,7 +69,14 @@ impl Band<'_, '_> {
         let end = self.width.min(column + columns(lanes));
         let block = |left: usize| {
             let pixels = (0..self.rows()).flat_map(|y| (left..end.min(left + EDGE)).map(move |x| (x, y)));
-            let pixels = pixels.map(|(x, y)| Pixel { x, y, before: [0.0; CHANNELS], sum: [0.0; CHANNELS] });
+            let pixel = |(x, y)| Pixel {
+                x,
+                y,
+                before: [0.0; CHANNELS],
+                sum: [0.0; CHANNELS],
+                parts: vec![0.0; self.sum_channels - CHANNELS],
+            };
+            let pixels = pixels.map(pixel);
             Block { pixels: pixels.collect(), samples: 0 }
         };
         (column..end).step_by(EDGE).map(block).collect()
@@ -82,13 +91,14 @@ impl Band<'_, '_> {
         instant: usize,
         packet: &mut [&mut Pixel],
     ) {
-        let mut arguments = vec![0.0; 8 * lanes];
-        let mut sums = vec![0.0; CHANNELS * lanes];
+        let mut arguments = vec![0.0; (4 + self.sum_channels) * lanes];
+        let mut sums = vec![0.0; self.sum_channels * lanes];
         for lane in 0..lanes {
             // Lanes beyond the last pixel repeat it.
             let pixel = &packet[lane.min(packet.len() - 1)];
             let [x, y] = self.position(pixel);
-            let numbers = [x, y, first as f32, end as f32].into_iter().chain(pixel.sum);
+            let sums = pixel.sum.iter().chain(&pixel.parts).copied();
+            let numbers = [x, y, first as f32, end as f32].into_iter().chain(sums);
             for (row, number) in numbers.enumerate() {
                 arguments[row * lanes + lane] = number;
             }
@@ -96,6 +106,8 @@ impl Band<'_, '_> {
         thread.run(instant, ACCUMULATE, self.cancel, &arguments, &mut sums);
         for (lane, pixel) in packet.iter_mut().enumerate() {
             pixel.sum = std::array::from_fn(|channel| sums[channel * lanes + lane]);
+            let parts = sums[CHANNELS * lanes..].iter().skip(lane).step_by(lanes);
+            pixel.parts.iter_mut().zip(parts).for_each(|(to, sum)| *to = *sum);
         }
     }
 
@@ -104,7 +116,7 @@ impl Band<'_, '_> {
         let pixels: Vec<(&Pixel, u32)> =
             blocks.iter().flat_map(|block| block.pixels.iter().map(|pixel| (pixel, block.samples))).collect();
         for packet in pixels.chunks(lanes) {
-            let mut layers = vec![0.0; (self.planes.len() - CHANNELS) * lanes];
+            let mut layers = vec![0.0; (self.planes.len() - self.sum_channels) * lanes];
             if !layers.is_empty() {
                 let mut arguments = vec![0.0; 2 * lanes];
                 for lane in 0..lanes {
@@ -115,9 +127,9 @@ impl Band<'_, '_> {
             }
             for (lane, &(pixel, samples)) in packet.iter().enumerate() {
                 let place = pixel.y * self.width + pixel.x;
-                let color = mean(samples, pixel.sum).into_iter();
+                let light = pixel.sum.iter().chain(&pixel.parts).map(|&sum| mean(samples, sum));
                 let layers = layers.iter().skip(lane).step_by(lanes).copied();
-                for (plane, value) in self.planes.iter_mut().zip(color.chain(layers)) {
+                for (plane, value) in self.planes.iter_mut().zip(light.chain(layers)) {
                     // A file must not distinguish zeros by their sign.
                     plane[place] = value + 0.0;
                 }

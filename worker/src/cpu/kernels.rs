@@ -4,14 +4,13 @@
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
-use scene::integrator::Radiance;
-use scene::real::{Real, Table, vec3};
+use scene::real::Table;
 use scene::visits::Visits;
 use scene::{Exposure, Image, Integrator, JobAtFrame};
 
 use super::evaluator::{Evaluator, Frame, Inputs};
 use crate::cells::{FastBuilder, KnownCells};
-use crate::picture_tape::{ACCUMULATE, LAYERS, MEAN, channels, layer_channels, record_entries, record_picture};
+use crate::picture_tape::{ACCUMULATE, LAYERS, MEAN, layer_channels, record_entries, record_picture};
 use crate::recent::{self, Recent};
 use crate::tape::Tape;
 use crate::{RenderError, Simd};
@@ -192,16 +191,11 @@ impl Thread<'_> {
 
 /// The same entries without a tape.
 fn reference(program: &Integrator<'_>, image: &Image, entry: &str, arguments: &[f32]) -> Vec<f32> {
-    let sum = |parts: &[f32]| Radiance {
-        color: vec3(parts[0], parts[1], parts[2]),
-        alpha: parts[3],
-        evaluations: parts[3].constant(0.0),
-    };
     match (entry, arguments) {
-        (ACCUMULATE, &[x, y, first, end, ..]) => {
-            channels(program.accumulate(x, y, first, end, sum(&arguments[4..]))).to_vec()
+        (ACCUMULATE, &[x, y, first, end, ref sum @ ..]) => {
+            program.accumulate(x, y, first, end, program.sum_of_channels(sum)).channels()
         }
-        (MEAN, all) => channels(program.mean(sum(all))).to_vec(),
+        (MEAN, sum) => program.mean(program.sum_of_channels(sum)).channels(),
         (LAYERS, &[x, y]) => layer_channels(program, image, x, y),
         _ => panic!("{entry} has other arguments"),
     }

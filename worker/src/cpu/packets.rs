@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use super::blocks;
 use super::kernels::{Kernel, Thread};
 use crate::picture_tape::{ACCUMULATE, LAYERS, MEAN};
-use crate::rounds::{CHANNELS, Rounds};
+use crate::rounds::Rounds;
 
 /// Samples of a packet's pixels that are summed between two reports of progress.
 pub(super) const SAMPLES_PER_RUN: u32 = 64;
@@ -27,6 +27,8 @@ pub(super) struct Band<'a, 'b> {
     pub(super) top: u32,
     pub(super) width: usize,
     pub(super) planes: Vec<&'b mut [f32]>,
+    /// Number of planes of light, see [`scene::Image::sum_channels`].
+    pub(super) sum_channels: usize,
     pub(super) progress: Progress<'a>,
     pub(super) cancel: &'a AtomicBool,
 }
@@ -78,14 +80,14 @@ impl Band<'_, '_> {
 
     /// Renders the block that starts in `column` of the band.
     fn packet(&mut self, thread: &mut Thread<'_>, lanes: usize, column: usize) {
-        let mut arguments = vec![0.0; 8 * lanes];
+        let mut arguments = vec![0.0; (4 + self.sum_channels) * lanes];
         for lane in 0..lanes {
             let (x, y) = self.lane_position(lanes, column, lane);
             arguments[lane] = (self.left as usize + x) as f32;
             arguments[lanes + lane] = (self.top as usize + y) as f32;
         }
         let mut channels = vec![0.0; self.planes.len() * lanes];
-        let (color, layers) = channels.split_at_mut(CHANNELS * lanes);
+        let (color, layers) = channels.split_at_mut(self.sum_channels * lanes);
         self.radiance(thread, lanes, column, &mut arguments, color);
         if !layers.is_empty() {
             thread.run(self.last_instant(), LAYERS, self.cancel, &arguments[..2 * lanes], layers);

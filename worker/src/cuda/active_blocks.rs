@@ -15,6 +15,8 @@ pub(super) struct FinishedTile {
     tile: Rect,
     /// The number of samples of each block, row by row; 0 while the block is active.
     counts: Vec<u32>,
+    /// Number of planes of sums, which come first.
+    sum_channels: usize,
     /// Planes that the host writes, with their numbers.
     extras: Vec<(usize, Vec<f32>)>,
 }
@@ -48,9 +50,10 @@ impl FinishedTile {
     pub(super) fn finish(&self, planes: &mut [Vec<f32>]) {
         for (block, &count) in self.counts.iter().enumerate() {
             for pixel in self.pixels(block as u32) {
-                let color = mean(count, std::array::from_fn(|channel| planes[channel][pixel]));
-                // A file must not distinguish zeros by their sign.
-                planes.iter_mut().zip(color).for_each(|(plane, value)| plane[pixel] = value + 0.0);
+                for plane in &mut planes[..self.sum_channels] {
+                    // A file must not distinguish zeros by their sign.
+                    plane[pixel] = mean(count, plane[pixel]) + 0.0;
+                }
             }
         }
         for (plane, numbers) in &self.extras {
@@ -85,7 +88,8 @@ impl<'a> ActiveBlocks<'a> {
             let count = width.div_ceil(BLOCK_PX) * height.div_ceil(BLOCK_PX);
             let extra = |(plane, _)| (plane, vec![0.0; piece.tile.pixels() as usize]);
             let extras = rules.extras(2, [0.0; CHANNELS], [0.0; CHANNELS]).map(extra).collect();
-            (piece, FinishedTile { tile: piece.tile, counts: vec![0; count as usize], extras })
+            let (counts, sum_channels) = (vec![0; count as usize], rules.sum_channels());
+            (piece, FinishedTile { tile: piece.tile, counts, sum_channels, extras })
         };
         let tiles: Vec<_> = launches::whole(tiles, planes).into_iter().map(of_tile).collect();
         let before = tiles.iter().map(|(piece, _)| vec![0.0; CHANNELS * piece.tile.pixels() as usize]).collect();
@@ -143,7 +147,7 @@ mod tests {
 
     #[test]
     fn blocks_of_a_row_are_joined() {
-        let mut blocks = FinishedTile { tile: TILE, counts: vec![0; 15], extras: Vec::new() };
+        let mut blocks = FinishedTile { tile: TILE, counts: vec![0; 15], sum_channels: CHANNELS, extras: Vec::new() };
         assert_eq!(blocks.rects(), [TILE]);
         for done in [2, 5, 6, 7, 8, 9, 10] {
             blocks.counts[done] = 16;
@@ -179,7 +183,8 @@ mod tests {
         let mut planes = vec![vec![8.0; pixels]; channels];
         finished.finish(&mut planes);
         let last = pixels - 1;
-        let samples = image.samples_plane().expect("it has the layer");
+        let [samples, _] = image.samples_planes();
+        let samples = samples.expect("it has the layer");
         assert_eq!((planes[0][0], planes[samples][0]), (1.0, 8.0));
         assert_eq!((planes[3][last], planes[samples][last]), (2.0, 4.0));
         // The means of the first pixel's halves are (2 + 2 + 2)/3/4 and (7 + 2 + 2)/3/4.

@@ -23,8 +23,8 @@ INLINE_FN unsigned word_of_row(unsigned row, unsigned place) { return __ldg(tabl
 __device__ unsigned* asked;
 INLINE_FN unsigned fetch_or(unsigned* word, unsigned bits) { return atomicOr(word, bits); }
 INLINE_FN unsigned fetch_add(unsigned* word, unsigned by) { return atomicAdd(word, by); }
-// Copies of a loop's body cost more than the loop.
-#define LISTS_LOOP _Pragma("unroll 1")
+// Copies of a loop's body may cost more than the loop.
+#define ONE_COPY _Pragma("unroll 1")
 #define UNROLL _Pragma("unroll")
 
 INLINE_FN unsigned bits_of(float x) { return __float_as_uint(x); }
@@ -58,11 +58,9 @@ INLINE_FN float floor_f(float x) { return floorf(x); }
 
 INLINE_FN float from_lane(float x, unsigned lane) { return __shfl_sync(~0u, x, lane); }
 
+// The threads that are together here, and how many of them meet a condition.
 INLINE_FN unsigned threads_together() { return __activemask(); }
-INLINE_FN bool many_go_on(unsigned began, unsigned one_of, bool goes_on) {
-    const unsigned left = __popc(__ballot_sync(began, goes_on));
-    return left != 0 && one_of * left >= __popc(began);
-}
+INLINE_FN unsigned count_of(unsigned threads, bool condition) { return __popc(__ballot_sync(threads, condition)); }
 
 #else
 
@@ -85,7 +83,7 @@ INLINE_FN unsigned word_of_row(unsigned row, unsigned place) { return table[row 
 static unsigned* asked;
 INLINE_FN unsigned fetch_or(unsigned* word, unsigned bits) { const unsigned old = *word; *word |= bits; return old; }
 INLINE_FN unsigned fetch_add(unsigned* word, unsigned by) { const unsigned old = *word; *word += by; return old; }
-#define LISTS_LOOP
+#define ONE_COPY
 #define UNROLL
 INLINE_FN unsigned bits_of(float x) { unsigned bits; memcpy(&bits, &x, 4); return bits; }
 INLINE_FN float float_from_bits(unsigned bits) { float x; memcpy(&x, &bits, 4); return x; }
@@ -97,13 +95,12 @@ INLINE_FN float max_f(float a, float b) { return a < b ? b : a; }
 INLINE_FN float abs_f(float x) { return fabsf(x); }
 INLINE_FN float floor_f(float x) { return floorf(x); }
 
-INLINE_FN unsigned threads_together() { return 1u; }
-INLINE_FN bool many_go_on(unsigned, unsigned, bool goes_on) { return goes_on; }
-
 // A thread of the host has no warp: it renders all samples of its pixel.
 #undef TOGETHER
 #define TOGETHER 1u
 INLINE_FN float from_lane(float x, unsigned) { return x; }
+INLINE_FN unsigned threads_together() { return 1u; }
+INLINE_FN unsigned count_of(unsigned, bool condition) { return condition; }
 
 #endif
 
@@ -123,14 +120,6 @@ NOINLINE_FN unsigned made_word(unsigned missing, unsigned index_mask, unsigned l
     }
     return stand_in;
 }
-
-// A loop of the threads of a warp that began it together. It pauses when less than one of so many of them goes on, so that
-// the others need not wait.
-struct Pausing {
-    unsigned began = threads_together(), turns = 0u;
-    bool goes_on = true;
-    INLINE_METHOD bool many(unsigned one_of) const { return many_go_on(began, one_of, goes_on); }
-};
 
 // ---- the picture ----
 
@@ -184,56 +173,57 @@ INLINE_FN Pixel pixel_of(const Tile* tiles, unsigned tile_count, const Blocks& b
     return pixel;
 }
 
-INLINE_FN accumulate_result of_lane(const accumulate_result& x, unsigned lane) {
-    return { from_lane(x.f0, lane), from_lane(x.f1, lane), from_lane(x.f2, lane), from_lane(x.f3, lane) };
+struct Sum {
+    float red, green, blue, alpha;
+#ifdef PART_PLANES
+    // Light by light groups and by brightness.
+    float parts[PART_PLANES];
+#endif
+};
+
+INLINE_FN Sum operator+(const Sum& a, const Sum& b) {
+    Sum sum = { a.red + b.red, a.green + b.green, a.blue + b.blue, a.alpha + b.alpha };
+#ifdef PART_PLANES
+    UNROLL for (unsigned plane = 0; plane < PART_PLANES; ++plane) sum.parts[plane] = a.parts[plane] + b.parts[plane];
+#endif
+    return sum;
 }
 
-// Adds the samples from `first` until before `end` to the sums in `out` (0 if `first` is 0).
-//
-// Neighboring threads render TOGETHER samples of a pixel, because these take similar branches: a power of two up to 32
-// that divides the number of samples. Each of them adds all samples in their order.
-extern "C" __global__ void render(const Tile* __restrict__ tiles, unsigned tile_count, Blocks blocks, float first,
-                                  float end, unsigned is_last, float* __restrict__ out) {
-    const unsigned own = threadIdx.x % TOGETHER;
-    const Pixel pixel = pixel_of(tiles, tile_count, blocks, threadIdx.x / TOGETHER);
-    if (TOGETHER == 1u && !pixel.is_inside) return;
+// The sum of a pixel's samples before `first`.
+INLINE_FN Sum sum_before(float first, const Pixel& pixel, const float* out) {
+    if (first == 0.0f) return { 0.0f, 0.0f, 0.0f, 0.0f };
+    const float* red = out + pixel.offset;
+    Sum sum = { *red, red[pixel.stride], red[2 * pixel.stride], red[3 * pixel.stride] };
+#ifdef PART_PLANES
+    UNROLL for (unsigned plane = 0; plane < PART_PLANES; ++plane) sum.parts[plane] = red[(4 + plane) * pixel.stride];
+#endif
+    return sum;
+}
+
+// Writes a pixel's sum, or its mean if that was the last of its samples.
+INLINE_FN void write_sum(Sum sum, unsigned is_last, const Pixel& pixel, float* out) {
+    if (is_last) {
+        const mean_result mean = step_mean(sum.red, sum.green, sum.blue, sum.alpha PARTS_OF(sum));
+        // A file must not distinguish zeros by their sign.
+        sum = { mean.f0 + 0.0f, mean.f1 + 0.0f, mean.f2 + 0.0f, mean.f3 + 0.0f PARTS_FROM(mean, + 0.0f) };
+    }
     float* red = out + pixel.offset;
-    float* green = red + pixel.stride;
-    float* blue = green + pixel.stride;
-    float* alpha = blue + pixel.stride;
-    accumulate_result sum = { 0.0f, 0.0f, 0.0f, 0.0f };
-    if (first != 0.0f && pixel.is_inside) sum = { *red, *green, *blue, *alpha };
-    for (float sample = first + (float)own; sample < end; sample += (float)TOGETHER) {
-        accumulate_result some = { 0.0f, 0.0f, 0.0f, 0.0f };
-        if (pixel.is_inside) some = step_accumulate(pixel.x, pixel.y, sample, sample + 1.0f, 0.0f, 0.0f, 0.0f, 0.0f);
-        UNROLL for (unsigned k = 0; k < TOGETHER; ++k) {
-            const accumulate_result added = TOGETHER == 1u ? some : of_lane(some, threadIdx.x % 32u - own + k);
-            sum = { sum.f0 + added.f0, sum.f1 + added.f1, sum.f2 + added.f2, sum.f3 + added.f3 };
-        }
-    }
-    if (!pixel.is_inside || own != 0u) return;
-    if (!is_last) {
-        *red = sum.f0;
-        *green = sum.f1;
-        *blue = sum.f2;
-        *alpha = sum.f3;
-        return;
-    }
-    const mean_result mean = step_mean(sum.f0, sum.f1, sum.f2, sum.f3);
-    // A file must not distinguish zeros by their sign.
-    *red = mean.f0 + 0.0f;
-    *green = mean.f1 + 0.0f;
-    *blue = mean.f2 + 0.0f;
-    *alpha = mean.f3 + 0.0f;
+    *red = sum.red;
+    red[pixel.stride] = sum.green;
+    red[2 * pixel.stride] = sum.blue;
+    red[3 * pixel.stride] = sum.alpha;
+#ifdef PART_PLANES
+    UNROLL for (unsigned plane = 0; plane < PART_PLANES; ++plane) red[(4 + plane) * pixel.stride] = sum.parts[plane];
+#endif
 }
 
 #ifdef AOV_PLANES
-// Writes the layers' planes, after the color's.
+// Writes the layers' planes, after those of light.
 extern "C" __global__ void layers(const Tile* __restrict__ tiles, unsigned tile_count, Blocks blocks,
                                   float* __restrict__ out) {
     const Pixel pixel = pixel_of(tiles, tile_count, blocks, threadIdx.x);
     if (!pixel.is_inside) return;
     const layers_result seen = step_layers(pixel.x, pixel.y);
-    write_layers(seen, out + pixel.offset + 4 * pixel.stride, pixel.stride);
+    write_layers(seen, out + pixel.offset + LIGHT_PLANES * pixel.stride, pixel.stride);
 }
 #endif

@@ -8,14 +8,18 @@ use scene::cells::{BLOCK_CELLS, BOX_LEVELS, BOX_NUMBERS, Division, ROUNDING};
 use scene::real::list::{IS_LAST, IS_UNARY, NO_LEAF, ROW_BITS, ROW_MASK};
 use scene::real::{INDEX_BITS, Table};
 use scene::transport::Transport;
-use scene::{Exposure, Image, JobAtFrame};
+use scene::{Exposure, Image, Integrator, JobAtFrame};
 
 use super::launches::BLOCK_GROUP;
+use super::paths::{self, PathSource};
 use crate::cells::FastBuilder;
-use crate::picture_tape::record_picture;
-use crate::tape::InvalidTape;
+use crate::picture_tape::{accumulate, finish};
+use crate::tape::{InvalidTape, record};
 
 const KERNEL_TEMPLATE: &str = include_str!("kernel.cu");
+/// The kernel that renders: sample by sample, or paths in loops of its own.
+const SAMPLES: &str = include_str!("samples.cu");
+const PATHS: &str = include_str!("paths.cu");
 const CELLS: &str = include_str!("cells.cu");
 const MEASURE: &str = include_str!("measure.cu");
 const DIVIDE: &str = include_str!("divide.cu");
@@ -84,18 +88,31 @@ impl KernelSource {
         builder: FastBuilder,
     ) -> Result<Self, InvalidTape> {
         let image = still.image();
-        let tape = record_picture(still, builder);
+        let integrator = Integrator::of_picture(still, &builder);
+        let mut of_paths = None;
+        let tape = record(|recording| {
+            of_paths = paths::record_steps(recording, &integrator, image.sum_channels());
+            if of_paths.is_none() {
+                accumulate(recording, &integrator, image);
+            }
+            finish(recording, &integrator, image);
+        });
         let steps = tape.to_c()?;
         let (before, after) =
             KERNEL_TEMPLATE.split_once(INSERTION_POINT).expect("kernel.cu has a place for the picture");
         let numbers = tape.uniforms().len().max(1);
         let (has_layers, write_layers) = layers(image);
+        let parts = parts_of_light(image);
         let division = tape.table().and_then(|table| table.division());
         let (has_table, measure) = division.map(|_| (cell_constants(), [CELLS, MEASURE].concat())).unwrap_or_default();
+        let (sizes, render) = match of_paths {
+            Some(PathSource { sizes, functions }) => (sizes, functions + PATHS),
+            None => (String::new(), SAMPLES.to_owned()),
+        };
         Ok(Self {
             text: format!(
                 "#define UNIFORM_COUNT {numbers}\n#define TOGETHER {together}u\n#define BLOCK_GROUP {BLOCK_GROUP}u\n\
-                {has_table}{has_layers}{before}{}{write_layers}{after}{measure}",
+                {sizes}{has_table}{parts}{has_layers}{before}{}{write_layers}{after}{render}{measure}",
                 steps.code
             )
             .into(),
@@ -156,10 +173,29 @@ fn cell_constants() -> String {
     defines
 }
 
+/// The number of planes of light, and what its parts, by light groups and by brightness, add to lists of a sum's numbers.
+fn parts_of_light(image: &Image) -> String {
+    let planes = image.sum_channels();
+    if planes == 4 {
+        return format!("#define LIGHT_PLANES {planes}\n#define PARTS_OF(sum)\n#define PARTS_FROM(result, after)\n");
+    }
+    let (mut given, mut taken) = (String::new(), Vec::new());
+    for plane in 4..planes {
+        let _ = write!(given, ", (sum).parts[{}]", plane - 4);
+        taken.push(format!("(result).f{plane} after"));
+    }
+    format!(
+        "#define LIGHT_PLANES {planes}\n#define PART_PLANES {}\n#define PARTS_OF(sum) {given}\n\
+        #define PARTS_FROM(result, after) , {{ {} }}\n",
+        planes - 4,
+        taken.join(", ")
+    )
+}
+
 /// Source before and after the steps if the job requests layers: the define that enables them, and the function
 /// that writes them.
 fn layers(image: &Image) -> (String, String) {
-    let count = image.rendered_channels().len() - 4;
+    let count = image.rendered_channels().len() - image.sum_channels();
     if count == 0 {
         return (String::new(), String::new());
     }

@@ -1,4 +1,4 @@
-//! EXR: scene-linear, premultiplied, half or float, layers always float; scan lines in blocks of 16, each
+//! EXR: scene-linear, premultiplied, light half or float, other layers always float; scan lines in blocks of 16, each
 //! compressed separately (ZIP).
 //!
 //! Written block by block through the crate's low-level API, so that the whole picture is never in memory. No
@@ -119,24 +119,23 @@ fn pull(
 }
 
 /// Planes in the order of the file: by name.
-struct Channels(Vec<Channel>);
+struct Channels<'a>(Vec<Channel<'a>>);
 
-struct Channel {
-    name: &'static str,
+struct Channel<'a> {
+    name: &'a str,
     plane: usize,
     sample: SampleType,
 }
 
-impl Channels {
-    fn new(picture: &PictureSpec) -> Self {
+impl<'a> Channels<'a> {
+    fn new(picture: &'a PictureSpec) -> Self {
         let color = match picture.precision {
             Precision::Half => SampleType::F16,
             Precision::Float => SampleType::F32,
         };
         let planes = picture.channels.iter().enumerate();
-        let mut channels: Vec<_> = planes
-            .map(|(plane, &name)| Channel { name, plane, sample: if plane < 4 { color } else { SampleType::F32 } })
-            .collect();
+        let sample = |plane: usize| if plane < picture.light_channels { color } else { SampleType::F32 };
+        let mut channels: Vec<_> = planes.map(|(plane, name)| Channel { name, plane, sample: sample(plane) }).collect();
         channels.sort_by_key(|channel| channel.name);
         Self(channels)
     }

@@ -252,7 +252,7 @@ impl StoredPicture {
 }
 
 /// Name, kind and plane of each channel of a picture's file, in their order.
-fn layout(picture: &PictureSpec) -> Vec<(&'static str, ValueKind, usize)> {
+fn layout(picture: &PictureSpec) -> Vec<(&str, ValueKind, usize)> {
     match picture.format {
         Format::Png => {
             let kind = match picture.bits {
@@ -268,8 +268,8 @@ fn layout(picture: &PictureSpec) -> Vec<(&'static str, ValueKind, usize)> {
                 Precision::Float => ValueKind::Float,
             };
             let planes = picture.channels.iter().zip(0..);
-            let mut channels: Vec<_> =
-                planes.map(|(&name, plane)| (name, if plane < 4 { color } else { ValueKind::Float }, plane)).collect();
+            let kind = |plane: usize| if plane < picture.light_channels { color } else { ValueKind::Float };
+            let mut channels: Vec<_> = planes.map(|(name, plane)| (&**name, kind(plane), plane)).collect();
             channels.sort_by_key(|(name, ..)| *name);
             channels
         }

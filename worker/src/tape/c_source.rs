@@ -9,10 +9,6 @@ use super::source::{FunctionParts, Language, Source};
 use super::verify::InvalidTape;
 use super::{Operation, Tape, ValueType};
 
-/// A loop that may pause does so when less than one of this many threads is left. On an H200, pauses at a quarter as on CPUs,
-/// see [`super::PAUSE`], were slower than at an eighth: code that few threads run costs more there.
-const PAUSE: u32 = 8;
-
 /// Whether a condition is one or a packet of them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Conditions {
@@ -54,22 +50,12 @@ impl Language for Conditions {
         format!("{} {name} = {value};", self.type_name(kind))
     }
 
-    fn counted_loop(&self, limit: u32, pauses: bool) -> String {
-        if pauses {
-            format!(
-                "for (Pausing here; here.turns < {limit}u && here.many({PAUSE}u); ++here.turns) if (here.goes_on) {{"
-            )
-        } else {
-            format!("for (unsigned i = 0; i < {limit}u; ++i) {{")
-        }
-    }
-
-    fn go_on_if(&self, condition: &str, pauses: bool) -> String {
-        if pauses { format!("here.goes_on = {condition};") } else { self.break_if(&format!("!{condition}")) }
+    fn counted_loop(&self, limit: u32) -> String {
+        format!("for (unsigned i = 0; i < {limit}u; ++i) {{")
     }
 
     fn list_loop(&self, list: &str, words: u32) -> String {
-        format!("LISTS_LOOP for (unsigned at = {list};; at += {words}u) {{")
+        format!("ONE_COPY for (unsigned at = {list};; at += {words}u) {{")
     }
 
     fn break_if(&self, condition: &str) -> String {

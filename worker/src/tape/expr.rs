@@ -36,6 +36,18 @@ fn literal(value: f32) -> Expr {
     number(Operation::Constant(value.to_bits()), &[])
 }
 
+impl Expr {
+    /// A number that is known.
+    pub(crate) fn literal(value: f32) -> Self {
+        literal(value)
+    }
+
+    /// Whether both are one value of the tape.
+    pub(crate) fn is(self, other: Self) -> bool {
+        self.0 == other.0
+    }
+}
+
 macro_rules! number_operators {
     ($($Op:ident $op:ident $Operation:ident),*) => { $(
         impl $Op for Expr {

@@ -67,8 +67,14 @@ pub fn record(formulas: impl FnOnce(&Recording)) -> Tape {
 impl Recording {
     /// Records a function that the surrounding source calls.
     pub fn entry<const N: usize>(&self, name: &'static str, formula: impl FnOnce([Expr; N]) -> Vec<Expr>) {
+        let formula = |all: Vec<Expr>| formula(all.try_into().expect("it has as many arguments as were asked for"));
+        self.entry_of(name, N, formula);
+    }
+
+    /// Records a function of this many arguments.
+    pub fn entry_of(&self, name: &'static str, arguments: usize, formula: impl FnOnce(Vec<Expr>) -> Vec<Expr>) {
         begin();
-        let arguments = std::array::from_fn(|_| Expr(argument(ValueType::F32)));
+        let arguments = (0..arguments).map(|_| Expr(argument(ValueType::F32))).collect();
         let results = formula(arguments).into_iter().map(|number| number.0).collect();
         end(name, results, true);
     }

@@ -41,11 +41,8 @@ pub(super) trait Language {
     /// Statement that defines a variable.
     fn variable(&self, kind: ValueType, name: &str, value: &str) -> String;
 
-    /// Beginning of a loop that runs at most this often, and may pause where few threads go on if it `pauses`.
-    fn counted_loop(&self, limit: u32, pauses: bool) -> String;
-
-    /// Last statement of such a loop: whether this thread goes on.
-    fn go_on_if(&self, condition: &str, pauses: bool) -> String;
+    /// Beginning of a loop that runs at most this often.
+    fn counted_loop(&self, limit: u32) -> String;
 
     /// Beginning of a loop over the operations of a list, `words` each, in the variable `at`.
     fn list_loop(&self, list: &str, words: u32) -> String;
@@ -239,18 +236,18 @@ impl Printer<'_> {
                 self.assign(depth + 1, &live, Vec::new());
                 self.line(depth, "}");
             }
-            Statement::Repeat { limit, pauses, variables, start, body, next, again } => {
+            Statement::Repeat { limit, pauses: _, variables, start, body, next, again } => {
                 let live = self.live.assignments(variables, start, next);
                 if live.is_empty() {
                     return;
                 }
                 self.declare(depth, &live);
-                self.line(depth, &self.language.counted_loop(*limit, *pauses));
+                self.line(depth, &self.language.counted_loop(*limit));
                 self.block(body, depth + 1);
                 let mut copied = Vec::new();
                 let again = self.copied_operand(depth + 1, *again, variables, &mut copied);
                 self.assign(depth + 1, &live, copied);
-                self.line(depth + 1, &self.language.go_on_if(&again, *pauses));
+                self.line(depth + 1, &self.language.break_if(&format!("!{again}")));
                 self.line(depth, "}");
             }
         }

@@ -50,16 +50,12 @@ impl Language for Wgsl {
         format!("var {name}: {} = {value};", self.type_name(kind))
     }
 
-    fn counted_loop(&self, limit: u32, _: bool) -> String {
+    fn counted_loop(&self, limit: u32) -> String {
         format!("for (var i = 0u; i < {limit}u; i++) {{")
     }
 
     fn list_loop(&self, list: &str, words: u32) -> String {
         format!("for (var at: u32 = {list};; at += {words}u) {{")
-    }
-
-    fn go_on_if(&self, condition: &str, _: bool) -> String {
-        self.break_if(&format!("!{condition}"))
     }
 
     fn break_if(&self, condition: &str) -> String {

@@ -80,10 +80,19 @@ pub(crate) fn jobs() -> Vec<Value> {
     scenes.extend(shapes().iter().map(|shape| scene(shape, &gray(), &sun(), &gradient())));
     scenes.push(named_shapes());
     scenes.extend(moving());
-    [plain(), png(), graded(), ungraded(), layered(), adaptive(), denoised(), with_motion(), with_mattes()]
-        .into_iter()
-        .chain(scenes.iter().map(job))
-        .collect()
+    let images = [
+        plain(),
+        png(),
+        graded(),
+        ungraded(),
+        layered(),
+        adaptive(),
+        denoised(),
+        reweighted(),
+        with_motion(),
+        with_mattes(),
+    ];
+    images.into_iter().chain(with_light_groups()).chain(scenes.iter().map(job)).collect()
 }
 
 /// A PNG whose colors are too bright for it.
@@ -132,6 +141,18 @@ fn denoised() -> Value {
     job
 }
 
+/// A picture of paths whose fireflies are reweighted: few samples meet a small lamp before the ball.
+fn reweighted() -> Value {
+    let lamp =
+        json!({ "sphere": { "position": [0.8, 0.7, 1.5], "radius": 0.04, "color": [4, 4, 4], "visible": true } });
+    let mut job = adaptive();
+    job["scene"]["lights"] = json!([lamp]);
+    job["scene"]["integrator"] = json!({ "path": { "max_bounces": 2 } });
+    job["image"]["samples"] = json!(16);
+    job["image"]["reweight_fireflies"] = json!(true);
+    job
+}
+
 /// A picture with the way of each point until the next frame.
 fn with_motion() -> Value {
     let shape = json!({ "translate": { "by": [{ "keys": [[0, 0], [2, 0.5]] }, 0.1, 0], "child": ball() } });
@@ -146,6 +167,31 @@ fn with_mattes() -> Value {
     job["image"]["layers"] = json!(["crypto_object", "crypto_material"]);
     job["scene"]["objects"][0]["name"] = json!("ball");
     job
+}
+
+/// Pictures with the light of some groups, to which each kind of light and an object belong.
+fn with_light_groups() -> [Value; 2] {
+    let day = json!({ "day": { "sun": [0.5, 0.4, 0.3] } });
+    let lights = json!([
+        { "directional": { "direction": [0.6, 0.7, 0.5], "group": "key" } },
+        { "point": { "position": [1, 2, 2], "color": [4, 4, 4], "group": "used" } },
+        { "point": { "position": [-1, 2, 2], "color": [4, 3, 4], "group": "key" } },
+        { "spot": { "position": [1, 2, 2], "direction": [-1, -2, -2], "angle": 60, "color": [4, 4, 4], "group": "key" } },
+        { "sphere": { "position": [2, 3, 1.3], "radius": 0.3, "color": [4, 4, 4], "group": "key" } },
+        { "rectangle": { "position": [0.2, 3, 2], "direction": [-0.2, -3, -2], "width": 0.9, "height": 0.6, "color": [4, 4, 4], "group": "key" } },
+        { "disc": { "position": [1, 2, 2], "direction": [-1, -2, -2], "radius": 0.4, "color": [4, 4, 4], "group": "key" } },
+        { "sun": { "group": "key" } },
+        { "sky": { "group": "key" } }
+    ]);
+    let with = |groups: Value| {
+        let mut job = job(&scene(&ball(), &json!({ "flat": { "color": [0.3, 0.2, 0.1] } }), &lights, &day));
+        job["scene"]["integrator"] = json!({ "path": { "max_bounces": 2 } });
+        job["scene"]["objects"][0]["light_group"] = json!("key");
+        job["image"]["samples"] = json!(32);
+        job["image"]["light_groups"] = groups;
+        job
+    };
+    [with(json!(["key", "used"])), with(json!(["key"]))]
 }
 
 /// Cameras, backgrounds, lights, fog and occlusion.
@@ -203,7 +249,19 @@ fn surroundings() -> Vec<Value> {
         add("camera", with(&[("lens", lens)]));
     }
     scenes.extend(seen_by_some());
+    scenes.push(in_the_shadow_of_glass());
     scenes
+}
+
+/// A floor that is lit through glass.
+fn in_the_shadow_of_glass() -> Value {
+    let glass = json!({ "surface": { "base_color": [1, 1, 1], "transmission": 1, "ior": 1.3 } });
+    let light = json!([{ "point": { "position": [0.2, 5, 0.3], "color": [20, 20, 20] } }]);
+    let mut scene = scene(&ball(), &glass, &light, &json!({ "color": [0.1, 0.1, 0.1] }));
+    scene["integrator"] = json!({ "path": { "max_bounces": 2, "straight_shadows": true } });
+    let floor = json!({ "shape": { "plane": { "normal": [0, 1, 0], "offset": -1 } }, "material": gray() });
+    scene["objects"].as_array_mut().expect("a list").push(floor);
+    scene
 }
 
 /// Lenses, focused before the object and behind it.

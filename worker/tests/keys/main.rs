@@ -4,6 +4,7 @@
 mod corpus;
 mod schema;
 
+use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
 use std::io::Cursor;
 use std::sync::Mutex;
@@ -24,7 +25,7 @@ const FRAME: u32 = 1;
 /// Pixels and keys of a job's frame.
 struct Shot {
     /// Bits of every plane, and the names of the planes.
-    pixels: (Vec<&'static str>, Vec<u32>),
+    pixels: (Vec<Cow<'static, str>>, Vec<u32>),
     bytes: Vec<u8>,
     key: String,
     pixels_key: String,

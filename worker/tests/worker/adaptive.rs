@@ -5,7 +5,6 @@ use std::io::Cursor;
 
 use proto::Rect;
 use scene::integrator::Radiance;
-use scene::real::vec3;
 use scene::sample_count::BLOCK_PX;
 use scene::{Integrator, Job, Layer};
 use serde_json::{Value, json};
@@ -53,8 +52,7 @@ fn defined(job: &Job) -> Vec<Vec<f32>> {
         for (round, samples) in exposure.samples().into_iter().enumerate() {
             let before = sums.clone();
             for (sum, &(x, y)) in sums.iter_mut().zip(&block) {
-                let [red, green, blue, alpha] = *sum;
-                let start = Radiance { color: vec3(red, green, blue), alpha, evaluations: 0.0 };
+                let start = integrators[0].sum_of_channels(sum);
                 let sum_of = |sum, (integrator, part): (&Integrator<'_>, &std::ops::Range<u32>)| {
                     integrator.accumulate(x as f32, y as f32, part.start as f32, part.end as f32, sum)
                 };

@@ -19,7 +19,8 @@ use worker::cuda::{Compiler, KernelSource};
 use worker::tape::{Expr, record};
 use worker::{CancelFlag, CpuRenderer, Renderer, Simd, TilePixels, TileRequest};
 
-use crate::shipped::{LAYERS, Shipped, shipped};
+use crate::light_groups;
+use crate::shipped::{LAYERS, Shipped, large, shipped};
 use crate::skip::skip;
 
 /// Scenes compiled in every run of the tests; the long tests compile all.
@@ -78,12 +79,21 @@ INLINE_FN float from_lane(float x, unsigned lane) {
     pthread_barrier_wait(&barrier);
     return other;
 }
+INLINE_FN unsigned threads_together() { return 32u; }
+INLINE_FN unsigned count_of(unsigned threads, bool condition) {
+    numbers_of_lanes[threadIdx.x % 32] = condition ? 1.0f : 0.0f;
+    pthread_barrier_wait(&barrier);
+    unsigned count = 0;
+    for (unsigned lane = 0; lane < threads; ++lane) count += numbers_of_lanes[lane] != 0.0f;
+    pthread_barrier_wait(&barrier);
+    return count;
+}
 ";
 
-/// Runs the threads of a block, four for each pixel, in warps.
+/// Runs the threads of a block, `TOGETHER` for each pixel, in warps.
 const WARP_BLOCK: &str = r"
 template <typename Thread> static void run_block(Thread thread) {
-    for (unsigned first = 0; first < 128; first += 32) {
+    for (unsigned first = 0; first < 32 * TOGETHER; first += 32) {
         pthread_barrier_init(&barrier, nullptr, 32);
         std::vector<std::thread> warp;
         for (unsigned lane = 0; lane < 32; ++lane)
@@ -133,7 +143,7 @@ fn in_warps(text: &str) -> String {
 fn render_on_host(job: &Job, folder: &Path, program_of: fn(&str) -> String) -> TilePixels {
     let source = KernelSource::new(&job.at(0).expect("a shipped scene is valid")).expect("a recorded tape is valid");
     let program = compile_text(&program_of(&source.text), folder);
-    let planes = job.image.channels().len();
+    let planes = job.image.rendered_channels().len();
     let Image { width, height, ref samples, .. } = job.image;
     let mut input: Vec<u8> = source.parameters.iter().flat_map(|bits| bits.to_ne_bytes()).collect();
     let words = |table: &Table| {
@@ -170,9 +180,11 @@ fn assert_same_on_host(jobs: &[(String, Job)], program_of: fn(&str) -> String) {
         let folder = tempfile::tempdir().expect("a scratch folder");
         let (got, want) = (render_on_host(job, folder.path(), program_of), render_on_cpu(job));
         assert_eq!(got.planes.len(), want.planes.len());
-        let channels = job.image.channels();
-        let planes = channels.iter().zip(got.planes.iter().zip(&want.planes));
-        let counts = planes.map(|(channel, (got, want))| {
+        let channels = job.image.rendered_channels();
+        // The error follows from two rounds of samples, which the host program does not take.
+        let error = job.image.error_plane();
+        let planes = channels.iter().zip(got.planes.iter().zip(&want.planes)).enumerate();
+        let counts = planes.filter(|(plane, _)| Some(*plane) != error).map(|(_, (channel, (got, want)))| {
             let differing = got.iter().zip(want).filter(|(got, want)| got.to_bits() != want.to_bits()).count();
             (differing > 0).then(|| format!("{channel} of {name} differs in {differing} pixels"))
         });
@@ -188,25 +200,28 @@ fn in_small(scenes: &[Shipped]) -> Vec<(String, Job)> {
 }
 
 /// Compiles these scenes as a GPU worker would, for compute capabilities given as ten times their number.
-fn assert_compiled(scenes: &[Shipped], architectures: &[u32]) {
+fn assert_compiled(jobs: &[(String, Job)], architectures: &[u32]) {
     let compiler = match Compiler::find() {
         Ok(compiler) => compiler,
         Err(missing) => return skip("nvrtc", format_args!("no scene was compiled for a GPU: {missing}")),
     };
-    for shipped in scenes {
-        let source = KernelSource::new(&shipped.job().at(0).expect("a shipped scene is valid"));
+    for (name, job) in jobs {
+        let source = KernelSource::new(&job.at(0).expect("a shipped scene is valid"));
         let source = source.expect("a recorded tape is valid");
         for &architecture in architectures {
             let code = compiler.compile(&source.text, architecture);
-            let code = code.unwrap_or_else(|trouble| panic!("{} for sm_{architecture}: {trouble}", shipped.name));
+            let code = code.unwrap_or_else(|trouble| panic!("{name} for sm_{architecture}: {trouble}"));
             assert!(code.starts_with(b"\x7fELF"), "machine code is an ELF file");
             if let Some(division) = &source.division {
-                compiler
-                    .compile(division, architecture)
-                    .unwrap_or_else(|trouble| panic!("{}: {trouble}", shipped.name));
+                compiler.compile(division, architecture).unwrap_or_else(|trouble| panic!("{name}: {trouble}"));
             }
         }
     }
+}
+
+/// Scenes in their size, with their names.
+fn in_full(scenes: &[Shipped]) -> Vec<(String, Job)> {
+    scenes.iter().map(|shipped| (shipped.name.clone(), shipped.job())).collect()
 }
 
 /// The JSON of examples.
@@ -285,20 +300,66 @@ fn samples_that_a_warp_renders_together_are_bit_identical() {
 }
 
 #[test]
+fn paths_whose_marches_a_warp_pauses_are_bit_identical() {
+    let mut scenes = large();
+    scenes.retain(|shipped| shipped.name == "light/cornell");
+    let jobs: Vec<(String, Job)> = in_small(&scenes)
+        .into_iter()
+        .map(|(name, job)| {
+            let image = Image { width: 24, height: 16, ..job.image.clone() };
+            (name, job.with_image(image))
+        })
+        .collect();
+    assert_eq!(jobs.len(), 1);
+    for program_of in [serial, in_warps] {
+        assert_same_on_host(&jobs, program_of);
+    }
+}
+
+#[test]
+fn parts_of_light_are_bit_identical() {
+    let mut jobs: Vec<(String, Job)> = light_groups::scenes()
+        .into_iter()
+        // The host decides after each round.
+        .filter(|(name, _)| !["lens and adaptive samples", "motion blur", "denoised"].contains(name))
+        .map(|(name, mut text)| {
+            for (key, value) in [("width", 24), ("height", 16), ("samples", 3)] {
+                text["image"][key] = json!(value);
+            }
+            (format!("light groups: {name}"), light_groups::parsed(&text))
+        })
+        .collect();
+    let mut reweighted = light_groups::scenes().swap_remove(0).1;
+    for (key, value) in
+        [("width", json!(16)), ("height", json!(8)), ("samples", json!(16)), ("reweight_fireflies", json!(true))]
+    {
+        reweighted["image"][key] = value;
+    }
+    jobs.insert(0, ("light by its brightness".to_owned(), light_groups::parsed(&reweighted)));
+    assert_same_on_host(&jobs, serial);
+    assert_same_on_host(&jobs[..2], in_warps);
+}
+
+#[test]
 #[ignore = "long: compiles the source of every shipped scene with the host's compiler; 2 minutes"]
 fn every_scene_compiled_by_the_host_is_bit_identical() {
     assert_same_on_host(&in_small(&shipped()), serial);
 }
 
 #[test]
-fn nvrtc_compiles_a_few_scenes() {
-    assert_compiled(&few(), &[75]);
+fn nvrtc_compiles_a_few_scenes_and_parts_of_light() {
+    assert_compiled(&in_full(&few()), &[75]);
+    // Light groups, levels of brightness, and the denoiser's guides.
+    let scenes = light_groups::scenes().into_iter().filter(|(name, _)| *name == "denoised");
+    let parts: Vec<(String, Job)> = scenes.map(|(name, text)| (name.to_owned(), light_groups::parsed(&text))).collect();
+    assert!(parts.iter().any(|(_, job)| job.image.is_reweighted() && job.image.is_denoised()));
+    assert_compiled(&parts, &[75]);
 }
 
 #[test]
 #[ignore = "long: compiles every shipped scene for two architectures; 1 minute"]
 fn nvrtc_compiles_every_scene() {
-    assert_compiled(&shipped(), &[75, 90]);
+    assert_compiled(&in_full(&shipped()), &[75, 90]);
 }
 
 #[test]

@@ -48,7 +48,7 @@ pub(crate) fn pixels(job: &Job, frame: u32, rect: Rect) -> TilePixels {
     for (plane, (name, samples)) in channels.iter().zip(&mut pixels.planes).enumerate() {
         for (index, value) in samples.iter_mut().enumerate() {
             let (x, y) = (rect.x + index as u32 % rect.width, rect.y + index as u32 / rect.width);
-            *value = match *name {
+            *value = match &**name {
                 "A" => f32::from(u8::from(is_hit(x, y))).max(0.5),
                 "Z" if !is_hit(x, y) => f32::INFINITY,
                 "id" => {

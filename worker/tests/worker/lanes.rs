@@ -103,9 +103,11 @@ fn compare(name: &str, job: &Job) {
 fn compare_with_paths(name: &str, job: &Job) {
     compare(name, job);
     let mut paths = job.clone();
-    paths.scene.integrator = Transport::Path(PathSettings { max_bounces: 3 });
     (paths.image.width, paths.image.height) = (19, 13);
-    compare(&format!("{name} with paths"), &paths);
+    for straight_shadows in [false, true] {
+        paths.scene.integrator = Transport::Path(PathSettings { max_bounces: 3, straight_shadows });
+        compare(&format!("{name} with paths, straight shadows: {straight_shadows}"), &paths);
+    }
 }
 
 #[test]

@@ -1,8 +1,6 @@
 //! Motion blur: a blurred frame has the bits of its samples, each at its own instant, on every path.
 
 use proto::Rect;
-use scene::integrator::Radiance;
-use scene::real::vec3;
 use scene::{Integrator, Job};
 use serde_json::{Value, json};
 use worker::cuda::KernelSource;
@@ -68,9 +66,8 @@ fn defined(job: &Job) -> Vec<Vec<f32>> {
     let last = integrators.last().expect("a frame has an instant");
     let mut planes = vec![Vec::new(); 6];
     for (x, y) in (0..HEIGHT).flat_map(|y| (0..WIDTH).map(move |x| (x as f32, y as f32))) {
-        let black = Radiance { color: vec3(0.0, 0.0, 0.0), alpha: 0.0, evaluations: 0.0 };
         let parts = integrators.iter().zip(exposure.samples().concat());
-        let sum = parts.fold(black, |sum, (integrator, samples)| {
+        let sum = parts.fold(last.no_light(0.0), |sum, (integrator, samples)| {
             integrator.accumulate(x, y, samples.start as f32, samples.end as f32, sum)
         });
         let (mean, layers) = (last.mean(sum), last.aovs(x, y));

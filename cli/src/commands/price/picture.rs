@@ -90,7 +90,7 @@ fn gray_frame(job: &Job) -> anyhow::Result<Frame> {
     let to_height = (u64::from(height) * u64::from(to_width) / u64::from(width)).clamp(1, FRAME_PX.into()) as u32;
     small.image.resize(to_width, to_height);
     small.image.samples = 1.into();
-    small.image.layers.clear();
+    small.image.clear_layers();
     let renderer = CpuRenderer::new(None, Simd::Auto)?;
     let rect = Rect::full(to_width, to_height);
     let TilePixels { planes, .. } =

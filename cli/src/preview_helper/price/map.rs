@@ -122,6 +122,7 @@ fn steps(job: &Job, renderers: &[CpuRenderer], limit: Duration, [columns, rows]:
     small.image.resize(columns * STEPS_PX, rows * STEPS_PX);
     small.image.samples = 1.into();
     small.image.format = Format::Exr;
+    small.image.clear_parts_of_light();
     small.image.layers = vec![Layer::Steps];
     small.image.denoise = false;
     let mut steps = vec![0.0; columns as usize * rows as usize];

@@ -25,6 +25,7 @@ struct Pair {
     name: &'static str,
     title: &'static str,
     text: &'static str,
+    /// Path of the job file from the docs, without its extension.
     scene: &'static str,
     samples: u32,
     /// Changes of both pictures, of the first, and of the second.
@@ -40,7 +41,7 @@ const PAIRS: &[Pair] = &[
         name: "bounces",
         title: "Light from wall to wall",
         text: "Walls color each other, the ceiling is lit by the floor, and the ball of glass lets light through to its caustic.",
-        scene: "cornell",
+        scene: "scenes/light/cornell",
         samples: 512,
         both: &[("image.denoise", "true")],
         before: &[("scene.integrator", "\"direct\""), ("image.denoise", "false")],
@@ -48,10 +49,32 @@ const PAIRS: &[Pair] = &[
         captions: ["`\"integrator\": \"direct\"`", "`\"integrator\": { \"path\": { \"max_bounces\": 8 } }`"],
     },
     Pair {
+        name: "straight",
+        title: "Light straight through glass",
+        text: "Sixty-four samples of each pixel. Light that goes straight is found at once, but it is not gathered to a caustic: biased.",
+        scene: "scenes/light/cornell",
+        samples: 64,
+        both: &[],
+        before: &[],
+        after: &[("scene.integrator.path.straight_shadows", "true")],
+        captions: ["`\"straight_shadows\": false`", "`\"straight_shadows\": true`"],
+    },
+    Pair {
+        name: "fireflies",
+        title: "Fireflies",
+        text: "Sixty-four samples of each pixel. Light of few samples that are much brighter than those around them counts less.",
+        scene: "../scenes/lantern",
+        samples: 64,
+        both: &[("image.denoise", "false")],
+        before: &[],
+        after: &[("image.reweight_fireflies", "true")],
+        captions: ["`\"reweight_fireflies\": false`", "`\"reweight_fireflies\": true`"],
+    },
+    Pair {
         name: "denoise",
         title: "The denoiser",
         text: "Sixteen samples of each pixel. Noise goes; edges, the caustic and what the glass shows stay.",
-        scene: "cornell",
+        scene: "scenes/light/cornell",
         samples: 16,
         both: &[],
         before: &[("image.denoise", "false")],
@@ -62,7 +85,7 @@ const PAIRS: &[Pair] = &[
         name: "samples",
         title: "Samples where they are needed",
         text: "About the same number of rays: 56 samples of each pixel, or from 8 to 256 by the noise of its block, 56.5 in the mean.",
-        scene: "cornell",
+        scene: "scenes/light/cornell",
         samples: 56,
         both: &[],
         before: &[],
@@ -76,7 +99,7 @@ const PAIRS: &[Pair] = &[
         name: "lens",
         title: "The lens",
         text: "What lies before and behind the focus is as wide as the lens, in the shape of its six blades.",
-        scene: "macro",
+        scene: "scenes/light/macro",
         samples: 256,
         both: &[("image.denoise", "true")],
         before: &[("scene.camera.lens.aperture", "0.0001")],
@@ -87,7 +110,7 @@ const PAIRS: &[Pair] = &[
         name: "shutter",
         title: "The shutter",
         text: "The blades turn while it is open.",
-        scene: "fan",
+        scene: "scenes/light/fan",
         samples: 128,
         both: &[("image.denoise", "true")],
         before: &[("frames.shutter", "0")],
@@ -98,7 +121,7 @@ const PAIRS: &[Pair] = &[
         name: "media",
         title: "Light inside of things",
         text: "The stone's skin is glass. Its inside scatters light, any number of times, until it leaves or is absorbed.",
-        scene: "jade",
+        scene: "scenes/light/jade",
         samples: 128,
         both: &[("image.denoise", "true")],
         before: &[("scene.materials.stone.volume.density", "0.01")],
@@ -110,7 +133,7 @@ const PAIRS: &[Pair] = &[
 impl Pair {
     /// The job after some changes, in the size of the page.
     fn job(&self, changes: [Changes; 2]) -> Job {
-        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs/scenes/light");
+        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs");
         let text =
             std::fs::read_to_string(folder.join(self.scene).with_extension("json")).expect("a scene can be read");
         let whole = parse(text.as_bytes()).expect("a shipped scene is valid").image;
@@ -130,11 +153,12 @@ pub(crate) fn page() -> Page {
     let mut page = Page { name: "light.md", text: HEAD.to_owned(), pictures: Vec::new() };
     for pair in PAIRS {
         let Pair { name, title, text, scene, captions: [before, after], .. } = pair;
+        let (_, file) = scene.rsplit_once('/').expect("a file in a folder");
         let files = ["before", "after"].map(|which| format!("pictures/light/{name}-{which}.png"));
         write!(
             page.text,
             "\n## {title}\n\n{text}\n\n| {before} | {after} |\n|---|---|\n| ![{title}, before]({}) | ![{title}, after]({}) |\n\nScene: \
-             [{scene}](scenes/light/{scene}.json)\n",
+             [{file}]({scene}.json)\n",
             files[0], files[1]
         )
         .expect("a String takes all");

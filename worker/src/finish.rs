@@ -1,60 +1,83 @@
-//! The rows of a denoised picture, from those of its tiles.
+//! Finishes pictures: reweights fireflies, and denoises, which needs the pixels around each pixel.
 
 use std::ops::Range;
 
 use proto::Rect;
+use scene::integrator::BRIGHTNESS_LEVELS;
 use scene::job::GUIDE_CHANNELS;
 use scene::{Image, Layer};
 
-use super::{MARGIN_PX, Region};
 use crate::renderer::TilePixels;
 use crate::stitch::{RowBand, RowSource, StitchError};
+use crate::{denoise, fireflies};
 
-/// Pixels of a region that is denoised at once, if its rows are not too long.
-const REGION_PIXELS: usize = 3 << 20;
+/// Numbers of a region that is finished at once, of all planes, if its rows are not too long.
+const REGION_NUMBERS: usize = 48 << 20;
 
-/// Where the planes of a picture are that is denoised.
+/// How a picture is finished, and where its planes are.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct DenoisedPlanes {
+pub(crate) struct Finish {
     height: u32,
-    /// Number of planes of the finished picture; those of the guides follow.
-    finished: usize,
-    /// The first plane of the colors before the denoiser, if they are kept.
+    /// Number of planes of a rendered picture.
+    rendered: usize,
+    /// The first plane of light by its brightness, if fireflies are reweighted; those of a finished picture follow.
+    levels: Option<usize>,
+    is_denoised: bool,
+    /// The first plane of the colors as sampled, if they are kept.
     noisy: Option<usize>,
 }
 
-impl DenoisedPlanes {
-    /// The planes of a picture; `None` if it is not denoised.
+impl Finish {
+    /// How a picture is finished; `None` if it is as rendered.
     pub(crate) fn of(image: &Image) -> Option<Self> {
-        let channels = image.channels();
-        let noisy = channels.iter().position(|channel| *channel == Layer::Noisy.channels()[0]);
-        image.is_denoised().then_some(Self { height: image.height, finished: channels.len(), noisy })
+        let noisy = image.channels().iter().position(|channel| channel == Layer::Noisy.channels()[0]);
+        (image.is_denoised() || image.is_reweighted()).then(|| Self {
+            height: image.height,
+            rendered: image.rendered_channels().len(),
+            levels: image.is_reweighted().then_some(image.light_channels()),
+            is_denoised: image.is_denoised(),
+            noisy,
+        })
     }
 
-    fn rendered(self) -> usize {
-        self.finished + GUIDE_CHANNELS.len()
+    /// Distance to the farthest pixel that a finished pixel depends on, in pixels.
+    pub(crate) fn margin_px(self) -> u32 {
+        let reweighted = if self.levels.is_some() { fireflies::MARGIN_PX } else { 0 };
+        reweighted + if self.is_denoised { denoise::MARGIN_PX } else { 0 }
     }
 
     /// The finished planes of a rectangle of rendered pixels.
     fn finish(self, width: usize, height: usize, mut planes: Vec<Vec<f32>>) -> Vec<Vec<f32>> {
-        let guides = planes.split_off(self.finished);
-        let color: [Vec<f32>; 3] = std::array::from_fn(|channel| planes[channel].clone());
-        let [red, green, blue, x, y, z, inverse_depth, error] =
-            <[Vec<f32>; GUIDE_CHANNELS.len()]>::try_from(guides).expect("a rendered picture has all guides");
-        let (albedo, normal) = ([red, green, blue], [x, y, z]);
-        let region = Region { width, height, color, albedo, normal, inverse_depth, error };
-        let denoised = region.denoised();
-        if let Some(noisy) = self.noisy {
-            planes.splice(noisy..noisy + 3, region.color);
+        let guides = self.is_denoised.then(|| planes.split_off(self.rendered - GUIDE_CHANNELS.len()));
+        let mut error = None;
+        let sampled: [Vec<f32>; 3] = std::array::from_fn(|channel| planes[channel].clone());
+        let mut color = sampled.clone();
+        if let Some(levels) = self.levels {
+            let counts = planes.pop().expect("a picture to reweight has the numbers of samples");
+            let levels: Vec<Vec<f32>> = planes.drain(levels..levels + 3 * BRIGHTNESS_LEVELS).collect();
+            color = fireflies::Region { width, color: &sampled, levels: &levels, counts: &counts }.reweighted();
+            error = Some(error_shares(&sampled, &color));
         }
-        for (plane, denoised) in planes.iter_mut().zip(denoised) {
+        if let Some(guides) = guides {
+            let [red, green, blue, x, y, z, inverse_depth, mut errors] =
+                <[Vec<f32>; GUIDE_CHANNELS.len()]>::try_from(guides).expect("a rendered picture has all guides");
+            if let Some(shares) = error {
+                errors.iter_mut().zip(shares).for_each(|(error, share)| *error *= share);
+            }
+            let (albedo, normal) = ([red, green, blue], [x, y, z]);
+            color = denoise::Region { width, height, color, albedo, normal, inverse_depth, error: errors }.denoised();
+        }
+        if let Some(noisy) = self.noisy {
+            planes.splice(noisy..noisy + 3, sampled);
+        }
+        for (plane, color) in planes.iter_mut().zip(color) {
             // A file must not distinguish zeros by their sign.
-            *plane = denoised.into_iter().map(|value| value + 0.0).collect();
+            *plane = color.into_iter().map(|value| value + 0.0).collect();
         }
         planes
     }
 
-    /// The finished pixels of `inner`, from rendered ones that reach [`MARGIN_PX`] farther, or to the edge of the
+    /// The finished pixels of `inner`, from rendered ones that reach [`Self::margin_px`] farther, or to the edge of the
     /// picture.
     pub(crate) fn finished_tile(self, rendered: TilePixels, inner: Rect) -> TilePixels {
         let TilePixels { rect, planes } = rendered;
@@ -69,10 +92,20 @@ impl DenoisedPlanes {
     }
 }
 
-/// Denoises the rows of a picture.
-pub(crate) struct DenoisedRows<'a> {
+/// Share of each pixel's noise that is left: that of its light.
+fn error_shares(sampled: &[Vec<f32>; 3], reweighted: &[Vec<f32>; 3]) -> Vec<f32> {
+    let sum = |color: &[Vec<f32>; 3], pixel: usize| color[0][pixel] + color[1][pixel] + color[2][pixel];
+    let share = |pixel: usize| {
+        let before = sum(sampled, pixel);
+        if before > 0.0 { (sum(reweighted, pixel) / before).min(1.0) } else { 1.0 }
+    };
+    (0..sampled[0].len()).map(share).collect()
+}
+
+/// Finishes the rows of a picture.
+pub(crate) struct FinishedRows<'a> {
     source: &'a mut dyn RowSource,
-    planes: DenoisedPlanes,
+    finish: Finish,
     width: u32,
     /// Rows that are finished at once.
     rows: u32,
@@ -80,23 +113,24 @@ pub(crate) struct DenoisedRows<'a> {
     finished: (Range<u32>, Vec<Vec<f32>>),
 }
 
-impl<'a> DenoisedRows<'a> {
+impl<'a> FinishedRows<'a> {
     /// The rows of a picture of this width.
-    pub(crate) fn new(source: &'a mut dyn RowSource, planes: DenoisedPlanes, width: u32) -> Self {
-        let fitting = u32::try_from(REGION_PIXELS / width as usize).unwrap_or(u32::MAX);
-        let rows = fitting.saturating_sub(2 * MARGIN_PX).max(2 * MARGIN_PX);
-        Self { source, planes, width, rows, finished: (0..0, Vec::new()) }
+    pub(crate) fn new(source: &'a mut dyn RowSource, finish: Finish, width: u32) -> Self {
+        let fitting = REGION_NUMBERS / (width as usize * finish.rendered);
+        let (fitting, margin) = (u32::try_from(fitting).unwrap_or(u32::MAX), finish.margin_px());
+        let rows = fitting.saturating_sub(2 * margin).max(2 * margin);
+        Self { source, finish, width, rows, finished: (0..0, Vec::new()) }
     }
 
     /// Finishes rows from `start` on.
     fn finish_from(&mut self, start: u32) -> Result<(), StitchError> {
-        let height = self.planes.height;
+        let (height, margin) = (self.finish.height, self.finish.margin_px());
         let end = start.saturating_add(self.rows).min(height);
-        let rows = start.saturating_sub(MARGIN_PX)..end.saturating_add(MARGIN_PX).min(height);
-        let mut band = RowBand::new(self.width, self.planes.rendered());
+        let rows = start.saturating_sub(margin)..end.saturating_add(margin).min(height);
+        let mut band = RowBand::new(self.width, self.finish.rendered);
         self.source.read(rows.clone(), &mut band)?;
         let width = self.width as usize;
-        let mut planes = self.planes.finish(width, rows.len(), band.into_planes());
+        let mut planes = self.finish.finish(width, rows.len(), band.into_planes());
         for plane in &mut planes {
             plane.truncate((end - rows.start) as usize * width);
             plane.drain(..(start - rows.start) as usize * width);
@@ -106,7 +140,7 @@ impl<'a> DenoisedRows<'a> {
     }
 }
 
-impl RowSource for DenoisedRows<'_> {
+impl RowSource for FinishedRows<'_> {
     fn read(&mut self, rows: Range<u32>, band: &mut RowBand) -> Result<(), StitchError> {
         band.reset(rows.clone());
         for (index, row) in rows.enumerate() {
@@ -133,15 +167,15 @@ mod tests {
     const WIDTH: u32 = 90;
     const HEIGHT: u32 = 230;
 
-    fn planes() -> DenoisedPlanes {
+    fn denoised() -> Finish {
         let image =
             json!({ "width": WIDTH, "height": HEIGHT, "format": "exr", "denoise": true, "layers": ["depth", "noisy"] });
-        DenoisedPlanes::of(&serde_json::from_value(image).expect("an image")).expect("it is denoised")
+        Finish::of(&serde_json::from_value(image).expect("an image")).expect("it is denoised")
     }
 
     /// Rendered pixels of a rectangle, with noise and without geometry.
     fn rendered(rect: Rect) -> TilePixels {
-        let mut pixels = TilePixels::zeroed(rect, planes().rendered());
+        let mut pixels = TilePixels::zeroed(rect, denoised().rendered);
         let places = (rect.y..rect.y + rect.height).flat_map(|y| (rect.x..rect.x + rect.width).map(move |x| (x, y)));
         for (index, (x, y)) in places.enumerate() {
             let noise = (x * 7 + y * 13) % 11;
@@ -161,7 +195,7 @@ mod tests {
             rendered(Rect { x: 0, y: 64, width: WIDTH, height: HEIGHT - 64 }),
         ];
         let mut tiles = TileRows(&tiles);
-        let mut source = DenoisedRows::new(&mut tiles, planes(), WIDTH);
+        let mut source = FinishedRows::new(&mut tiles, denoised(), WIDTH);
         source.rows = rows.unwrap_or(source.rows);
         let mut planes = vec![Vec::new(); 8];
         for start in (0..HEIGHT).step_by(16) {
@@ -183,7 +217,7 @@ mod tests {
         }
         let inner = Rect { x: 10, y: 96, width: 20, height: 32 };
         let around = Rect { x: 0, y: 24, width: WIDTH, height: 32 + 2 * 72 };
-        let tile = planes().finished_tile(rendered(around), inner);
+        let tile = denoised().finished_tile(rendered(around), inner);
         for (plane, numbers) in tile.planes.iter().enumerate() {
             let rows =
                 (inner.y..inner.y + inner.height).flat_map(|y| (inner.x..inner.x + inner.width).map(move |x| (x, y)));
