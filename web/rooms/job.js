@@ -368,11 +368,14 @@ class JobRoom extends Room {
 
   /** Keeps frame and comparison in the address, so that it can be shared. */
   #keepPlace() {
+    const here = `#/jobs/${this.#id}`;
+    // Another room may have been asked for, and not have been entered yet.
+    if (location.hash.split('?')[0] !== here) return;
     const query = new URLSearchParams();
     if (this.film && this.film.current > 0) query.set('frame', String(this.film.current));
     if (this.picture?.other) query.set('with', this.picture.other.id);
     const text = query.toString();
-    history.replaceState(null, '', `#/jobs/${this.#id}${text === '' ? '' : `?${text}`}`);
+    history.replaceState(null, '', `${here}${text === '' ? '' : `?${text}`}`);
   }
 
   /** @param {string} id */

@@ -344,6 +344,19 @@ export async function a_job_that_does_not_exist_is_said_so() {
   await inRoom(page, 'Jobs');
 }
 
+export async function another_room_is_entered_while_frames_are_shown() {
+  const job = await finished();
+  const page = await open(farm, `#/jobs/${job.id}`);
+  await inRoom(page, 'film');
+  await shown(page);
+  // The frame changes before the page hears of its new address.
+  await page.evaluate(() => {
+    location.hash = '#/farm';
+    document.querySelector('[aria-label^="Next frame"]').click();
+  });
+  await inRoom(page, 'Farm');
+}
+
 export async function a_deleted_job_is_left() {
   await start();
   const { id } = await farm.render(smallJob('to be deleted'));
