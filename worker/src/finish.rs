@@ -49,15 +49,14 @@ impl Finish {
     /// The finished planes of a rectangle of rendered pixels.
     fn finish(self, width: usize, height: usize, mut planes: Vec<Vec<f32>>) -> Vec<Vec<f32>> {
         let guides = self.is_denoised.then(|| planes.split_off(self.rendered - GUIDE_CHANNELS.len()));
-        let mut error = None;
-        let sampled: [Vec<f32>; 3] = std::array::from_fn(|channel| planes[channel].clone());
-        let mut color = sampled.clone();
-        if let Some(levels) = self.levels {
+        let sampled: [Vec<f32>; 3] = std::array::from_fn(|channel| std::mem::take(&mut planes[channel]));
+        let reweighted = self.levels.map(|levels| {
             let counts = planes.pop().expect("a picture to reweight has the numbers of samples");
             let levels: Vec<Vec<f32>> = planes.drain(levels..levels + 3 * BRIGHTNESS_LEVELS).collect();
-            color = fireflies::Region { width, color: &sampled, levels: &levels, counts: &counts }.reweighted();
-            error = Some(error_shares(&sampled, &color));
-        }
+            fireflies::Region { width, color: &sampled, levels: &levels, counts: &counts }.reweighted()
+        });
+        let error = reweighted.as_ref().map(|reweighted| error_shares(&sampled, reweighted));
+        let mut color = reweighted.unwrap_or_else(|| sampled.clone());
         if let Some(guides) = guides {
             let [red, green, blue, x, y, z, inverse_depth, mut errors] =
                 <[Vec<f32>; GUIDE_CHANNELS.len()]>::try_from(guides).expect("a rendered picture has all guides");
