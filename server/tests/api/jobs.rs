@@ -253,26 +253,27 @@ async fn large_dry_runs_of_one_submitter_do_not_delay_another() {
     let bert = make(&farm, &admin, &new_key("bert", &[Scope::Submit])).await.secret;
     let mut large = small_job(1);
     large["scene"]["objects"][0]["shape"] =
-        json!({ "union": { "of": vec![json!({ "sphere": { "radius": 1 } }); 1000] } });
+        json!({ "union": { "of": vec![json!({ "sphere": { "radius": 1 } }); 10_000] } });
     let large = large.to_string();
     let mut dry_runs: FuturesUnordered<_> =
         (0..DRY_RUNS).map(|_| send(&farm, &anna, Method::POST, "/v1/jobs?dry_run=true", large.clone())).collect();
     // One is read, so the others wait for their turns.
     assert_eq!(dry_runs.next().await.expect("a response").status(), StatusCode::OK);
-    let mut tiny = Box::pin(send(&farm, &bert, Method::POST, "/v1/jobs", small_job(2).to_string()));
+    // A dry run as well, because a busy database may take longer to queue a job than several large dry runs take.
+    let mut tiny = Box::pin(send(&farm, &bert, Method::POST, "/v1/jobs?dry_run=true", small_job(2).to_string()));
     let mut before = 1;
-    let accepted = loop {
+    let tiny_response = loop {
         tokio::select! {
-            accepted = &mut tiny => break accepted,
+            response = &mut tiny => break response,
             Some(dry_run) = dry_runs.next() => {
                 assert_eq!(dry_run.status(), StatusCode::OK);
                 before += 1;
             }
         }
     };
-    assert_eq!(accepted.status(), StatusCode::CREATED);
+    assert_eq!(tiny_response.status(), StatusCode::OK);
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
-    assert!(before <= 2 * cores + 2, "{before} of {DRY_RUNS} large dry runs finished before a tiny job was accepted");
+    assert!(before <= 2 * cores + 2, "{before} of {DRY_RUNS} large dry runs finished before a tiny one");
     drop((tiny, dry_runs));
     farm.stop().await;
 }
