@@ -100,6 +100,8 @@ fn tiles_are_kept_with_their_job_and_deleted_with_it() {
     };
     let problem = refused(&format!("?based_on={plain}")).problem(422, "wrong_query");
     assert!(problem["detail"].as_str().expect("a text").contains("record=true"), "{problem}");
+    let problem = refused("?based_on=").problem(422, "wrong_query");
+    assert!(problem["detail"].as_str().expect("a text").contains("based_on is empty"), "{problem}");
     refused("?based_on=01890a5d-ac96-774b-bcce-b302099a8057").problem(404, "unknown_job");
     refused("?based_on=csg").problem(404, "unknown_job");
     // Although its picture is in the cache, it is rendered, because its tiles are to be kept.

@@ -203,6 +203,10 @@ impl Submission {
 
 /// A job that another may be based on.
 async fn recorded_job(queue: &Queue, caller: &Caller, id: &str) -> Result<JobId, ApiError> {
+    if id.is_empty() {
+        let fix = "based_on is empty: write the id of a recorded job, or leave based_on out";
+        return Err(ApiError::WrongQuery(fix.to_owned()));
+    }
     let id = jobs::job_id(id)?;
     if jobs::visible(queue, caller, id).await?.recorded {
         return Ok(id);
