@@ -118,7 +118,10 @@ export async function the_keyboard_does_every_action_to_many_jobs() {
   await page.keyboard.press('Enter');
   await until('the priorities', async () => (await farm.get('/v1/jobs')).jobs.filter((each) => each.priority === 4).length === 3);
   await page.getByRole('dialog').waitFor({ state: 'detached' });
+  let moves = 0;
+  page.on('response', (response) => (moves += response.url().endsWith('/move')));
   await page.keyboard.press('f');
+  await until('the moves', () => moves === 3);
   await until('the places', async () => {
     const places = (await farm.get('/v1/jobs')).jobs.map((each) => [each.queue_position, each.name]);
     return places.find(([, name]) => name === 'one')?.[0] === 4 && places.every(([place]) => place >= 1 && place <= 4);
