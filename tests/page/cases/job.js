@@ -27,17 +27,16 @@ const colors = (page) =>
   });
 const shown = (page) => until('the picture', async () => (await colors(page)) > 8);
 /** Waits until a layer is shown as the server draws it, with these stops of exposure. */
-const showsLayer = async (page, job, layer, stops = 0) => {
-  const drawn = await page.evaluate(async (path) => {
-    const { width } = document.querySelector('canvas.viewer-picture');
-    const bitmap = await createImageBitmap(await (await fetch(`${path}&width=${width}`)).blob());
-    const canvas = document.createElement('canvas');
-    [canvas.width, canvas.height] = [bitmap.width, bitmap.height];
-    canvas.getContext('2d').drawImage(bitmap, 0, 0);
-    return canvas.toDataURL();
-  }, `/v1/jobs/${job.id}/frames/0/layers/${layer}?exposure=${stops}`);
-  await until(`the layer ${layer}`, async () => (await page.evaluate(() => document.querySelector('canvas.viewer-picture').toDataURL())) === drawn);
-};
+const showsLayer = (page, job, layer, stops = 0) =>
+  until(`the layer ${layer}`, () =>
+    page.evaluate(async (path) => {
+      const shown = document.querySelector('canvas.viewer-picture');
+      const bitmap = await createImageBitmap(await (await fetch(`${path}&width=${shown.width}`)).blob());
+      const canvas = document.createElement('canvas');
+      [canvas.width, canvas.height] = [bitmap.width, bitmap.height];
+      canvas.getContext('2d').drawImage(bitmap, 0, 0);
+      return shown.toDataURL() === canvas.toDataURL();
+    }, `/v1/jobs/${job.id}/frames/0/layers/${layer}?exposure=${stops}`));
 const transform = (page) => page.evaluate(() => document.querySelector('.viewer-stage').style.transform);
 
 export async function a_picture_grows_while_it_is_rendered() {
