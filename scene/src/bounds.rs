@@ -90,6 +90,23 @@ impl Bounds {
         x.max(y).max(z)
     }
 
+    /// Boxes that contain all points that are in only one of two boxes: one for each side that differs.
+    pub(crate) fn symmetric_difference(self, other: Self) -> Vec<Self> {
+        let Self { min, max } = self.union(other);
+        let (inner_min, inner_max) = (zip(self.min, other.min, f32::max), zip(self.max, other.max, f32::min));
+        let below = |end: Vec3<f32>| Self { min, max: end };
+        let above = |start: Vec3<f32>| Self { min: start, max };
+        let sides = [
+            (min.x < inner_min.x, below(vec3(inner_min.x, max.y, max.z))),
+            (min.y < inner_min.y, below(vec3(max.x, inner_min.y, max.z))),
+            (min.z < inner_min.z, below(vec3(max.x, max.y, inner_min.z))),
+            (inner_max.x < max.x, above(vec3(inner_max.x, min.y, min.z))),
+            (inner_max.y < max.y, above(vec3(min.x, inner_max.y, min.z))),
+            (inner_max.z < max.z, above(vec3(min.x, min.y, inner_max.z))),
+        ];
+        sides.into_iter().filter(|(differs, _)| *differs).map(|(_, side)| side).collect()
+    }
+
     /// Distance between opposite corners.
     pub fn diagonal(self) -> f32 {
         zip(self.max, self.min, |high, low| high - low).length()
@@ -110,6 +127,14 @@ impl Bounds {
             && between(self.min.z, p.z, self.max.z)
     }
 
+    /// Half the size along each axis, and the center.
+    pub(crate) fn half_size_and_center(self) -> (Vec3<f32>, Vec3<f32>) {
+        (
+            zip(self.max, self.min, |high, low| (high - low) * 0.5),
+            zip(self.max, self.min, |high, low| (high + low) * 0.5),
+        )
+    }
+
     /// Whether the box is bounded in every direction.
     pub fn is_finite(self) -> bool {
         [self.min, self.max]
@@ -120,8 +145,7 @@ impl Bounds {
     /// Lower bound of the distance from `p` to any point of the box: the largest coordinate difference along an axis,
     /// less a hundredth of the box's size.
     pub fn distance_lower_bound<R: Real>(&self, p: Vec3<R>) -> R {
-        let half = zip(self.max, self.min, |high, low| (high - low) * 0.5);
-        let middle = zip(self.max, self.min, |high, low| (high + low) * 0.5);
+        let (half, middle) = self.half_size_and_center();
         let half = half.map(|c| c + 0.02 * half.max_element());
         let away = p - Vec3::uniform(p.x, middle);
         (vec3(away.x.abs(), away.y.abs(), away.z.abs()) - Vec3::uniform(p.x, half)).max_element()

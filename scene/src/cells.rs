@@ -27,7 +27,7 @@ mod walk;
 use crate::bounds::Bounds;
 pub use division::{BOX_LEVELS, BOX_NUMBERS, Division};
 pub use program::Program;
-pub(crate) use program::contents::{ContentIds, Contents};
+pub(crate) use program::contents::{ContentIds, Contents, List};
 pub use prune::{Pruned, Pruner, ROUNDING, Regions, SLAB_CELLS, SLABS, Unpruned};
 pub use tree::{BLOCK_CELLS, CellBuilder, CellTree, Distances, LeafDistances, ScalarBuilder, checksum};
 pub use walk::{DistanceLists, Located};

@@ -5,12 +5,16 @@
 //! ray of the tile asked for a point where the surfaces that can matter differ, and none asked for a changed material. What can
 //! matter in a box is found as for cells ([`crate::cells`]): if the lists of two scenes are equal there, so are their values.
 
+use std::cell::RefCell;
 use std::collections::{HashMap, HashSet};
+use std::rc::Rc;
 
 use crate::animation::JobAtFrame;
-use crate::cells::{ContentIds, Contents, SLAB_CELLS};
+use crate::bounds::Bounds;
+use crate::cells::{ContentIds, Contents, List, SLAB_CELLS};
 use crate::integrator::Integrator;
 use crate::job::Layer;
+use crate::scene::Scene;
 use crate::visits::{OUTSIDE, VisitGrid, Visited, cell_place};
 
 /// For each tile that was recorded in the first of two frames, whether its pixels can differ in the second; or the reason
@@ -20,9 +24,9 @@ pub fn reached(before: &JobAtFrame<'_>, after: &JobAtFrame<'_>, tiles: &[&Visite
         return Err("something other than surfaces and their materials has changed");
     }
     let (old, new) = (Integrator::new(before), Integrator::new(after));
-    let (Some(old_program), Some(new_program)) = (old.recordable(before), new.recordable(after)) else {
+    if old.recordable(before).is_none() || new.recordable(after).is_none() {
         return Err("the scene is not one whose rays are recorded");
-    };
+    }
     if !old.has_same_frame(&new) {
         return Err("the scene's bounds or kinds of materials have changed");
     }
@@ -32,13 +36,16 @@ pub fn reached(before: &JobAtFrame<'_>, after: &JobAtFrame<'_>, tiles: &[&Visite
     }
     let differs = |slot: &u32| materials[*slot as usize] != others[*slot as usize];
     let has_material = |tile: &&Visited| tile.materials.iter().any(differs);
-    let mut are_reached: Vec<bool> = tiles.iter().map(has_material).collect();
+    let moved = differences(old.ray_boxes(), new.ray_boxes());
+    let has_passed = |tile: &&Visited| moved.iter().any(|bounds| tile.has_passed(*bounds));
+    let mut are_reached: Vec<bool> = tiles.iter().map(|tile| has_material(tile) || has_passed(tile)).collect();
     // Light groups are found by the index of the object, as the layer of objects is.
     let image = before.image();
-    let mut ids = ContentIds::new(image.layers.contains(&Layer::Object) || !image.light_groups.is_empty());
-    let old = Contents::new(&old_program, before.scene(), &mut ids);
-    let new = Contents::new(&new_program, after.scene(), &mut ids);
-    if old.all() == new.all() {
+    let ids = ContentIds::new(image.layers.contains(&Layer::Object) || !image.light_groups.is_empty());
+    let ids = RefCell::new(ids);
+    let old = Evaluated::new(old, before.scene(), &ids);
+    let new = Evaluated::new(new, after.scene(), &ids);
+    if old.everywhere() == new.everywhere() {
         return Ok(are_reached);
     }
     let mut by_grid: Vec<(VisitGrid, Vec<usize>)> = Vec::new();
@@ -56,6 +63,15 @@ pub fn reached(before: &JobAtFrame<'_>, after: &JobAtFrame<'_>, tiles: &[&Visite
         }
     }
     Ok(are_reached)
+}
+
+/// Boxes that contain all points that are in a box of only one scene: a ray that passes none of these goes in the same steps.
+fn differences(old: &[Bounds], new: &[Bounds]) -> Vec<Bounds> {
+    if old.len() != new.len() {
+        return [old, new].concat();
+    }
+    let pairs = old.iter().zip(new).filter(|(one, other)| one != other);
+    pairs.flat_map(|(&one, &other)| one.symmetric_difference(other)).collect()
 }
 
 /// Edges of the cubes of cells that are compared, the largest first: what is equal in one is equal in its cells.
@@ -114,10 +130,78 @@ impl Cube {
     }
 }
 
+/// A scene, and the contents of the objects that its rays evaluate together.
+struct Evaluated<'a> {
+    integrator: Integrator<'a>,
+    scene: &'a Scene,
+    ids: &'a RefCell<ContentIds>,
+    /// Contents of those objects that were asked for; `None` if there are no such objects.
+    known: RefCell<HashMap<Objects, Option<Rc<Contents<'a>>>>>,
+}
+
+/// Objects of a scene: those whose boxes have these bits, and those without boxes or not.
+type Objects = (u32, bool);
+
+/// Contents that rays can evaluate in a cube.
+type Evaluable = Vec<List>;
+
+impl<'a> Evaluated<'a> {
+    fn new(integrator: Integrator<'a>, scene: &'a Scene, ids: &'a RefCell<ContentIds>) -> Self {
+        Self { integrator, scene, ids, known: RefCell::default() }
+    }
+
+    fn all_objects(&self) -> Objects {
+        ((1 << self.integrator.ray_boxes().len()) - 1, true)
+    }
+
+    fn contents(&self, objects: Objects) -> Option<Rc<Contents<'a>>> {
+        if let Some(known) = self.known.borrow().get(&objects) {
+            return known.clone();
+        }
+        let program = self.integrator.program_in_boxes(objects.0, objects.1);
+        let contents = program.map(|program| Rc::new(Contents::new(program, self.scene, &mut self.ids.borrow_mut())));
+        self.known.borrow_mut().insert(objects, contents.clone());
+        contents
+    }
+
+    /// Contents of everything.
+    fn everywhere(&self) -> Evaluable {
+        let alone = (0..self.integrator.ray_boxes().len()).map(|bit| (1 << bit, false));
+        let contents = std::iter::once(self.all_objects()).chain(alone).filter_map(|objects| self.contents(objects));
+        contents.map(|contents| contents.all()).collect()
+    }
+
+    /// Contents that rays can evaluate in some cubes of cells, given the edges of the cells.
+    fn in_cubes(&self, cubes: &[Bounds; SLAB_CELLS], edges: [f32; SLAB_CELLS]) -> [Evaluable; SLAB_CELLS] {
+        let boxes = self.integrator.ray_boxes();
+        let mut known: HashMap<Objects, Option<[List; SLAB_CELLS]>> = HashMap::new();
+        std::array::from_fn(|index| {
+            let (cube, edge) = (cubes[index], edges[index]);
+            let around = cube.expanded(ON_BORDER * edge);
+            let with_bits = |is_it: &dyn Fn(Bounds) -> bool| {
+                let some = boxes.iter().enumerate().filter(|(_, bounds)| is_it(**bounds));
+                some.fold(0, |bits, (bit, _)| bits | 1 << bit)
+            };
+            let inside: u32 = with_bits(&|bounds| bounds.contains(around.min) && bounds.contains(around.max));
+            let on_border = with_bits(&|bounds| bounds.gap(around) <= 0.0) & !inside;
+            // Normals are of all objects; marches, of those in the boxes. On a border, these may be there or not.
+            let alone = (0..boxes.len()).map(|bit| (on_border & 1 << bit, false)).filter(|(bits, _)| *bits != 0);
+            let lists = [self.all_objects(), (inside, true)].into_iter().chain(alone).filter_map(|objects| {
+                let of_all = known.entry(objects).or_insert_with(|| Some(self.contents(objects)?.in_boxes(cubes)));
+                of_all.as_ref().map(|lists| lists[index].clone())
+            });
+            lists.collect()
+        })
+    }
+}
+
+/// Distance from a box's border within which a point may count as inside, in edges of a cell.
+const ON_BORDER: f32 = 0.05;
+
 /// Two scenes in a grid.
 struct CubePairs<'a, 'b> {
-    old: &'a Contents<'a, 'b>,
-    new: &'a Contents<'a, 'b>,
+    old: &'a Evaluated<'b>,
+    new: &'a Evaluated<'b>,
     grid: VisitGrid,
 }
 
@@ -126,12 +210,14 @@ impl CubePairs<'_, '_> {
     fn differing(&self, cubes: &[Cube]) -> HashSet<Cube> {
         let mut differing = HashSet::new();
         for some in cubes.chunks(SLAB_CELLS) {
+            let cube = |index: usize| some.get(index).unwrap_or(&some[0]);
             let boxes = std::array::from_fn(|index| {
-                let Cube { grid, first, edge } = *some.get(index).unwrap_or(&some[0]);
+                let Cube { grid, first, edge } = *cube(index);
                 self.grid.bounds(grid, first, edge)
             });
-            let lists = self.old.in_boxes(&boxes).into_iter().zip(self.new.in_boxes(&boxes));
-            differing.extend(some.iter().zip(lists).filter(|(_, (one, other))| one != other).map(|(cube, _)| *cube));
+            let edges = std::array::from_fn(|index| self.grid.edge(cube(index).grid));
+            let pairs = self.old.in_cubes(&boxes, edges).into_iter().zip(self.new.in_cubes(&boxes, edges));
+            differing.extend(some.iter().zip(pairs).filter(|(_, (one, other))| one != other).map(|(cube, _)| *cube));
         }
         differing
     }

@@ -16,6 +16,7 @@ mod media_path;
 mod motion;
 mod path;
 mod pick;
+mod ray_boxes;
 mod ray_kinds;
 mod regeneration;
 mod scene_distance;
@@ -49,6 +50,7 @@ pub use grouped_light::GroupedLight;
 pub use guides::Guides;
 use media::Media;
 use motion::NextFrame;
+use ray_boxes::RayBoxes;
 use ray_kinds::CallNames;
 pub use regeneration::{Lane, MarchedRay, PathSteps};
 use shading::MaterialTable;
@@ -78,6 +80,8 @@ pub struct Integrator<'a> {
     lets_through: bool,
     /// Boxes of objects that are skipped when they are distant; empty if there are none.
     cull_bounds: Vec<Option<Bounds>>,
+    /// Boxes of large objects, which marches evaluate only there; `None` if there are none.
+    ray_boxes: Option<RayBoxes>,
     /// Whether all callers share one distance function, which also returns the nearest object, because the formula is
     /// long.
     shares_nearest: bool,
@@ -231,6 +235,7 @@ impl<'a> Integrator<'a> {
         let step_scales: Vec<Option<f32>> =
             scene.objects.iter().map(|object| shrink(object.shape.stretch(), moves)).collect();
         let bounds = view.with_margin(bounds);
+        let ray_boxes = RayBoxes::new(scene, &surfaces, &boxes, view.resolution().floor);
         Self {
             scene,
             cells: None,
@@ -241,6 +246,7 @@ impl<'a> Integrator<'a> {
             of_shadows: None,
             of_reflections: None,
             cull_bounds: if boxes.iter().all(Option::is_none) { Vec::new() } else { boxes },
+            ray_boxes,
             shares_nearest: scene.nodes() >= SHARED_DISTANCE_NODES,
             bounds,
             step_scales,

@@ -60,6 +60,11 @@ pub trait RayField<R: Real> {
     /// and its part.
     fn enter(&self, t: R, farthest: R) -> (R, Part<R>);
 
+    /// Whether a distance in a part tells of surfaces in that part only, so that no step may end beyond.
+    fn ends_with_part(&self) -> bool {
+        false
+    }
+
     /// Distance to the surface at a point in a part: at most the true one.
     fn distance(&self, t: R, part: Option<Part<R>>) -> R;
 }
@@ -373,6 +378,7 @@ impl<R: Real> March<R> {
         // The last step must cover the rest of the ray, or of the part.
         let goes_past = (end + further).lt(t_max) & !is_torn;
         let goes_past = part.map_or(goes_past, |part| goes_past & (end + further).lt(part.end));
+        let end = part.filter(|_| field.ends_with_part()).map_or(end, |part| end.min(part.end));
         let ahead = R::select(goes_past, end + further, R::select(is_torn, t - past, end));
         let next = R::select(hit, t, ahead);
         Self {

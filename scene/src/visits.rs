@@ -9,6 +9,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use crate::PICTURE_VERSION;
 use crate::bounds::Bounds;
+use crate::camera::Ray;
 use crate::cells::Division;
 use crate::real::list::is_set;
 use crate::real::{MakeWords, Real, Table, Vec3, Words, vec3};
@@ -23,10 +24,21 @@ pub(crate) const GRIDS: u32 = 4;
 pub(crate) const CELLS: u32 = GRIDS << GRID_BITS;
 /// Index of the word for all points outside of the grids.
 pub(crate) const OUTSIDE: u32 = CELLS;
+/// Cells along the edge of a block.
+const BLOCK_EDGE: u32 = 8;
+/// Bits of a cell's place along an axis, and of a block's.
+const CELL_BITS: u32 = 7;
+const BLOCK_BITS: u32 = 4;
+/// Number of blocks, and the index of the space outside of the grids.
+const BLOCKS: u32 = GRIDS << (3 * BLOCK_BITS);
+/// Index of the word of the first block.
+const FIRST_BLOCK: u32 = CELLS + 1;
 /// Index of the word of the first material.
-const MATERIALS: u32 = CELLS + 1;
+const MATERIALS: u32 = FIRST_BLOCK + BLOCKS + 1;
 /// The bits of a number below all others, −2¹⁰⁰: a word that was made.
 const VISITED: u32 = 0xf180_0000;
+/// Greatest number of blocks that are recorded along a ray.
+const MAX_VISITS: u32 = 1 << 11;
 /// Place of its sign.
 const SIGN: u32 = 31;
 /// 2²³: the bits of this plus an integer below it end in those of the integer.
@@ -74,10 +86,26 @@ impl VisitGrid {
         R::select(is_outside, R::from_bits(outside), R::from_bits(inside)).to_bits()
     }
 
+    /// Size of a point's block, or length that is outside of all grids.
+    fn block_size<R: Real>(&self, p: Vec3<R>) -> R {
+        let [x, y, z] = self.center;
+        let offset = p - Vec3::uniform(p.x, vec3(x, y, z));
+        let farthest = offset.map(|c| c * p.x.uniform(1.0 / self.quarter)).map(R::abs).max_element().at_least(1.0);
+        // As far as the power of two of `index`.
+        let size = R::from_bits(farthest.to_bits() & 0x7f80_0000).at_most((1 << (GRIDS - 1)) as f32)
+            * (4.0 * BLOCK_EDGE as f32 / EDGE as f32);
+        size.max(farthest - (1 << GRIDS) as f32) * p.x.uniform(self.quarter)
+    }
+
+    /// Edge of the cells of a grid.
+    pub(crate) fn edge(&self, grid: u32) -> f32 {
+        self.quarter * (1 << grid) as f32 * (4.0 / EDGE as f32)
+    }
+
     /// Box that contains the points of some cells of a grid: of those from `first` up to but excluding `first + size`
     /// along each axis.
     pub(crate) fn bounds(&self, grid: u32, first: [u32; 3], size: u32) -> Bounds {
-        let unit = self.quarter * (1 << grid) as f32 * (4.0 / EDGE as f32);
+        let unit = self.edge(grid);
         let along = |axis: usize, cells: u32| Real::mul_add(cells as f32 - EDGE as f32 / 2.0, unit, self.center[axis]);
         let corner = |more: u32| vec3(along(0, first[0] + more), along(1, first[1] + more), along(2, first[2] + more));
         let bounds = Bounds { min: corner(0), max: corner(size) };
@@ -132,6 +160,31 @@ impl Visits {
         })
     }
 
+    /// Records that a ray passed for a length; returns a number below all others.
+    ///
+    /// The points whose blocks are recorded are no farther apart than the edge of either's block, so every point of the ray is
+    /// in a recorded block or at most half its edge from it.
+    pub(crate) fn along<R: Real>(&self, ray: &Ray<R>, length: R) -> R {
+        let start = (length.constant(0.0), self.pass(ray.at(length)));
+        let (end, visited) = R::repeat(MAX_VISITS, start, |(t, _)| {
+            let p = ray.at(t);
+            let size = self.grid.block_size(p);
+            let next = t + size.min(self.grid.block_size(ray.at(t + size)));
+            (next.lt(length), (next, self.pass(p)))
+        });
+        R::when(end.lt(length), visited, || self.ask(end.uniform_bits(FIRST_BLOCK + BLOCKS)))
+    }
+
+    /// Records the block of a point.
+    fn pass<R: Real>(&self, p: Vec3<R>) -> R {
+        p.x.call("pass", p, |p| {
+            let cell = self.grid.index(p);
+            let along = |axis: u32| ((cell >> (CELL_BITS * axis)) & (EDGE - BLOCK_EDGE)) << (BLOCK_BITS * axis);
+            let in_grid = (along(0) + along(1) + along(2)) >> (CELL_BITS - BLOCK_BITS);
+            self.ask(in_grid + ((cell >> GRID_BITS) << (3 * BLOCK_BITS)) + FIRST_BLOCK)
+        })
+    }
+
     /// Records that a material was asked for; returns a number below all others.
     pub(crate) fn of_material<R: Real>(&self, like: R, slot: usize) -> R {
         self.ask(like.uniform_bits(MATERIALS + slot as u32))
@@ -149,9 +202,12 @@ impl Visits {
         asked.sort_unstable();
         // Two threads may have made one word.
         asked.dedup();
-        let materials = asked.split_off(asked.partition_point(|&index| index < MATERIALS));
-        let materials = materials.into_iter().map(|index| index - MATERIALS).collect();
-        Visited { grid: self.grid, cells: asked, materials }
+        let mut from = |first: u32| -> Vec<u32> {
+            let indices = asked.split_off(asked.partition_point(|&index| index < first));
+            indices.into_iter().map(|index| index - first).collect()
+        };
+        let (materials, blocks) = (from(MATERIALS), from(FIRST_BLOCK));
+        Visited { grid: self.grid, cells: asked, blocks, materials }
     }
 }
 
@@ -176,18 +232,34 @@ impl MakeWords for Recorder {
     }
 }
 
-/// The cells and materials that a tile's rays asked for.
+/// The cells and materials that a tile's rays asked for, and the blocks that they passed.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Visited {
     /// Where the cells are.
     pub(crate) grid: VisitGrid,
     /// Indices of the cells, in order; the last may be that of the space outside of all cells.
     pub(crate) cells: Vec<u32>,
+    /// Indices of the blocks, in order; the last may be that of the space outside of all blocks.
+    pub(crate) blocks: Vec<u32>,
     /// Slots of the materials, in order.
     pub(crate) materials: Vec<u32>,
 }
 
 impl Visited {
+    /// Whether its rays may have passed a box.
+    pub(crate) fn has_passed(&self, bounds: Bounds) -> bool {
+        self.blocks.iter().any(|&block| {
+            if block == BLOCKS {
+                return true;
+            }
+            let grid = block >> (3 * BLOCK_BITS);
+            let first = [0, 1, 2].map(|axis| (block >> (BLOCK_BITS * axis)) % (1 << BLOCK_BITS) * BLOCK_EDGE);
+            // Every point of a ray is at most half an edge from a recorded block.
+            let beside = 0.51 * BLOCK_EDGE as f32 * self.grid.edge(grid);
+            self.grid.bounds(grid, first, BLOCK_EDGE).expanded(beside).gap(bounds) <= 0.0
+        })
+    }
+
     /// Where the cells are.
     pub fn grid(&self) -> &VisitGrid {
         &self.grid
@@ -203,17 +275,17 @@ impl Visited {
     /// ```text
     /// "sdfv" · version · picture version                 u32, little-endian
     /// center of the cells · a quarter of an edge          f32, little-endian
-    /// number of cells · of materials                      u32, little-endian
-    /// cells, then materials: each less the one before     LEB128
+    /// number of cells · of blocks · of materials          u32, little-endian
+    /// cells, blocks, materials: each less the one before  LEB128
     /// ```
     pub fn to_bytes(&self) -> Vec<u8> {
-        let Self { grid: VisitGrid { center: [x, y, z], quarter }, cells, materials } = self;
+        let Self { grid: VisitGrid { center: [x, y, z], quarter }, cells, blocks, materials } = self;
         let mut bytes = MAGIC.to_vec();
-        let counts = [cells.len() as u32, materials.len() as u32];
+        let counts = [cells, blocks, materials].map(|indices| indices.len() as u32);
         let numbers = [x, y, z, quarter].map(|number| number.to_bits());
         let header = [VERSION, PICTURE_VERSION].into_iter().chain(numbers).chain(counts);
         bytes.extend(header.flat_map(u32::to_le_bytes));
-        for indices in [cells, materials] {
+        for indices in [cells, blocks, materials] {
             let mut before = 0;
             for &index in indices {
                 write_leb128(index - before, &mut bytes);
@@ -242,14 +314,15 @@ impl Visited {
             Some(indices)
         };
         let cells = read(field(7), CELLS + 1)?;
-        let materials = read(field(8), u32::MAX)?;
-        rest.is_empty().then_some(Self { grid: VisitGrid { center: [x, y, z], quarter }, cells, materials })
+        let blocks = read(field(8), BLOCKS + 1)?;
+        let materials = read(field(9), u32::MAX)?;
+        rest.is_empty().then_some(Self { grid: VisitGrid { center: [x, y, z], quarter }, cells, blocks, materials })
     }
 }
 
 const MAGIC: [u8; 4] = *b"sdfv";
-const VERSION: u32 = 1;
-const HEADER_BYTES: usize = 36;
+const VERSION: u32 = 2;
+const HEADER_BYTES: usize = 40;
 
 fn write_leb128(mut number: u32, bytes: &mut Vec<u8>) {
     while number >= 0x80 {
@@ -277,14 +350,43 @@ mod tests {
     use super::*;
 
     #[test]
+    fn every_point_of_a_recorded_ray_is_near_a_recorded_block() {
+        let grid = VisitGrid { center: [1.0, -2.5, 0.0], quarter: 0.75 };
+        let mut word = 1_u32;
+        let mut random = |reach: f32| {
+            word = word.wrapping_mul(747_796_405).wrapping_add(2_891_336_453);
+            ((word >> 8) as f32 / (1 << 23) as f32 - 1.0) * reach
+        };
+        for reach in [1.0, 6.0, 30.0, 300.0] {
+            let mut point = || vec3(random(reach), random(reach), random(reach));
+            let (origin, end) = (point(), point());
+            let length = (end - origin).length();
+            let ray = Ray { origin, direction: (end - origin) * (1.0 / length) };
+            let visits = Visits::new(grid, 0);
+            visits.along(&ray, length);
+            let visited = visits.read();
+            for step in 0..=1_000 {
+                let p = ray.at(length * step as f32 / 1_000.0);
+                assert!(visited.has_passed(Bounds { min: p, max: p }), "{p:?} on the way from {origin:?} to {end:?}");
+            }
+            assert!(visits.another().read().blocks.is_empty(), "another record is empty");
+        }
+        let visits = Visits::new(grid, 0);
+        visits.along(&Ray { origin: vec3(1.0, -2.5, 0.0), direction: vec3(1.0, 0.0, 0.0) }, 0.5_f32);
+        let has_passed = |p: Vec3<f32>| visits.read().has_passed(Bounds { min: p, max: p });
+        assert!(has_passed(vec3(1.5, -2.4, 0.0)));
+        assert!(!has_passed(vec3(1.9, -2.5, 0.0)) && !has_passed(vec3(1.2, -2.0, 0.0)));
+    }
+
+    #[test]
     fn records_are_read_back() {
         let grid = VisitGrid { center: [1.0, -2.5, 0.0], quarter: 0.75 };
-        for (cells, materials) in [
-            (vec![], vec![]),
-            (vec![0], vec![0]),
-            (vec![0, 1, 127, 128, 255, 16_384, CELLS - 1, OUTSIDE], vec![0, 3, 900]),
+        for (cells, blocks, materials) in [
+            (vec![], vec![], vec![]),
+            (vec![0], vec![0], vec![0]),
+            (vec![0, 1, 127, 128, 255, 16_384, CELLS - 1, OUTSIDE], vec![1, 300, BLOCKS], vec![0, 3, 900]),
         ] {
-            let record = Visited { grid, cells, materials };
+            let record = Visited { grid, cells, blocks, materials };
             let bytes = record.to_bytes();
             assert_eq!(Visited::from_bytes(&bytes).as_ref(), Some(&record));
             for length in 0..bytes.len() {
@@ -297,7 +399,7 @@ mod tests {
                 assert_eq!(Visited::from_bytes(&other), None, "another {name}");
             }
         }
-        let mut many = Visited { grid, cells: vec![], materials: vec![] }.to_bytes();
+        let mut many = Visited { grid, cells: vec![], blocks: vec![], materials: vec![] }.to_bytes();
         many[28..32].fill(0xff);
         assert_eq!(Visited::from_bytes(&many), None, "more cells than bytes");
     }

@@ -1,6 +1,7 @@
 //! Which scenes are rendered by cells. It follows from the scene alone, so that all devices render the same bits.
 
 use super::coverage::MatteIds;
+use super::ray_boxes::RayBoxes;
 use super::{Integrator, shrink, surfaces_of};
 use crate::animation::JobAtFrame;
 use crate::bounds::Bounds;
@@ -34,7 +35,9 @@ impl<'a> Integrator<'a> {
             let reach = super::reach(own.bounds, &own.view, own.scene.march.max_distance.get());
             Cells::new(program, reach, how)
         });
-        Self { cells, ..own }
+        // Cells have other parts of rays.
+        let ray_boxes = own.ray_boxes.filter(|_| cells.is_none());
+        Self { ray_boxes, cells, ..own }
     }
 
     /// The table of the scene's cells, if it has any.
@@ -49,7 +52,7 @@ impl<'a> Integrator<'a> {
     pub fn recording(still: &'a JobAtFrame<'_>) -> Option<Self> {
         let own = Self::new(still);
         let program = own.recordable(still)?;
-        let bounds = Contents::new(&program, own.scene, &mut ContentIds::new(false)).bounds();
+        let bounds = Contents::new(program, own.scene, &mut ContentIds::new(false)).bounds();
         let grid = VisitGrid::around(bounds.unwrap_or(Bounds::symmetric(1.0, 1.0, 1.0)));
         let visits = Visits::new(grid, own.scene.used_materials().len());
         Some(Self { visits: Some(visits), ..own })
@@ -71,8 +74,29 @@ impl<'a> Integrator<'a> {
         {
             return None;
         }
-        let objects: Vec<_> = surfaces_of(scene).map(|index| (index, self.step_scales[index])).collect();
-        Program::new(scene, &objects)
+        self.program_of(surfaces_of(scene))
+    }
+
+    fn program_of(&self, objects: impl Iterator<Item = usize>) -> Option<Program<'a>> {
+        let objects: Vec<_> = objects.map(|index| (index, self.step_scales[index])).collect();
+        Program::new(self.scene, &objects)
+    }
+
+    /// The boxes of objects that marches evaluate only there, by their bits.
+    pub(crate) fn ray_boxes(&self) -> &[Bounds] {
+        self.ray_boxes.as_ref().map_or(&[], RayBoxes::boxes)
+    }
+
+    /// The program of the objects in some boxes, given the bits of these, and of the objects without boxes if those are wanted;
+    /// `None` if there are no such objects.
+    pub(crate) fn program_in_boxes(&self, bits: u32, with_others: bool) -> Option<Program<'a>> {
+        let is_wanted = |object: &usize| match self.ray_boxes.as_ref().and_then(|boxes| boxes.bit(*object)) {
+            Some(bit) => bits >> bit & 1 != 0,
+            None => with_others,
+        };
+        let objects: Vec<usize> = surfaces_of(self.scene).filter(is_wanted).collect();
+        (!objects.is_empty())
+            .then(|| self.program_of(objects.into_iter()).expect("a part of a scene is cut as the scene is"))
     }
 
     /// Whether two frames that differ only in surfaces and materials agree in everything that their pixels have in common.
@@ -91,8 +115,9 @@ impl<'a> Integrator<'a> {
             seen: _,
             media: _,
             names: _,
-            // Compared with the surfaces' lists.
+            // Compared with what is in cells.
             step_scales: _,
+            ray_boxes: _,
             // They change how values are found, and not the values.
             cull_bounds: _,
             shares_nearest: _,

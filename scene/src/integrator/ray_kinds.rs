@@ -8,6 +8,7 @@ use crate::visible::RayKind;
 pub(super) struct CallNames {
     pub(super) distance: &'static str,
     pub(super) nearest: &'static str,
+    pub(super) enter_boxes: &'static str,
     pub(super) march: &'static str,
     pub(super) march_on: &'static str,
     pub(super) march_to_depth: &'static str,
@@ -22,6 +23,7 @@ macro_rules! call_names {
         CallNames {
             distance: concat!("distance", $suffix),
             nearest: concat!("nearest", $suffix),
+            enter_boxes: concat!("enter_boxes", $suffix),
             march: concat!("march", $suffix),
             march_on: concat!("march_on", $suffix),
             march_to_depth: concat!("march_to_depth", $suffix),

@@ -1,6 +1,7 @@
 //! Distance of the whole scene, and the nearest object.
 
 use super::Integrator;
+use super::ray_boxes::RayBoxes;
 use crate::camera::Ray;
 use crate::march::{Part, RayField};
 use crate::real::{Bundle, Real, Vec3};
@@ -11,49 +12,39 @@ const MISS_DISTANCE: f32 = 1e9;
 impl Integrator<'_> {
     /// Distance of the whole scene at `p`: at most the distance to the nearest surface.
     pub fn distance<R: Real>(&self, p: Vec3<R>) -> R {
-        let distance = self.unrecorded_distance(p);
+        self.distance_in(p, self.all_boxes(p.x))
+    }
+
+    /// Distance at `p` of the objects in some boxes, given their bits, and of those that have none.
+    fn distance_in<R: Real>(&self, p: Vec3<R>, boxes: Option<R>) -> R {
+        let distance = self.unrecorded_distance(p, boxes);
         self.visits.as_ref().map_or(distance, |visits| distance.max(visits.at(p)))
     }
 
-    fn unrecorded_distance<R: Real>(&self, p: Vec3<R>) -> R {
+    fn all_boxes<R: Real>(&self, like: R) -> Option<R> {
+        self.ray_boxes.as_ref().map(|_| RayBoxes::all(like))
+    }
+
+    fn unrecorded_distance<R: Real>(&self, p: Vec3<R>, boxes: Option<R>) -> R {
         if let Some(cells) = &self.cells {
             p.x.call(self.names.distance, p, |p| cells.distance(p))
         } else if self.shares_nearest {
-            self.unrecorded_nearest_object(p).0
-        } else if self.cull_bounds.is_empty() {
-            self.distance_unculled(p)
+            self.unrecorded_nearest_object(p, boxes).0
         } else {
-            self.distance_culled(p)
+            p.x.call(self.names.distance, (p, boxes), |(p, boxes)| {
+                let (first, others) = self.first_and_others();
+                let start = first.map_or(p.x.constant(MISS_DISTANCE), |first| self.object_distance(first, p));
+                others.iter().fold(start, |nearest, &index| {
+                    self.with_object(index, p, boxes, nearest, nearest, |distance| nearest.min(distance))
+                })
+            })
         }
-    }
-
-    fn distance_unculled<R: Real>(&self, p: Vec3<R>) -> R {
-        p.x.call(self.names.distance, p, |p| {
-            let Some((&first, others)) = self.surfaces.split_first() else { return p.x.constant(MISS_DISTANCE) };
-            let mut nearest = self.object_distance(first, p);
-            for &index in others {
-                nearest = nearest.min(self.object_distance(index, p));
-            }
-            nearest
-        })
-    }
-
-    fn distance_culled<R: Real>(&self, p: Vec3<R>) -> R {
-        p.x.call(self.names.distance, p, |p| {
-            let Some((&first, others)) = self.surfaces.split_first() else { return p.x.constant(MISS_DISTANCE) };
-            let mut nearest = self.object_distance(first, p);
-            for &index in others {
-                nearest =
-                    self.unless_beyond(index, p, nearest, nearest, || nearest.min(self.object_distance(index, p)));
-            }
-            nearest
-        })
     }
 
     /// Distance of the whole scene at `p`, and the index of the nearest object; if several are equally near, of the
     /// first.
     pub(super) fn nearest_object<R: Real>(&self, p: Vec3<R>) -> (R, R) {
-        let (distance, object) = self.unrecorded_nearest_object(p);
+        let (distance, object) = self.unrecorded_nearest_object(p, self.all_boxes(p.x));
         match &self.visits {
             None => (distance, object),
             Some(visits) => {
@@ -63,41 +54,50 @@ impl Integrator<'_> {
         }
     }
 
-    fn unrecorded_nearest_object<R: Real>(&self, p: Vec3<R>) -> (R, R) {
-        p.x.call(self.names.nearest, p, |p| {
+    fn unrecorded_nearest_object<R: Real>(&self, p: Vec3<R>, boxes: Option<R>) -> (R, R) {
+        p.x.call(self.names.nearest, (p, boxes), |(p, boxes)| {
             if let Some(cells) = &self.cells {
                 return cells.nearest(p);
             }
-            let Some((&first, others)) = self.surfaces.split_first() else {
-                return (p.x.constant(MISS_DISTANCE), p.x.constant(-1.0));
-            };
-            let mut nearest = (self.object_distance(first, p), p.x.constant(first as f32));
-            for &index in others {
-                nearest = self.unless_beyond(index, p, nearest.0, nearest, || {
-                    let distance = self.object_distance(index, p);
+            let (first, others) = self.first_and_others();
+            let nothing = (p.x.constant(MISS_DISTANCE), p.x.constant(-1.0));
+            let start = first.map_or(nothing, |first| (self.object_distance(first, p), p.x.constant(first as f32)));
+            others.iter().fold(start, |nearest, &index| {
+                self.with_object(index, p, boxes, nearest.0, nearest, |distance| {
                     let nearer = distance.lt(nearest.0);
                     let object = R::select(nearer, p.x.constant(index as f32), nearest.1);
                     (nearest.0.min(distance), object)
-                });
-            }
-            nearest
+                })
+            })
         })
     }
 
-    /// Merges one object into the nearest result so far. Skips the object if its bounds are farther away than that
-    /// result.
-    fn unless_beyond<R: Real, T: Bundle<R>>(
+    /// The first surface, unless it is evaluated only in its box, and those after it.
+    fn first_and_others(&self) -> (Option<usize>, &[usize]) {
+        match self.surfaces.split_first() {
+            Some((&first, others)) if self.ray_boxes.as_ref().is_none_or(|all| all.bit(first).is_none()) => {
+                (Some(first), others)
+            }
+            _ => (None, &self.surfaces),
+        }
+    }
+
+    /// Merges one object into the nearest result so far. Skips the object if it is in another box, or its bounds are
+    /// farther away than that result.
+    fn with_object<R: Real, T: Bundle<R>>(
         &self,
         index: usize,
         p: Vec3<R>,
+        boxes: Option<R>,
         nearest: R,
         before: T,
-        with_object: impl FnOnce() -> T,
+        join: impl FnOnce(R) -> T,
     ) -> T {
-        match self.cull_bounds.get(index).and_then(Option::as_ref) {
-            Some(bounds) => R::when(bounds.distance_lower_bound(p).lt(nearest), before, with_object),
-            None => with_object(),
-        }
+        let with_it = || join(self.object_distance(index, p));
+        let Some(bounds) = self.cull_bounds.get(index).and_then(Option::as_ref) else { return with_it() };
+        let is_near = bounds.distance_lower_bound(p).lt(nearest);
+        let is_in_box = self.ray_boxes.as_ref().zip(boxes).and_then(|(all, boxes)| all.is_evaluated(index, boxes));
+        R::when(is_in_box.map_or(is_near, |is_in_box| is_near & is_in_box), before, with_it)
     }
 
     pub(super) fn object_distance<R: Real>(&self, index: usize, p: Vec3<R>) -> R {
@@ -118,21 +118,29 @@ pub(super) struct AlongRay<'a, 'b, R> {
 impl<R: Real> RayField<R> for AlongRay<'_, '_, R> {
     fn start(&self) -> Option<Part<R>> {
         let nowhere = self.ray.direction.x.constant(-1e30);
-        self.integrator.cells.as_ref().map(|_| Part { formula: nowhere, end: nowhere })
+        let all = self.integrator;
+        (all.cells.is_some() || all.ray_boxes.is_some()).then_some(Part { formula: nowhere, end: nowhere })
     }
 
     fn enter(&self, t: R, farthest: R) -> (R, Part<R>) {
-        match &self.integrator.cells {
-            Some(cells) => cells.enter(self.ray, t, farthest),
-            None => (t, Part { formula: t, end: farthest }),
+        let all = self.integrator;
+        match (&all.cells, &all.ray_boxes) {
+            (Some(cells), _) => cells.enter(self.ray, t, farthest),
+            (None, Some(boxes)) => (t, all.enter_boxes(boxes, self.ray, t, farthest)),
+            (None, None) => (t, Part { formula: t, end: farthest }),
         }
+    }
+
+    fn ends_with_part(&self) -> bool {
+        self.integrator.ray_boxes.is_some()
     }
 
     fn distance(&self, t: R, part: Option<Part<R>>) -> R {
         let p = self.ray.at(t);
         match (&self.integrator.cells, part) {
             (Some(cells), Some(part)) => cells.fold(part.formula, p),
-            _ => self.integrator.distance(p),
+            (None, Some(part)) => self.integrator.distance_in(p, Some(part.formula)),
+            (_, None) => self.integrator.distance(p),
         }
     }
 }

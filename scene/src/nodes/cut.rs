@@ -70,6 +70,19 @@ impl<'a> Part<'a> {
     }
 }
 
+impl Node {
+    /// Whether it is a sharp union of shapes, perhaps moved as a whole.
+    pub(crate) fn is_union(&self) -> bool {
+        match self.cut() {
+            Cut::Child(child) => child.is_union(),
+            Cut::Union(smooth, parts) => {
+                smooth.is_zero() && parts.len() > 1 && parts.iter().all(|part| matches!(part, Part::Shape(_)))
+            }
+            Cut::Leaf => false,
+        }
+    }
+}
+
 /// Calls `see` with the steps in which the parts of a union are combined, in order.
 pub(crate) fn for_each_step<'a>(parts: &[Part<'a>], smooth: &LengthOrZero, see: impl FnMut(FoldStep<'a>)) {
     let see = RefCell::new(see);

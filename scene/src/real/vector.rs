@@ -90,6 +90,11 @@ impl<R: Real> Vec3<R> {
         self.x.max(self.y).max(self.z)
     }
 
+    /// The least coordinate.
+    pub fn min_element(self) -> R {
+        self.x.min(self.y).min(self.z)
+    }
+
     /// `yes` where `mask` is true, else `no`.
     pub fn select(mask: R::Mask, yes: Self, no: Self) -> Self {
         vec3(R::select(mask, yes.x, no.x), R::select(mask, yes.y, no.y), R::select(mask, yes.z, no.z))

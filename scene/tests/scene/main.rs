@@ -20,6 +20,7 @@ mod noise;
 mod old_jobs;
 mod penumbra;
 mod profiles;
+mod ray_boxes;
 mod repetition;
 mod rotations;
 mod rounded;

@@ -204,6 +204,89 @@ fn edits_of_what_a_lens_blurs_keep_only_tiles_that_they_cannot_reach() {
     assert!(found.is_err_and(|reason| reason.contains("other than surfaces")), "another lens changes every tile");
 }
 
+/// Letters, which marches evaluate only in their boxes, among balls, on a floor.
+fn letters() -> Value {
+    let letter = |string: &str, at: [f64; 3]| {
+        let text = json!({ "text": { "string": string, "size": 1.4 } });
+        json!({ "shape": { "translate": { "by": at, "child": { "extrude": { "height": 0.3, "profile": text } } } } })
+    };
+    let mut objects = vec![json!({ "shape": { "plane": { "normal": [0, 1, 0], "offset": -0.1 } } })];
+    objects.extend([letter("S", [-1.1, 0.0, 0.0]), letter("B", [0.0, 0.0, -0.8]), letter("R", [0.9, 0.0, 0.3])]);
+    for index in 0..8 {
+        let at = [f64::from(index % 4) * 0.8 - 1.3, 0.3 + f64::from(index / 4) * 0.7, f64::from(index % 3) * 0.6 - 0.5];
+        objects.push(json!({ "shape": { "translate": { "by": at, "child": { "sphere": { "radius": 0.15 } } } } }));
+    }
+    json!({
+        "scene": {
+            "camera": { "position": [0.5, 1.2, 5], "look_at": [0, 0.5, 0], "fov": 35 },
+            "lights": [{ "directional": { "direction": [1, 2, 1], "color": [2, 2, 2] } }],
+            "objects": objects
+        },
+        "image": { "width": 320, "height": 192 }
+    })
+}
+
+#[test]
+fn letters_that_not_all_rays_see_are_the_same_in_all_arithmetics() {
+    let mut document = small(letters());
+    let objects = &mut document["scene"]["objects"];
+    objects[0]["material"] = json!({ "surface": { "metallic": 1, "roughness": 0.1 } });
+    objects[1]["visible"] = json!({ "shadow": false });
+    objects[2]["visible"] = json!({ "reflection": false });
+    let letters = job(&document).expect("a job");
+    let reference = CpuRenderer::new(None, Simd::Scalar).expect("a renderer");
+    for rect in tiles() {
+        assert_eq!(bits(&render(&renderer(), &letters, rect)), bits(&render(&reference, &letters, rect)), "{rect:?}");
+    }
+}
+
+#[test]
+fn edits_near_letters_keep_only_tiles_that_they_cannot_reach() {
+    let counts = check(&renderer(), "letters", &small(letters()), 40, &mut Random(13));
+    assert!(0 < counts.kept && counts.kept < counts.tiles, "{counts:?}");
+}
+
+/// A ray right above a long letter is nearest to that, but outside of its box it goes as far as a ball that is farther away allows.
+#[test]
+fn a_ball_behind_a_letter_changes_the_steps_of_rays_outside_of_its_box() {
+    let renderer = renderer();
+    let mut reached_tiles = 0;
+    for height in [0.95, 1.05, 1.15, 1.25] {
+        let scene = |ball: [f64; 3]| {
+            let text = json!({ "text": { "string": "BBB", "size": 1.4 } });
+            json!({
+                "scene": {
+                    "camera": { "position": [0, height, 7], "look_at": [0, height, -8], "fov": 1.5 },
+                    "objects": [
+                        { "shape": { "extrude": { "height": 6, "profile": text } } },
+                        { "shape": { "translate": { "by": ball, "child": { "sphere": { "radius": 0.15 } } } } },
+                        { "shape": { "translate": { "by": [0, 0, -8], "child": { "box": { "size": [20, 20, 1] } } } } }
+                    ]
+                },
+                "image": { "width": SIZE[0], "height": SIZE[1], "format": "exr", "layers": ["steps", "depth"] }
+            })
+        };
+        let before = job(&scene([0.0, 2.4, 0.0])).expect("a job");
+        let record = |rect| {
+            let request = TileRequest { job: &before, frame: 0, rect };
+            let (pixels, visited) = renderer.render_recorded(&request, &CancelFlag::new(), &|_| ()).expect("pixels");
+            (rect, pixels, visited.expect("it is recorded"))
+        };
+        let recorded: Vec<_> = tiles().map(record).collect();
+        let visited: Vec<_> = recorded.iter().map(|(_, _, visited)| visited).collect();
+        for ball in [[0.4, 2.4, 0.0], [0.0, 2.4, 0.9], [-0.8, 2.3, -0.3]] {
+            let after = job(&scene(ball)).expect("a job");
+            let found = reached(&before.at(0).expect("a frame"), &after.at(0).expect("a frame"), &visited);
+            for ((rect, pixels, _), is_reached) in recorded.iter().zip(found.expect("some tiles are kept")) {
+                let is_same = bits(pixels) == bits(&render(&renderer, &after, *rect));
+                assert!(is_same || is_reached, "{rect:?} has changed, seen from {height}");
+                reached_tiles += u32::from(!is_same);
+            }
+        }
+    }
+    assert!(reached_tiles > 0, "the ball changes some tiles");
+}
+
 /// Part of the tiles of `chess` that a piece's move by one square changes, and time and bytes of records.
 #[test]
 #[ignore = "long: renders 1920×1080 twice; 30 s"]

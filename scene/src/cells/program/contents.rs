@@ -56,8 +56,8 @@ impl Program<'_> {
 }
 
 /// A program whose contents can be compared with those of another.
-pub(crate) struct Contents<'a, 'b> {
-    program: &'a Program<'b>,
+pub(crate) struct Contents<'a> {
+    program: Program<'a>,
     pruner: Pruner,
     /// Indices of all leaves.
     leaves: Vec<u32>,
@@ -66,9 +66,9 @@ pub(crate) struct Contents<'a, 'b> {
     join_ids: Vec<u32>,
 }
 
-impl<'a, 'b> Contents<'a, 'b> {
+impl<'a> Contents<'a> {
     /// Contents of a program of this scene.
-    pub(crate) fn new(program: &'a Program<'b>, scene: &Scene, ids: &mut ContentIds) -> Self {
+    pub(crate) fn new(program: Program<'a>, scene: &Scene, ids: &mut ContentIds) -> Self {
         let mut of_leaf = |leaf: usize| {
             let own = scene.objects[program.leaves()[leaf].object].material.slot();
             let (text, numbers, material) = program.leaf_content(leaf, own);
@@ -81,7 +81,7 @@ impl<'a, 'b> Contents<'a, 'b> {
         };
         let join_ids = (0..program.joins().count()).map(&mut of_join).collect();
         let leaves = (0..program.leaf_count() as u32).collect();
-        Self { program, pruner: Pruner::new(program), leaves, leaf_ids, join_ids }
+        Self { pruner: Pruner::new(&program), program, leaves, leaf_ids, join_ids }
     }
 
     /// Box of all leaves that are finite.
