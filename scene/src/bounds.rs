@@ -127,14 +127,6 @@ impl Bounds {
             && between(self.min.z, p.z, self.max.z)
     }
 
-    /// Half the size along each axis, and the center.
-    pub(crate) fn half_size_and_center(self) -> (Vec3<f32>, Vec3<f32>) {
-        (
-            zip(self.max, self.min, |high, low| (high - low) * 0.5),
-            zip(self.max, self.min, |high, low| (high + low) * 0.5),
-        )
-    }
-
     /// Whether the box is bounded in every direction.
     pub fn is_finite(self) -> bool {
         [self.min, self.max]
@@ -145,7 +137,8 @@ impl Bounds {
     /// Lower bound of the distance from `p` to any point of the box: the largest coordinate difference along an axis,
     /// less a hundredth of the box's size.
     pub fn distance_lower_bound<R: Real>(&self, p: Vec3<R>) -> R {
-        let (half, middle) = self.half_size_and_center();
+        let half = zip(self.max, self.min, |high, low| (high - low) * 0.5);
+        let middle = zip(self.max, self.min, |high, low| (high + low) * 0.5);
         let half = half.map(|c| c + 0.02 * half.max_element());
         let away = p - Vec3::uniform(p.x, middle);
         (vec3(away.x.abs(), away.y.abs(), away.z.abs()) - Vec3::uniform(p.x, half)).max_element()
@@ -165,12 +158,17 @@ impl Bounds {
 
 /// Interval of t in which `origin + slope · t` is between `low` and `high`.
 fn slab_interval<R: Real>(low: R, high: R, origin: R, slope: R) -> (R, R) {
+    let per_slope = per_slope(slope);
+    let (a, b) = ((low - origin) * per_slope, (high - origin) * per_slope);
+    (a.min(b), a.max(b))
+}
+
+/// 1 over the slope of a ray along an axis.
+pub(crate) fn per_slope<R: Real>(slope: R) -> R {
     // Replaces a slope of 0, so that the quotient exists.
     const PARALLEL_EPSILON: f32 = 1e-12;
     let slope = R::select(slope.abs().below(PARALLEL_EPSILON), slope.constant(PARALLEL_EPSILON), slope);
-    let per_slope = slope.constant(1.0) / slope;
-    let (a, b) = ((low - origin) * per_slope, (high - origin) * per_slope);
-    (a.min(b), a.max(b))
+    slope.constant(1.0) / slope
 }
 
 fn zip(a: Vec3<f32>, b: Vec3<f32>, f: impl Fn(f32, f32) -> f32) -> Vec3<f32> {

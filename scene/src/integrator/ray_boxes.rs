@@ -1,7 +1,7 @@
 //! Boxes of large objects along a ray: a march evaluates such an object only where the ray is in its box.
 
 use super::Integrator;
-use crate::bounds::Bounds;
+use crate::bounds::{Bounds, per_slope};
 use crate::camera::Ray;
 use crate::march::Part;
 use crate::nodes::Node;
@@ -16,8 +16,6 @@ const MIN_NODES: u32 = 24;
 const MAX_BOXES: usize = 30;
 /// A length beyond all others: of a ray that meets no box.
 const NEVER: f32 = 1e9;
-/// Least slope of a ray along an axis, in place of smaller ones.
-const MIN_SLOPE: f32 = 1e-12;
 
 /// Boxes of large objects.
 #[derive(Clone, Debug)]
@@ -35,14 +33,9 @@ struct RayFromPoint<R> {
     scaled_point: Vec3<R>,
 }
 
-fn reciprocal<R: Real>(slope: R) -> R {
-    let least = slope.constant(MIN_SLOPE);
-    slope.constant(1.0) / R::select(slope.abs().lt(least), least, slope)
-}
-
 impl<R: Real> RayFromPoint<R> {
     fn new(point: Vec3<R>, direction: Vec3<R>) -> Self {
-        let per_direction = direction.map(reciprocal);
+        let per_direction = direction.map(per_slope);
         Self { per_direction, scaled_point: point.mul_elementwise(per_direction) }
     }
 

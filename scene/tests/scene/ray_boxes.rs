@@ -13,7 +13,7 @@ struct Met {
     steps: f32,
 }
 
-/// Heaps of balls before and behind each other, partly in each other's boxes, on a floor, by paths through glass: a heap is one
+/// Heaps of balls before and behind each other, partly in each other's boxes, on a floor, with a pane of glass, so that marches run on both sides: a heap is one
 /// object of many nodes, or each ball is an object.
 fn heaps(are_large: bool, camera: &Value) -> Vec<Met> {
     let mut word = 3_u32;
