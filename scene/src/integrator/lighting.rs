@@ -6,7 +6,7 @@ use crate::ambient_occlusion::AmbientOcclusion;
 use crate::backgrounds::Backdrop;
 use crate::camera::Ray;
 use crate::lights::{AmbientLight, LightSample, LightSource, PlacedLight};
-use crate::march::{MarchRange, MarchResult, RELAXATION, march};
+use crate::march::{MarchRange, MarchResult, march};
 use crate::materials::microfacet::orthonormal_basis;
 use crate::materials::{IncidentLight, Shade};
 use crate::real::{Real, Vec3};
@@ -139,12 +139,8 @@ impl Integrator<'_> {
         let (zero, one) = (farthest.constant(0.0), farthest.constant(1.0));
         let (nearest, farthest) = self.bounds.intersect_ray(ray, farthest);
         R::when(nearest.lt(farthest), (one, zero), || {
-            let reach = MarchRange {
-                t_min: nearest,
-                t_max: farthest,
-                max_steps: self.scene.march.max_steps,
-                relaxation: RELAXATION,
-            };
+            let reach =
+                MarchRange { t_min: nearest, t_max: farthest, max_steps: self.scene.march.max_steps, relaxes: true };
             let marched =
                 march(reach, |t| t.mul_add(t.constant(SHADOW_SLOPE), near), false, &AlongRay { integrator: self, ray });
             (R::select(marched.hit.0, zero, one), marched.evaluations)

@@ -3,7 +3,7 @@
 use super::scene_distance::AlongRay;
 use super::{Hit, Integrator};
 use crate::camera::Ray;
-use crate::march::{Approach, MarchRange, MarchResult, RELAXATION, Tolerance, find_root, march_to_root, settle};
+use crate::march::{Approach, MarchRange, MarchResult, Tolerance, find_root, march_to_root, settle};
 use crate::real::{MaskValue, Real, Vec3, vec3};
 
 impl Integrator<'_> {
@@ -39,9 +39,8 @@ impl Integrator<'_> {
         };
         R::when(nearest.lt(farthest), missed, || {
             // Depth on fine detail takes many steps, because the distance is close to 0.
-            let (times, relaxation) = if depth { (16, 1.0) } else { (1, RELAXATION) };
-            let max_steps = self.scene.march.max_steps * times;
-            let reach = MarchRange { t_min: nearest, t_max: farthest, max_steps, relaxation };
+            let max_steps = self.scene.march.max_steps * if depth { 16 } else { 1 };
+            let reach = MarchRange { t_min: nearest, t_max: farthest, max_steps, relaxes: !depth };
             let along = AlongRay { integrator: self, ray };
             let marched = march_to_root(ray, reach, approach, &along, |p| self.distance(p), |p| self.is_fine(p));
             let touches = self.touches(&marched, farthest);

@@ -12,7 +12,7 @@ use super::scene_distance::AlongRay;
 use super::straight_shadows::Glass;
 use super::{Integrator, Radiance};
 use crate::camera::Ray;
-use crate::march::{March, RELAXATION};
+use crate::march::March;
 use crate::real::{MaskValue, Real, Vec3, bundle};
 use crate::sampling::PixelSampler;
 use crate::transport::{PathSettings, Transport};
@@ -160,7 +160,7 @@ impl PathSteps<'_> {
         let MarchedRay { ray, near, slope, farthest } = *marched;
         let all = self.integrator;
         let along = AlongRay { integrator: all, ray: &ray };
-        let next = march.step(farthest, RELAXATION, |t| t.mul_add(slope, near), all.lets_through, &along);
+        let next = march.step(farthest, true, |t| t.mul_add(slope, near), all.lets_through, &along);
         let goes_on = next.goes_on.0 & next.steps.below(all.scene.march.max_steps as f32);
         March { goes_on: MaskValue(goes_on), ..next }
     }

@@ -2,7 +2,7 @@
 
 use super::Integrator;
 use super::scene_distance::AlongRay;
-use crate::march::{MarchRange, RELAXATION, Tolerance, march_to_root};
+use crate::march::{MarchRange, Tolerance, march_to_root};
 
 /// Maximum number of sample rays.
 const MAX_PROBE_RAYS: u32 = 256;
@@ -30,8 +30,7 @@ impl Integrator<'_> {
             if nearest >= farthest {
                 continue;
             }
-            let reach =
-                MarchRange { t_min: nearest, t_max: farthest, max_steps: max_steps.min(left), relaxation: RELAXATION };
+            let reach = MarchRange { t_min: nearest, t_max: farthest, max_steps: max_steps.min(left), relaxes: true };
             let Tolerance { slope, floor: near } = self.tolerance;
             let approach = self.approach(slope, near, false);
             let along = AlongRay { integrator: self, ray: &ray };
