@@ -471,7 +471,7 @@ mod tests {
     fn a_ray_along_a_plane_takes_few_steps() {
         let steps = |relaxes: bool| {
             let reach = MarchRange { relaxes, ..REACH };
-            let marched = march(reach, |_| TOLERANCE, false, &|t: f32| t.mul_add(-0.05, 1.0));
+            let marched = march(reach, |_| TOLERANCE, false, &|t: f32| (20.0 - t) * 0.05);
             assert!(marched.hit.0 && (marched.t - 20.0).abs() < 0.01, "{marched:?}");
             marched.steps
         };
