@@ -287,7 +287,7 @@ fn a_ball_behind_a_letter_changes_the_steps_of_rays_outside_of_its_box() {
     assert!(changed_tiles > 0, "the ball changes some tiles");
 }
 
-/// Part of the tiles of `chess` that a piece's move by one square changes, and time and bytes of records.
+/// Part of a farm's tiles of `chess` that a piece's move by one square changes, and time and bytes of records.
 #[test]
 #[ignore = "long: renders 1920×1080 twice; 30 s"]
 fn moving_a_chess_piece_changes_few_tiles() {
@@ -303,9 +303,9 @@ fn moving_a_chess_piece_changes_few_tiles() {
         *place = json!(place.as_f64().expect("a number") - 1.0);
         let (before, after) = (job(&document).expect("a job"), job(&edited).expect("a job"));
         let (mut recorded, mut differ) = (Vec::new(), Vec::new());
-        for y in (0..1080).step_by(120) {
-            for x in (0..1920).step_by(120) {
-                let rect = Rect { x, y, width: 120, height: 120 };
+        for y in (0..1080_u32).step_by(128) {
+            for x in (0..1920).step_by(128) {
+                let rect = Rect { x, y, width: 128, height: 128.min(1080 - y) };
                 let request = TileRequest { job: &before, frame: 0, rect };
                 let (pixels, visited) =
                     renderer.render_recorded(&request, &CancelFlag::new(), &|_| ()).expect("pixels");
