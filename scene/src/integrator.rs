@@ -25,7 +25,7 @@ mod sky_table;
 mod step_budget;
 mod straight_shadows;
 
-use std::ops::Add;
+use std::ops::{Add, Range};
 
 use crate::animation::JobAtFrame;
 use crate::backgrounds::Backdrop;
@@ -36,6 +36,7 @@ use crate::limits::MAX_SAMPLES;
 use crate::march::Tolerance;
 use crate::materials::{Material, Shade, ShadingPoint};
 use crate::real::{MaskValue, Real, Vec3, bundle, vec3};
+use crate::sample_count::{BATCH, within_batches};
 use crate::sampling::{PixelSampler, Sampler, frame_key};
 use crate::scene::Scene;
 use crate::transport::{PathSettings, Transport};
@@ -273,7 +274,12 @@ impl<'a> Integrator<'a> {
     /// Color of the pixel in column `x` and row `y`, both integers.
     pub fn pixel<R: Real>(&self, x: R, y: R) -> Radiance<R> {
         let zero = x.constant(0.0);
-        self.mean(self.accumulate(x, y, zero, x.constant(self.samples as f32), self.no_light(zero)))
+        let batch = |samples: Range<u32>| {
+            let [first, end] = [samples.start, samples.end].map(|sample| x.constant(sample as f32));
+            self.accumulate(x, y, first, end, self.no_light(zero))
+        };
+        let sum = within_batches(0..self.samples, BATCH).map(batch).reduce(|sum, batch| sum + batch);
+        self.mean(sum.expect("a pixel has a sample"))
     }
 
     /// A sum of no samples.
@@ -290,8 +296,8 @@ impl<'a> Integrator<'a> {
         Radiance { color: vec3(red, green, blue), alpha, groups, levels, evaluations: alpha.constant(0.0) }
     }
 
-    /// Adds samples of a pixel to `sum`: from `first` up to but excluding `end`, which is greater than `first`. Adding
-    /// in parts, in order, gives bit-identical sums.
+    /// Adds samples of a [batch](BATCH) to the sum of those before in it: from `first` up to but excluding `end`, which is
+    /// greater than `first`. Adding in parts, in order, gives bit-identical sums.
     pub fn accumulate<R: Real>(&self, x: R, y: R, first: R, end: R, sum: Radiance<R>) -> Radiance<R> {
         if let Some(paths) = self.path_steps() {
             return paths.accumulate([x, y], [first, end], sum);

@@ -28,6 +28,17 @@ pub fn standard_error([half, count]: [u32; 2], first: [f32; 4], all: [f32; 4]) -
     (first / half as f32 - (all - first) / (count - half) as f32).abs() * 0.5
 }
 
+/// Number of samples of a pixel that are summed one after another: a batch. Their sum is added to that of the batches before,
+/// because each addition to an `f32` rounds: 65,536 in a row could lose 12 of its 24 bits, and batches lose 5 at most.
+pub const BATCH: u32 = 256;
+
+/// The parts of a range of samples, at most `most` in each, which divides [`BATCH`], so that each is in one batch.
+pub fn within_batches(samples: Range<u32>, most: u32) -> impl Iterator<Item = Range<u32>> {
+    let end_of_part = move |first: u32| ((first / most + 1) * most).min(samples.end);
+    let part = move |first: u32| (first < samples.end).then(|| first..end_of_part(first));
+    std::iter::successors(part(samples.start), move |before| part(before.end))
+}
+
 /// Edge of the blocks of pixels that have the same number of samples, in pixels.
 pub const BLOCK_PX: u32 = 8;
 /// Least number of samples that an adaptive pixel may have, so that each half has two.
@@ -251,6 +262,15 @@ mod tests {
         assert_eq!(SampleCount::Fixed(7).rounds().as_slice(), std::slice::from_ref(&(0..7)));
         let last = rounds(4, MAX_SAMPLES).pop();
         assert_eq!(last, Some(MAX_SAMPLES / 2..MAX_SAMPLES));
+    }
+
+    #[test]
+    fn parts_of_samples_are_in_one_batch() {
+        let parts = |samples, most| within_batches(samples, most).collect::<Vec<_>>();
+        assert_eq!(parts(250..600, BATCH), [250..256, 256..512, 512..600]);
+        assert_eq!(parts(60..130, 64), [60..64, 64..128, 128..130]);
+        assert_eq!(parts(0..256, BATCH).as_slice(), std::slice::from_ref(&(0..256)));
+        assert!(parts(7..7, BATCH).is_empty());
     }
 
     #[test]

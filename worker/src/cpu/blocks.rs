@@ -1,9 +1,11 @@
 //! Blocks of pixels whose samples are taken in rounds, after which they may be done.
 
-use scene::sample_count::BLOCK_PX;
+use std::ops::Range;
+
+use scene::sample_count::{BATCH, BLOCK_PX, within_batches};
 
 use super::kernels::Thread;
-use super::packets::{Band, SAMPLES_PER_RUN};
+use super::packets::{Band, SAMPLES_PER_RUN, end_batch};
 use crate::picture_tape::{ACCUMULATE, LAYERS};
 use crate::rounds::{CHANNELS, Rounds, Sums, mean};
 
@@ -24,11 +26,23 @@ struct Block {
 struct Pixel {
     x: usize,
     y: usize,
-    /// Sums of the samples of all rounds but the last, and of all.
+    /// Sums of the samples of all rounds but the last.
     before: Sums,
-    sum: Sums,
-    /// Sums of the parts of light.
-    parts: Vec<f32>,
+    /// Sums of all batches that have ended, and of the one that has not.
+    batches: Vec<f32>,
+    batch: Vec<f32>,
+}
+
+impl Pixel {
+    /// Sums of all samples, with those of the parts of light.
+    fn sums(&self) -> impl Iterator<Item = f32> {
+        self.batches.iter().zip(&self.batch).map(|(batches, batch)| batches + batch)
+    }
+
+    /// Sums of all samples.
+    fn sum(&self) -> Sums {
+        std::array::from_fn(|channel| self.batches[channel] + self.batch[channel])
+    }
 }
 
 impl Band<'_, '_> {
@@ -39,21 +53,20 @@ impl Band<'_, '_> {
         for (index, round) in self.samples.iter().enumerate() {
             let mut pixels: Vec<&mut Pixel> = active.iter_mut().flat_map(|block| &mut block.pixels).collect();
             for pixel in &mut pixels {
-                pixel.before = pixel.sum;
+                pixel.before = pixel.sum();
             }
             for (instant, samples) in round.iter().enumerate() {
-                for first in samples.clone().step_by(SAMPLES_PER_RUN as usize) {
-                    let end = samples.end.min(first + SAMPLES_PER_RUN);
+                for run in within_batches(samples.clone(), SAMPLES_PER_RUN) {
                     for packet in pixels.chunks_mut(lanes) {
-                        self.accumulate(thread, lanes, [first, end], instant, packet);
-                        self.progress.add(packet.len() as u64 * u64::from(end - first));
+                        self.accumulate(thread, lanes, &run, instant, packet);
+                        self.progress.add(packet.len() as u64 * run.len() as u64);
                     }
                 }
             }
             let count = round.last().map_or(0, |samples| samples.end);
             active.retain_mut(|block| {
                 block.samples = count;
-                let is_done = rules.is_done(index, count, block.pixels.iter().map(|pixel| (pixel.before, pixel.sum)));
+                let is_done = rules.is_done(index, count, block.pixels.iter().map(|pixel| (pixel.before, pixel.sum())));
                 if is_done {
                     // The samples that it does not need.
                     self.progress.add(block.pixels.len() as u64 * u64::from(rules.max_samples() - count));
@@ -73,8 +86,8 @@ impl Band<'_, '_> {
                 x,
                 y,
                 before: [0.0; CHANNELS],
-                sum: [0.0; CHANNELS],
-                parts: vec![0.0; self.sum_channels - CHANNELS],
+                batches: vec![0.0; self.sum_channels],
+                batch: vec![0.0; self.sum_channels],
             };
             let pixels = pixels.map(pixel);
             Block { pixels: pixels.collect(), samples: 0 }
@@ -87,7 +100,7 @@ impl Band<'_, '_> {
         &self,
         thread: &mut Thread<'_>,
         lanes: usize,
-        [first, end]: [u32; 2],
+        samples: &Range<u32>,
         instant: usize,
         packet: &mut [&mut Pixel],
     ) {
@@ -97,17 +110,19 @@ impl Band<'_, '_> {
             // Lanes beyond the last pixel repeat it.
             let pixel = &packet[lane.min(packet.len() - 1)];
             let [x, y] = self.position(pixel);
-            let sums = pixel.sum.iter().chain(&pixel.parts).copied();
-            let numbers = [x, y, first as f32, end as f32].into_iter().chain(sums);
+            let place = [x, y, samples.start as f32, samples.end as f32];
+            let numbers = place.iter().chain(&pixel.batch).copied();
             for (row, number) in numbers.enumerate() {
                 arguments[row * lanes + lane] = number;
             }
         }
         thread.run(instant, ACCUMULATE, self.cancel, &arguments, &mut sums);
         for (lane, pixel) in packet.iter_mut().enumerate() {
-            pixel.sum = std::array::from_fn(|channel| sums[channel * lanes + lane]);
-            let parts = sums[CHANNELS * lanes..].iter().skip(lane).step_by(lanes);
-            pixel.parts.iter_mut().zip(parts).for_each(|(to, sum)| *to = *sum);
+            let of_lane = sums.iter().skip(lane).step_by(lanes);
+            pixel.batch.iter_mut().zip(of_lane).for_each(|(to, sum)| *to = *sum);
+            if samples.end.is_multiple_of(BATCH) {
+                end_batch(&mut pixel.batches, &mut pixel.batch);
+            }
         }
     }
 
@@ -127,13 +142,13 @@ impl Band<'_, '_> {
             }
             for (lane, &(pixel, samples)) in packet.iter().enumerate() {
                 let place = pixel.y * self.width + pixel.x;
-                let light = pixel.sum.iter().chain(&pixel.parts).map(|&sum| mean(samples, sum));
+                let light = pixel.sums().map(|sum| mean(samples, sum));
                 let layers = layers.iter().skip(lane).step_by(lanes).copied();
                 for (plane, value) in self.planes.iter_mut().zip(light.chain(layers)) {
                     // A file must not distinguish zeros by their sign.
                     plane[place] = value + 0.0;
                 }
-                for (plane, value) in rules.extras(samples, pixel.before, pixel.sum) {
+                for (plane, value) in rules.extras(samples, pixel.before, pixel.sum()) {
                     self.planes[plane][place] = value;
                 }
             }

@@ -3,18 +3,27 @@
 use std::ops::Range;
 use std::sync::atomic::{AtomicBool, Ordering};
 
+use scene::sample_count::{BATCH, within_batches};
+
 use super::blocks;
 use super::kernels::{Kernel, Thread};
 use crate::picture_tape::{ACCUMULATE, LAYERS, MEAN};
 use crate::rounds::Rounds;
 
-/// Samples of a packet's pixels that are summed between two reports of progress.
+/// Samples of a packet's pixels that are summed between two reports of progress; it divides a batch.
 pub(super) const SAMPLES_PER_RUN: u32 = 64;
 
 /// Columns and rows of a packet's block: as square as its lanes allow.
 pub(super) fn block(lanes: usize) -> (usize, usize) {
     let columns = 1 << lanes.ilog2().div_ceil(2);
     (columns, lanes / columns)
+}
+
+/// Adds the sums of a batch to those of the batches before; the next begins with none.
+pub(super) fn end_batch(batches: &mut [f32], batch: &mut [f32]) {
+    for (sum, own) in batches.iter_mut().zip(batch) {
+        *sum += std::mem::take(own);
+    }
 }
 
 /// Rows of a tile, as high as a packet's block.
@@ -101,7 +110,7 @@ impl Band<'_, '_> {
         }
     }
 
-    /// The color of a packet's pixels. Their samples are summed in runs, which does not change the sum.
+    /// The color of a packet's pixels. The samples of a batch are summed in runs, which does not change their sum.
     fn radiance(
         &mut self,
         thread: &mut Thread<'_>,
@@ -111,17 +120,21 @@ impl Band<'_, '_> {
         color: &mut [f32],
     ) {
         let pixels = block(lanes).0.min(self.width - column) * self.rows();
+        let mut batches = vec![0.0; color.len()];
         for (instant, samples) in self.samples[0].iter().enumerate() {
-            for first in samples.clone().step_by(SAMPLES_PER_RUN as usize) {
-                let run = SAMPLES_PER_RUN.min(samples.end - first);
-                arguments[2 * lanes..3 * lanes].fill(first as f32);
-                arguments[3 * lanes..4 * lanes].fill((first + run) as f32);
+            for run in within_batches(samples.clone(), SAMPLES_PER_RUN) {
+                arguments[2 * lanes..3 * lanes].fill(run.start as f32);
+                arguments[3 * lanes..4 * lanes].fill(run.end as f32);
                 thread.run(instant, ACCUMULATE, self.cancel, arguments, color);
                 arguments[4 * lanes..].copy_from_slice(color);
-                self.progress.add(pixels as u64 * u64::from(run));
+                if run.end.is_multiple_of(BATCH) {
+                    end_batch(&mut batches, &mut arguments[4 * lanes..]);
+                }
+                self.progress.add(pixels as u64 * run.len() as u64);
             }
         }
-        thread.run(0, MEAN, self.cancel, &arguments[4 * lanes..], color);
+        end_batch(&mut batches, &mut arguments[4 * lanes..]);
+        thread.run(0, MEAN, self.cancel, &batches, color);
     }
 
     /// The instant of the layers.

@@ -17,6 +17,8 @@ pub(super) struct FinishedTile {
     counts: Vec<u32>,
     /// Number of planes of sums, which come first.
     sum_channels: usize,
+    /// The first plane of the sums of batches that have ended, if there are several.
+    batches_plane: Option<usize>,
     /// Planes that the host writes, with their numbers.
     extras: Vec<(usize, Vec<f32>)>,
 }
@@ -48,6 +50,10 @@ impl FinishedTile {
 
     /// Turns the planes of sums into those of the tile.
     pub(super) fn finish(&self, planes: &mut [Vec<f32>]) {
+        if let Some(first) = self.batches_plane {
+            let (batch, batches) = planes.split_at_mut(first);
+            batch.iter_mut().zip(batches).for_each(|(batch, batches)| add(batch, batches));
+        }
         for (block, &count) in self.counts.iter().enumerate() {
             for pixel in self.pixels(block as u32) {
                 for plane in &mut planes[..self.sum_channels] {
@@ -82,14 +88,14 @@ impl FinishedTile {
 
 impl<'a> ActiveBlocks<'a> {
     /// All blocks of some tiles, which are stored as [`launches::whole`] stores them.
-    pub(super) fn new(rules: Rounds<'a>, tiles: &[Rect], planes: usize) -> Self {
+    pub(super) fn new(rules: Rounds<'a>, tiles: &[Rect], planes: usize, batches_plane: Option<usize>) -> Self {
         let of_tile = |piece: Piece| {
             let Rect { width, height, .. } = piece.tile;
             let count = width.div_ceil(BLOCK_PX) * height.div_ceil(BLOCK_PX);
             let extra = |(plane, _)| (plane, vec![0.0; piece.tile.pixels() as usize]);
             let extras = rules.extras(2, [0.0; CHANNELS], [0.0; CHANNELS]).map(extra).collect();
             let (counts, sum_channels) = (vec![0; count as usize], rules.sum_channels());
-            (piece, FinishedTile { tile: piece.tile, counts, sum_channels, extras })
+            (piece, FinishedTile { tile: piece.tile, counts, sum_channels, batches_plane, extras })
         };
         let tiles: Vec<_> = launches::whole(tiles, planes).into_iter().map(of_tile).collect();
         let before = tiles.iter().map(|(piece, _)| vec![0.0; CHANNELS * piece.tile.pixels() as usize]).collect();
@@ -101,12 +107,16 @@ impl<'a> ActiveBlocks<'a> {
         let rules = self.rules;
         let tiles = self.tiles.par_iter_mut().zip(&mut self.before);
         tiles.for_each(|((piece, tile), before)| {
-            let sums = &sums[piece.start as usize..][..before.len()];
             let plane = piece.tile.pixels() as usize;
+            let of_planes = |first: usize| &sums[piece.start as usize + first * plane..][..before.len()];
+            let mut sums = of_planes(0).to_vec();
+            if let Some(first) = tile.batches_plane {
+                add(&mut sums, of_planes(first));
+            }
             let of_pixel =
                 |sums: &[f32], pixel: usize| -> Sums { std::array::from_fn(|channel| sums[channel * plane + pixel]) };
             for block in 0..tile.counts.len() as u32 {
-                let both = |pixel: usize| (of_pixel(before, pixel), of_pixel(sums, pixel));
+                let both = |pixel: usize| (of_pixel(before, pixel), of_pixel(&sums, pixel));
                 if !tile.is_active(block) || !rules.is_done(round, count, tile.pixels(block).map(both)) {
                     continue;
                 }
@@ -118,7 +128,7 @@ impl<'a> ActiveBlocks<'a> {
                     }
                 }
             }
-            before.copy_from_slice(sums);
+            *before = sums;
         });
     }
 
@@ -137,6 +147,10 @@ impl<'a> ActiveBlocks<'a> {
     }
 }
 
+fn add(sums: &mut [f32], others: &[f32]) {
+    sums.iter_mut().zip(others).for_each(|(sum, other)| *sum += other);
+}
+
 #[cfg(test)]
 mod tests {
     use scene::Image;
@@ -147,7 +161,7 @@ mod tests {
 
     #[test]
     fn blocks_of_a_row_are_joined() {
-        let mut blocks = FinishedTile { tile: TILE, counts: vec![0; 15], sum_channels: CHANNELS, extras: Vec::new() };
+        let mut blocks = FinishedTile { tile: TILE, counts: vec![0; 15], sum_channels: CHANNELS, batches_plane: None, extras: Vec::new() };
         assert_eq!(blocks.rects(), [TILE]);
         for done in [2, 5, 6, 7, 8, 9, 10] {
             blocks.counts[done] = 16;
@@ -164,7 +178,7 @@ mod tests {
         let image: Image = serde_json::from_value(image).expect("an image");
         let channels = image.rendered_channels().len();
         let rules = Rounds::of(&image).expect("it has rounds");
-        let mut blocks = ActiveBlocks::new(rules, &[TILE], channels);
+        let mut blocks = ActiveBlocks::new(rules, &[TILE], channels, None);
         let pixels = TILE.pixels() as usize;
         // The red of the first pixel of the tile differs between the halves of its samples.
         let sums = |of_first: f32, of_others: f32| {

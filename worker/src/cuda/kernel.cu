@@ -189,10 +189,9 @@ INLINE_FN Sum operator+(const Sum& a, const Sum& b) {
     return sum;
 }
 
-// The sum of a pixel's samples before `first`.
-INLINE_FN Sum sum_before(float first, const Pixel& pixel, const float* out) {
-    if (first == 0.0f) return { 0.0f, 0.0f, 0.0f, 0.0f };
-    const float* red = out + pixel.offset;
+// A pixel's sum in the planes from `plane` on.
+INLINE_FN Sum read_sum(const Pixel& pixel, unsigned plane, const float* out) {
+    const float* red = out + pixel.offset + plane * pixel.stride;
     Sum sum = { *red, red[pixel.stride], red[2 * pixel.stride], red[3 * pixel.stride] };
 #ifdef PART_PLANES
     UNROLL for (unsigned plane = 0; plane < PART_PLANES; ++plane) sum.parts[plane] = red[(4 + plane) * pixel.stride];
@@ -200,14 +199,8 @@ INLINE_FN Sum sum_before(float first, const Pixel& pixel, const float* out) {
     return sum;
 }
 
-// Writes a pixel's sum, or its mean if that was the last of its samples.
-INLINE_FN void write_sum(Sum sum, unsigned is_last, const Pixel& pixel, float* out) {
-    if (is_last) {
-        const mean_result mean = step_mean(sum.red, sum.green, sum.blue, sum.alpha PARTS_OF(sum));
-        // A file must not distinguish zeros by their sign.
-        sum = { mean.f0 + 0.0f, mean.f1 + 0.0f, mean.f2 + 0.0f, mean.f3 + 0.0f PARTS_FROM(mean, + 0.0f) };
-    }
-    float* red = out + pixel.offset;
+INLINE_FN void store_sum(const Sum& sum, const Pixel& pixel, unsigned plane, float* out) {
+    float* red = out + pixel.offset + plane * pixel.stride;
     *red = sum.red;
     red[pixel.stride] = sum.green;
     red[2 * pixel.stride] = sum.blue;
@@ -215,6 +208,36 @@ INLINE_FN void write_sum(Sum sum, unsigned is_last, const Pixel& pixel, float* o
 #ifdef PART_PLANES
     UNROLL for (unsigned plane = 0; plane < PART_PLANES; ++plane) red[(4 + plane) * pixel.stride] = sum.parts[plane];
 #endif
+}
+
+// The sum of the samples before `first` in its batch.
+INLINE_FN Sum sum_before(float first, const Pixel& pixel, const float* out) {
+    if ((unsigned)first % BATCH == 0u) return { 0.0f, 0.0f, 0.0f, 0.0f };
+    return read_sum(pixel, 0u, out);
+}
+
+// Writes a pixel's sum in the batch of its samples from `first` until before `end`, and that of the batches before; or the
+// mean of all if that was the last of its samples.
+INLINE_FN void write_sum(Sum sum, float first, float end, unsigned is_last, const Pixel& pixel, float* out) {
+#ifdef BATCHES_PLANE
+    const Sum none = { 0.0f, 0.0f, 0.0f, 0.0f };
+    Sum batches = first < (float)BATCH ? none : read_sum(pixel, BATCHES_PLANE, out);
+    if (is_last) {
+        sum = batches + sum;
+    } else {
+        if ((unsigned)end % BATCH == 0u) {
+            batches = batches + sum;
+            sum = none;
+        }
+        store_sum(batches, pixel, BATCHES_PLANE, out);
+    }
+#endif
+    if (is_last) {
+        const mean_result mean = step_mean(sum.red, sum.green, sum.blue, sum.alpha PARTS_OF(sum));
+        // A file must not distinguish zeros by their sign.
+        sum = { mean.f0 + 0.0f, mean.f1 + 0.0f, mean.f2 + 0.0f, mean.f3 + 0.0f PARTS_FROM(mean, + 0.0f) };
+    }
+    store_sum(sum, pixel, 0u, out);
 }
 
 #ifdef AOV_PLANES

@@ -3,8 +3,10 @@
 
 use std::ops::Range;
 
-use super::device::{BlockDim, DeviceTile, LaunchRange};
 use proto::Rect;
+use scene::sample_count::BATCH;
+
+use super::device::{BlockDim, DeviceTile, LaunchRange};
 
 /// Target duration of a launch, in milliseconds; two are in flight at a time.
 const LAUNCH_MS: f64 = 12.0;
@@ -232,7 +234,8 @@ impl Launches {
         let blocks = self.end_block - self.first_block;
         let fitting = (cost.next_size(self.resident_blocks) / f64::from(blocks)) as u32;
         let fitting = (fitting / self.together).max(1).saturating_mul(self.together);
-        let end_sample = self.sample.saturating_add(fitting).min(self.end_sample);
+        let end_of_batch = (self.sample / BATCH + 1) * BATCH;
+        let end_sample = self.sample.saturating_add(fitting).min(end_of_batch).min(self.end_sample);
         let (first_block, first_sample) = (self.first_block, self.sample);
         let is_end = end_sample == self.end_sample;
         if is_end {
@@ -271,6 +274,7 @@ mod tests {
             }
             assert_eq!(part.is_last, part.end_sample == samples);
             assert!((part.end_sample - part.first_sample).is_multiple_of(together));
+            assert_eq!(part.first_sample / BATCH, (part.end_sample - 1) / BATCH, "a launch is in one batch");
             cost.observe(part, took);
             longest = longest.max(took);
         }

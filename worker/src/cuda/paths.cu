@@ -6,7 +6,7 @@
 #define SAMPLE MARCH_WORDS
 #define SUM (SAMPLE + 1u)
 
-// Adds the samples from `first` until before `end` to the sums in `out` (0 if `first` is 0).
+// Adds the samples from `first` until before `end`, which are in one batch, to the sums in `out`.
 //
 // The threads of a warp march together, until less than one of PAUSE of those that began still march. Then the others take
 // what follows their march, and all march on.
@@ -38,5 +38,5 @@ extern "C" __global__ void render(const Tile* __restrict__ tiles, unsigned tile_
 #ifdef PART_PLANES
     UNROLL for (unsigned plane = 0; plane < PART_PLANES; ++plane) sum.parts[plane] = lane[SUM + 4u + plane];
 #endif
-    write_sum(sum, is_last, pixel, out);
+    write_sum(sum, first, end, is_last, pixel, out);
 }

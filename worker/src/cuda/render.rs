@@ -13,6 +13,7 @@ use super::active_blocks::{ActiveBlocks, FinishedTile};
 use super::cells::{Cells, Made};
 use super::device::{Buffer, Device, LaunchRange, PendingLaunch, SavedPixels};
 use super::launches::{self, Ends, Launches, Piece};
+use super::source::{batches_plane, device_planes};
 use super::{CudaError, CudaRenderer, Kernel, KernelSource, KernelState, lock};
 use crate::renderer::{CancelFlag, RenderError, TilePixels, TileRequest};
 use crate::rounds::Rounds;
@@ -57,7 +58,7 @@ impl CudaRenderer {
     ) -> Result<(), CudaError> {
         let Some(first) = runs.first() else { return Ok(()) };
         let sources = self.sources(first)?;
-        let planes = first.job.image.rendered_channels().len();
+        let planes = device_planes(&first.job.image);
         let numbers = |run: &TileRequest<'_>| run.rect.pixels() as usize * planes;
         let mut underway: Option<InFlight> = None;
         let mut rest = runs;
@@ -97,11 +98,11 @@ impl CudaRenderer {
     ) -> Result<InFlight, CudaError> {
         let image = &runs[0].job.image;
         let rects: Vec<Rect> = runs.iter().map(|run| run.rect).collect();
-        let planes = image.rendered_channels().len();
+        let planes = device_planes(image);
         let numbers = rects.iter().map(|rect| rect.pixels() as usize).sum::<usize>() * planes;
         let _launching = lock(&self.launching);
         let mut buffer = self.take_buffer(numbers)?;
-        let mut blocks = Rounds::of(image).map(|rules| ActiveBlocks::new(rules, &rects, planes));
+        let mut blocks = Rounds::of(image).map(|rules| ActiveBlocks::new(rules, &rects, planes, batches_plane(image)));
         let mut pieces = launches::whole(&rects, planes);
         for round in 0..sources[0].samples.len() {
             for (index, source) in sources.iter().enumerate() {
@@ -223,7 +224,7 @@ impl CudaRenderer {
         progress: &(dyn Fn(u64) + Sync),
     ) -> Result<Vec<TilePixels>, CudaError> {
         let InFlight { rects, buffer, finished } = underway;
-        let planes = image.rendered_channels().len();
+        let (planes, rendered) = (device_planes(image), image.rendered_channels().len());
         let mut rest = Device::wait_copy(&buffer)?;
         let mut additions = finished.map(Vec::into_iter);
         let parts: Vec<(Rect, &[f32], Option<FinishedTile>)> = rects
@@ -246,6 +247,7 @@ impl CudaRenderer {
             if let Some(addition) = addition {
                 addition.finish(&mut planes);
             }
+            planes.truncate(rendered);
             progress(rect.pixels() * u64::from(image.samples.max()));
             TilePixels { rect, planes }
         };

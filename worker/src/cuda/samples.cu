@@ -9,7 +9,7 @@ INLINE_FN Sum of_lane(const Sum& x, unsigned lane) {
     return sum;
 }
 
-// Adds the samples from `first` until before `end` to the sums in `out` (0 if `first` is 0).
+// Adds the samples from `first` until before `end`, which are in one batch, to the sums in `out`.
 //
 // Neighboring threads render TOGETHER samples of a pixel, because these take similar branches: a power of two up to 32
 // that divides the number of samples. Each of them adds all samples in their order.
@@ -31,5 +31,5 @@ extern "C" __global__ void render(const Tile* __restrict__ tiles, unsigned tile_
             sum = sum + (TOGETHER == 1u ? some : of_lane(some, threadIdx.x % 32u - own + k));
         }
     }
-    if (pixel.is_inside && own == 0u) write_sum(sum, is_last, pixel, out);
+    if (pixel.is_inside && own == 0u) write_sum(sum, first, end, is_last, pixel, out);
 }

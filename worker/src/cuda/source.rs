@@ -7,6 +7,7 @@ use std::sync::Arc;
 use scene::cells::{BLOCK_CELLS, BOX_LEVELS, BOX_NUMBERS, Division, ROUNDING};
 use scene::real::list::{IS_LAST, IS_UNARY, NO_LEAF, ROW_BITS, ROW_MASK};
 use scene::real::{INDEX_BITS, Table};
+use scene::sample_count::BATCH;
 use scene::transport::Transport;
 use scene::{Exposure, Image, Integrator, JobAtFrame};
 
@@ -102,7 +103,7 @@ impl KernelSource {
             KERNEL_TEMPLATE.split_once(INSERTION_POINT).expect("kernel.cu has a place for the picture");
         let numbers = tape.uniforms().len().max(1);
         let (has_layers, write_layers) = layers(image);
-        let parts = parts_of_light(image);
+        let parts = parts_of_light(image) + &batches(image);
         let division = tape.table().and_then(|table| table.division());
         let (has_table, measure) = division.map(|_| (cell_constants(), [CELLS, MEASURE].concat())).unwrap_or_default();
         let (sizes, render) = match of_paths {
@@ -190,6 +191,22 @@ fn parts_of_light(image: &Image) -> String {
         planes - 4,
         taken.join(", ")
     )
+}
+
+/// The samples of a batch, and the first plane of the sums of those that have ended, if a picture has several.
+fn batches(image: &Image) -> String {
+    let plane = batches_plane(image).map(|plane| format!("#define BATCHES_PLANE {plane}u\n"));
+    format!("#define BATCH {BATCH}u\n{}", plane.unwrap_or_default())
+}
+
+/// Index of the first plane of the sums of ended batches, which follow the rendered channels; `None` if there is one batch.
+pub(super) fn batches_plane(image: &Image) -> Option<usize> {
+    (image.samples.max() > BATCH).then(|| image.rendered_channels().len())
+}
+
+/// Number of planes of a picture's tiles on a GPU.
+pub(super) fn device_planes(image: &Image) -> usize {
+    image.rendered_channels().len() + batches_plane(image).map_or(0, |_| image.sum_channels())
 }
 
 /// Source before and after the steps if the job requests layers: the define that enables them, and the function

@@ -13,13 +13,14 @@ use scene::kinds::Example;
 use scene::lights::Light;
 use scene::real::Real;
 use scene::real::Table;
+use scene::sample_count::BATCH;
 use scene::{Image, Job, effects};
 use serde_json::{Value, json};
 use worker::cuda::{Compiler, KernelSource};
 use worker::tape::{Expr, record};
 use worker::{CancelFlag, CpuRenderer, Renderer, Simd, TilePixels, TileRequest};
 
-use crate::light_groups;
+use crate::{batches, light_groups};
 use crate::shipped::{LAYERS, Shipped, large, shipped};
 use crate::skip::skip;
 
@@ -27,7 +28,7 @@ use crate::skip::skip;
 const FEW: [&str; 6] = ["csg", "dice", "mandelbulb", "paper/clouds", "turntable", "vitrine"];
 
 /// Runs the kernels on the host, one thread after another: reads `uniforms`, the table, the planes, a tile and the
-/// samples; renders in two parts, so that sums are continued; writes the planes.
+/// samples; renders in two parts or more, so that sums are continued; writes the planes.
 const HOST_MAIN: &str = r"
 #include <stdio.h>
 #include <stdlib.h>
@@ -40,20 +41,26 @@ int main() {
     table = read;
     if (fread(&samples, 4, 1, stdin) != 1 || fread(&tile, sizeof tile, 1, stdin) != 1) return 1;
     size_t numbers = (size_t)tile.width * tile.height * planes;
+#ifdef BATCHES_PLANE
+    float* out = (float*)calloc(numbers + (size_t)tile.width * tile.height * LIGHT_PLANES, 4);
+#else
     float* out = (float*)calloc(numbers, 4);
+#endif
     const unsigned count = tile.columns * ((tile.height + 3) / 4);
     unsigned* groups = (unsigned*)malloc(4 * (size_t)(count / BLOCK_GROUP + 1));
     for (unsigned group = 0; group <= count / BLOCK_GROUP; ++group) groups[group] = group;
     const Blocks blocks = {groups, 0, 8, 4};
-    unsigned middle = samples / 2;
-    for (int part = middle == 0 ? 1 : 0; part < 2; ++part)
+    for (unsigned first = 0, end = samples / 2 > 1 ? samples / 2 : 1; first < samples; first = end, end = samples) {
+        const unsigned end_of_batch = (first / BATCH + 1) * BATCH;
+        if (end > end_of_batch) end = end_of_batch;
         for (blockIdx.x = 0; blockIdx.x < count; ++blockIdx.x)
             run_block([&] {
-                render(&tile, 1, blocks, part ? middle : 0, part ? samples : middle, part, out);
+                render(&tile, 1, blocks, first, end, end == samples, out);
 #ifdef AOV_PLANES
-                if (part) layers(&tile, 1, blocks, out);
+                if (end == samples) layers(&tile, 1, blocks, out);
 #endif
             });
+    }
     return fwrite(out, 4, numbers, stdout) == numbers ? 0 : 1;
 }
 ";
@@ -311,6 +318,16 @@ fn paths_whose_marches_a_warp_pauses_are_bit_identical() {
         })
         .collect();
     assert_eq!(jobs.len(), 1);
+    for program_of in [serial, in_warps] {
+        assert_same_on_host(&jobs, program_of);
+    }
+}
+
+#[test]
+fn sums_of_batches_are_bit_identical() {
+    let jobs = [json!("direct"), json!({ "path": { "max_bounces": 2 } })].map(|integrator| {
+        (format!("batches, {integrator}"), batches::job(&integrator, &json!(2 * BATCH + 88), json!({})))
+    });
     for program_of in [serial, in_warps] {
         assert_same_on_host(&jobs, program_of);
     }

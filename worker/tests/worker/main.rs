@@ -3,6 +3,7 @@
 mod adaptive;
 mod agent;
 mod animation;
+mod batches;
 mod bench;
 mod bit_identical;
 mod blobs;
