@@ -33,7 +33,7 @@ use crate::bounds::Bounds;
 use crate::camera::{Ray, View};
 use crate::cells::Cells;
 use crate::limits::MAX_SAMPLES;
-use crate::march::Tolerance;
+use crate::march::{MAX_PAST, MAX_PAST_FRACTALS, Tolerance};
 use crate::materials::{Material, Shade, ShadingPoint};
 use crate::real::{MaskValue, Real, Vec3, bundle, vec3};
 use crate::sample_count::{BATCH, within_batches};
@@ -99,6 +99,8 @@ pub struct Integrator<'a> {
     normal_epsilon: Tolerance,
     /// Half the height that a sample covers: half a pixel's height over the square root of the least number of samples.
     seen: Tolerance,
+    /// Limit of the steps of marches, see [`crate::march::MarchRange::max_past`].
+    max_past: f32,
     /// Indices of the surfaces with fine detail, whose normals are averaged over a pixel.
     fine: Vec<usize>,
     /// The surfaces' cells, in a picture of many shapes.
@@ -236,6 +238,7 @@ impl<'a> Integrator<'a> {
         let step_scales: Vec<Option<f32>> =
             scene.objects.iter().map(|object| shrink(object.shape.stretch(), moves)).collect();
         let bounds = view.with_margin(bounds);
+        let has_fractal = surfaces.iter().any(|&index| scene.objects[index].shape.has_fractal());
         let ray_boxes = RayBoxes::new(scene, &surfaces, &boxes, view.resolution().floor);
         Self {
             scene,
@@ -258,6 +261,7 @@ impl<'a> Integrator<'a> {
             sends_on,
             lets_through,
             materials: clothes,
+            max_past: if has_fractal { MAX_PAST_FRACTALS } else { MAX_PAST },
             fine: surfaces.iter().copied().filter(|&index| scene.objects[index].shape.is_fine()).collect(),
             surfaces,
             tolerance: view.tolerance(),

@@ -25,8 +25,9 @@ pub struct MarchRange<R> {
     pub t_max: R,
     /// Maximum number of steps.
     pub max_steps: u32,
-    /// Whether steps may go past the sphere around their start.
-    pub relaxes: bool,
+    /// Limit of how far a step could go past the sphere around its start if the surface were a plane, in radii; with 0,
+    /// steps stay inside.
+    pub max_past: f32,
 }
 
 /// Result of a march.
@@ -48,6 +49,14 @@ pub struct MarchResult<R: Real> {
 }
 
 bundle!(MarchResult { t, near, distance, steps, evaluations, hit });
+
+impl<R: Real> MarchResult<R> {
+    /// Whether light from `t_max`, the end of the march's range, is occluded: if the march ran out of steps, too, since it
+    /// did so between surfaces that meet ahead, most often.
+    pub fn is_occluded(&self, t_max: R) -> R::Mask {
+        self.hit.0 | self.t.lt(t_max)
+    }
+}
 
 /// A distance field along a ray.
 pub trait RayField<R: Real> {
@@ -130,8 +139,11 @@ impl<R: Real> Approach<R> {
 /// How far a step goes past its sphere, over how far it could go if the surface were a plane. With 1, rounding and curved
 /// surfaces take most steps back.
 const PAST_PER_PLANE: f32 = 0.9;
-/// Limit of how far it could go, in radii: a ray along a plane, or away from it, could go any way.
-const MAX_PAST: f32 = 4.0;
+/// [`MarchRange::max_past`] of most scenes: a ray along a plane, or away from it, could go any way.
+pub const MAX_PAST: f32 = 4.0;
+/// That of scenes with fractals, whose distance changes from point to point: more steps would be taken back, from inside,
+/// where an evaluation takes all iterations.
+pub const MAX_PAST_FRACTALS: f32 = 0.6;
 /// In place of the overstep, if the distance before does not tell how it changes: the next step stays inside its sphere.
 const UNKNOWN: f32 = -1.0;
 
@@ -361,7 +373,7 @@ impl<R: Real> March<R> {
     pub fn step(
         self,
         t_max: R,
-        relaxes: bool,
+        max_past: f32,
         tolerance: impl Fn(R) -> R,
         both_sides: bool,
         field: &impl RayField<R>,
@@ -377,7 +389,7 @@ impl<R: Real> March<R> {
         // A step past a surface at a right angle ends as far behind it as it went too far: up to rounding.
         let is_torn = past.above(0.0) & gap.lt(if both_sides { past * 1.0001 } else { past });
         let hit = gap.lt(tolerance(t)) & !is_torn;
-        let (end, further) = (t + gap, if relaxes { gap * radii_past(before, past, gap) } else { gap.constant(0.0) });
+        let (end, further) = (t + gap, gap * radii_past(max_past, before, past, gap));
         // The last step must cover the rest of the ray, or of the part.
         let goes_past = (end + further).lt(t_max) & !is_torn;
         let goes_past = part.map_or(goes_past, |part| goes_past & (end + further).lt(part.end));
@@ -396,13 +408,16 @@ impl<R: Real> March<R> {
     }
 }
 
-/// How far a step goes past its sphere, in radii, by the distances `before` and after the step that went `past` its own. If
+/// How far a step goes past its sphere, in radii, by the limit `max_past`, and the distances `before` and after the step that went `past` its own. If
 /// the distance rises by m on each unit of the way (it falls with m < 0), a step of 2/(1 − m) radii makes the spheres touch,
 /// which is (1 + m)/(1 − m) past the first.
-fn radii_past<R: Real>(before: R, past: R, gap: R) -> R {
+fn radii_past<R: Real>(max_past: f32, before: R, past: R, gap: R) -> R {
+    if max_past == 0.0 {
+        return gap.constant(0.0);
+    }
     let (way, rise) = (before + past, gap - before);
     let (of_rise, of_way) = (way + rise, way - rise);
-    let of_plane = of_rise / of_way.max(of_rise * (1.0 / MAX_PAST));
+    let of_plane = of_rise / of_way.max(of_rise * (1.0 / max_past));
     R::select(past.below(0.0), gap.constant(0.0), (of_plane * PAST_PER_PLANE).at_least(0.0))
 }
 
@@ -416,7 +431,7 @@ pub fn march<R: Real>(
 ) -> MarchResult<R> {
     let start = March::start(reach.t_min, reach.t_max, field);
     let end = R::repeat(reach.max_steps, start, |march| {
-        let next = march.step(reach.t_max, reach.relaxes, &tolerance, both_sides, field);
+        let next = march.step(reach.t_max, reach.max_past, &tolerance, both_sides, field);
         (next.goes_on.0, next)
     });
     end.result()
@@ -426,7 +441,7 @@ pub fn march<R: Real>(
 mod tests {
     use super::*;
 
-    const REACH: MarchRange<f32> = MarchRange { t_min: 0.0, t_max: 40.0, max_steps: 10_000, relaxes: true };
+    const REACH: MarchRange<f32> = MarchRange { t_min: 0.0, t_max: 40.0, max_steps: 10_000, max_past: MAX_PAST };
     const TOLERANCE: f32 = 1e-4;
 
     /// Numbers from 0 to 1.
@@ -469,13 +484,13 @@ mod tests {
 
     #[test]
     fn a_ray_along_a_plane_takes_few_steps() {
-        let steps = |relaxes: bool| {
-            let reach = MarchRange { relaxes, ..REACH };
+        let steps = |max_past: f32| {
+            let reach = MarchRange { max_past, ..REACH };
             let marched = march(reach, |_| TOLERANCE, false, &|t: f32| (20.0 - t) * 0.05);
             assert!(marched.hit.0 && (marched.t - 20.0).abs() < 0.01, "{marched:?}");
             marched.steps
         };
-        let (long, short) = (steps(true), steps(false));
+        let (long, short) = (steps(MAX_PAST), steps(0.0));
         assert!(long < 0.6 * short, "{long} steps, {short} within their spheres");
     }
 }

@@ -135,6 +135,7 @@ impl<'a> Integrator<'a> {
             sends_on,
             lets_through,
             bounds,
+            max_past,
             fine,
         } = self;
         let is_lit = |one: &Self| one.materials.slots().any(|slot| one.scene.used_materials()[slot].is_lit());
@@ -144,6 +145,7 @@ impl<'a> Integrator<'a> {
             (fine.is_empty() && other.fine.is_empty()) || (*fine == other.fine && *surfaces == other.surfaces);
         are_bounds_equal
             && are_fine_equal
+            && *max_past == other.max_past
             && *sends_on == other.sends_on
             && *lets_through == other.lets_through
             && materials.is_alike(&other.materials)

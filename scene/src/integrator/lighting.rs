@@ -139,11 +139,11 @@ impl Integrator<'_> {
         let (zero, one) = (farthest.constant(0.0), farthest.constant(1.0));
         let (nearest, farthest) = self.bounds.intersect_ray(ray, farthest);
         R::when(nearest.lt(farthest), (one, zero), || {
-            let reach =
-                MarchRange { t_min: nearest, t_max: farthest, max_steps: self.scene.march.max_steps, relaxes: true };
+            let (max_steps, max_past) = (self.scene.march.max_steps, self.max_past);
+            let reach = MarchRange { t_min: nearest, t_max: farthest, max_steps, max_past };
             let marched =
                 march(reach, |t| t.mul_add(t.constant(SHADOW_SLOPE), near), false, &AlongRay { integrator: self, ray });
-            (R::select(marched.hit.0, zero, one), marched.evaluations)
+            (R::select(marched.is_occluded(farthest), zero, one), marched.evaluations)
         })
     }
 }

@@ -40,7 +40,8 @@ impl Integrator<'_> {
         R::when(nearest.lt(farthest), missed, || {
             // Depth on fine detail takes many steps, because the distance is close to 0.
             let max_steps = self.scene.march.max_steps * if depth { 16 } else { 1 };
-            let reach = MarchRange { t_min: nearest, t_max: farthest, max_steps, relaxes: !depth };
+            let max_past = if depth { 0.0 } else { self.max_past };
+            let reach = MarchRange { t_min: nearest, t_max: farthest, max_steps, max_past };
             let along = AlongRay { integrator: self, ray };
             let marched = march_to_root(ray, reach, approach, &along, |p| self.distance(p), |p| self.is_fine(p));
             let touches = self.touches(&marched, farthest);

@@ -160,7 +160,7 @@ impl PathSteps<'_> {
         let MarchedRay { ray, near, slope, farthest } = *marched;
         let all = self.integrator;
         let along = AlongRay { integrator: all, ray: &ray };
-        let next = march.step(farthest, true, |t| t.mul_add(slope, near), all.lets_through, &along);
+        let next = march.step(farthest, all.max_past, |t| t.mul_add(slope, near), all.lets_through, &along);
         let goes_on = next.goes_on.0 & next.steps.below(all.scene.march.max_steps as f32);
         March { goes_on: MaskValue(goes_on), ..next }
     }
@@ -204,7 +204,8 @@ impl PathSteps<'_> {
             let bounced =
                 R::when(!is_shadow, path, || all.after_march(path, &found, self.max_bounces, &dice.after(path.bounce)));
             let path = R::when(is_shadow, bounced, || {
-                let mut visible = R::select(found.hit.0, found.t.constant(0.0), found.t.constant(1.0));
+                let occluded = found.is_occluded(farthest);
+                let mut visible = R::select(occluded, found.t.constant(0.0), found.t.constant(1.0));
                 let mut length = path.shadow.distance;
                 if let Some(object) = path.shadow.object {
                     let of_light = object.below(-0.5);

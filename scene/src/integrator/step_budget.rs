@@ -30,7 +30,8 @@ impl Integrator<'_> {
             if nearest >= farthest {
                 continue;
             }
-            let reach = MarchRange { t_min: nearest, t_max: farthest, max_steps: max_steps.min(left), relaxes: true };
+            let reach =
+                MarchRange { t_min: nearest, t_max: farthest, max_steps: max_steps.min(left), max_past: self.max_past };
             let Tolerance { slope, floor: near } = self.tolerance;
             let approach = self.approach(slope, near, false);
             let along = AlongRay { integrator: self, ray: &ray };

@@ -22,8 +22,26 @@ pub use menger_sponge::MengerSponge;
 pub use quaternion_julia::QuaternionJulia;
 pub use sierpinski::Sierpinski;
 
+use super::Node;
 use crate::limits::MAX_ITERATIONS;
 use crate::real::{Real, Vec3, vec3};
+
+impl Node {
+    /// Whether it has a fractal.
+    pub(crate) fn has_fractal(&self) -> bool {
+        match self {
+            Self::ApollonianGasket(_)
+            | Self::KaleidoscopicIfs(_)
+            | Self::Mandelbox(_)
+            | Self::MandelbrotRelief(_)
+            | Self::Mandelbulb(_)
+            | Self::MengerSponge(_)
+            | Self::QuaternionJulia(_)
+            | Self::Sierpinski(_) => true,
+            _ => self.children().iter().any(Self::has_fractal),
+        }
+    }
+}
 
 /// Keeps the growth of a derivative within the range of a divisor.
 const MAX_DERIVATIVE: f32 = 1e30;

@@ -161,7 +161,13 @@ mod tests {
 
     #[test]
     fn blocks_of_a_row_are_joined() {
-        let mut blocks = FinishedTile { tile: TILE, counts: vec![0; 15], sum_channels: CHANNELS, batches_plane: None, extras: Vec::new() };
+        let mut blocks = FinishedTile {
+            tile: TILE,
+            counts: vec![0; 15],
+            sum_channels: CHANNELS,
+            batches_plane: None,
+            extras: Vec::new(),
+        };
         assert_eq!(blocks.rects(), [TILE]);
         for done in [2, 5, 6, 7, 8, 9, 10] {
             blocks.counts[done] = 16;

@@ -219,23 +219,29 @@ impl Launches {
         self.max_blocks = blocks;
     }
 
+    /// Samples of a launch in which about `fitting` of a batch's `left` ones fit, so that the launches of all of them have about
+    /// as many.
+    fn evenly(&self, left: u32, fitting: f64) -> u32 {
+        let launches = (f64::from(left) / fitting.max(1.0)).round().max(1.0);
+        ((f64::from(left) / launches) as u32).next_multiple_of(self.together).clamp(1, left)
+    }
+
     /// Next launch, if any is left.
     pub(super) fn next(&mut self, cost: &CostModel) -> Option<LaunchRange> {
         if self.sample == self.first_sample {
             if self.first_block == self.blocks {
                 return None;
             }
-            // Otherwise all samples of some blocks, at least as many as fill the GPU.
-            let samples = self.end_sample - self.first_sample;
+            // Otherwise all samples of a batch of some blocks, at least as many as fill the GPU.
+            let samples = (self.end_sample - self.first_sample).min(BATCH);
             let fitting = (cost.next_size(self.resident_blocks) / f64::from(samples)) as u32;
             let count = fitting.max(self.resident_blocks).min(self.max_blocks);
             self.end_block = self.first_block.saturating_add(count).min(self.blocks);
         }
         let blocks = self.end_block - self.first_block;
-        let fitting = (cost.next_size(self.resident_blocks) / f64::from(blocks)) as u32;
-        let fitting = (fitting / self.together).max(1).saturating_mul(self.together);
-        let end_of_batch = (self.sample / BATCH + 1) * BATCH;
-        let end_sample = self.sample.saturating_add(fitting).min(end_of_batch).min(self.end_sample);
+        let fitting = cost.next_size(self.resident_blocks) / f64::from(blocks);
+        let end_of_batch = ((self.sample / BATCH + 1) * BATCH).min(self.end_sample);
+        let end_sample = self.sample + self.evenly(end_of_batch - self.sample, fitting);
         let (first_block, first_sample) = (self.first_block, self.sample);
         let is_end = end_sample == self.end_sample;
         if is_end {

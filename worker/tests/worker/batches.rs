@@ -14,7 +14,7 @@ const WIDTH: u32 = 9;
 const HEIGHT: u32 = 5;
 
 /// A blurred job of noisy light, with more members of its image.
-pub(crate) fn job(integrator: &Value, samples: &Value, image: Value) -> Job {
+pub(crate) fn job(integrator: &Value, samples: &Value, image: &Value) -> Job {
     let x = json!({ "keys": [[0, -0.4], [2, 0.4]] });
     let mut text = json!({
         "scene": { "camera": { "position": [0, 1.2, 4], "look_at": [0, 0, 0] }, "integrator": integrator,
@@ -66,14 +66,14 @@ fn defined(job: &Job) -> Vec<u32> {
 fn sums_are_those_of_batches_on_every_path() {
     let many = json!(2 * BATCH + 88);
     for integrator in [json!("direct"), json!({ "path": { "max_bounces": 2 } })] {
-        let still = job(&integrator, &many, json!({}));
+        let still = job(&integrator, &many, &json!({}));
         let blurred = blurred(still.clone());
         assert!(blurred.exposure(1).expect("a valid frame").instants.len() > 1, "batches have several instants");
         let (of_still, of_blurred) = (defined(&still), defined(&blurred));
         // Rounds that end within batches, and at their ends: no block is done before the last.
-        let denoised = job(&integrator, &many, json!({ "denoise": true }));
+        let denoised = job(&integrator, &many, &json!({ "denoise": true }));
         let adaptive = json!({ "adaptive": { "min": 8, "max": 512, "error": 0.0001 } });
-        let (adaptive, fixed) = (job(&integrator, &adaptive, json!({})), job(&integrator, &json!(512), json!({})));
+        let (adaptive, fixed) = (job(&integrator, &adaptive, &json!({})), job(&integrator, &json!(512), &json!({})));
         for level in [Simd::Scalar].into_iter().chain(levels()) {
             let renderer = CpuRenderer::new(Some(2), level).expect("a level of this CPU");
             let planes = |job: &Job| bits(&render(&renderer, job, Rect::full(WIDTH, HEIGHT)).planes[..4]);

@@ -20,9 +20,9 @@ use worker::cuda::{Compiler, KernelSource};
 use worker::tape::{Expr, record};
 use worker::{CancelFlag, CpuRenderer, Renderer, Simd, TilePixels, TileRequest};
 
-use crate::{batches, light_groups};
 use crate::shipped::{LAYERS, Shipped, large, shipped};
 use crate::skip::skip;
+use crate::{batches, light_groups};
 
 /// Scenes compiled in every run of the tests; the long tests compile all.
 const FEW: [&str; 6] = ["csg", "dice", "mandelbulb", "paper/clouds", "turntable", "vitrine"];
@@ -326,7 +326,7 @@ fn paths_whose_marches_a_warp_pauses_are_bit_identical() {
 #[test]
 fn sums_of_batches_are_bit_identical() {
     let jobs = [json!("direct"), json!({ "path": { "max_bounces": 2 } })].map(|integrator| {
-        (format!("batches, {integrator}"), batches::job(&integrator, &json!(2 * BATCH + 88), json!({})))
+        (format!("batches, {integrator}"), batches::job(&integrator, &json!(2 * BATCH + 88), &json!({})))
     });
     for program_of in [serial, in_warps] {
         assert_same_on_host(&jobs, program_of);
