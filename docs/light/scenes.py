@@ -13,7 +13,8 @@ How the definitions match:
 * A lens's `aperture` is a diameter, Mitsuba's `aperture_radius` half of it; both focus on a plane.
 * The gradient from `bottom` to `top` by (y + 1)/2 is an `envmap` of equal columns of 1,024 rows; the first
   and the last row are the poles.
-* `diffuse` is Lambertian, `surface` is written in materials.py.
+* `diffuse` is Lambertian, `surface` is written in materials.py. A `volume` is a homogeneous medium behind a boundary that is no
+  surface, which Mitsuba's `volpath` does not count as a scattering.
 """
 
 import dataclasses
@@ -39,6 +40,7 @@ class Scene:
     # A color, or a pair of colors: the gradient's bottom and top.
     sky: object = None
     lens: dict = None
+    has_media: bool = False
     # How much glass magnifies displacements of its surface in the picture, at most.
     magnified: float = 1.0
     # The radiance of every pixel, where it is known.
@@ -107,8 +109,12 @@ class Scene:
         self.job_objects.append({"shape": shape, "material": material.job})
 
     def add_peer(self, kind, placing, material, **members):
+        self.has_media |= material.medium is not None
+
         def shape(mi):
             entry = {"type": kind, **members, "bsdf": material.bsdf}
+            if material.medium:
+                entry["interior"] = material.medium
             if material.emission:
                 entry["emitter"] = {"type": "area", "radiance": rgb(material.emission)}
             if placing:
@@ -179,7 +185,8 @@ class Scene:
         }
         if self.lens:
             camera.update(type="thinlens", aperture_radius=self.lens["aperture"] / 2, focus_distance=self.lens["focus"])
-        integrator = {"type": "path", "max_depth": self.max_bounces + 2, "hide_emitters": self.hides_lights}
+        kind = "volpath" if self.has_media else "path"
+        integrator = {"type": kind, "max_depth": self.max_bounces + 2, "hide_emitters": self.hides_lights}
         scene = {"type": "scene", "integrator": integrator, "sensor": camera}
         for number, shape in enumerate(self.peer_shapes):
             scene[f"shape{number}"] = shape(mi)
@@ -195,6 +202,8 @@ class Material:
     job: dict
     bsdf: dict
     emission: list = None
+    # What is inside, if the boundary is not a surface.
+    medium: dict = None
 
 
 def rgb(color):
@@ -229,6 +238,13 @@ def emitter(*color):
     """A black body: with an index of refraction of 1 it reflects nothing."""
     job = {"surface": {"base_color": NO_LIGHT, "ior": 1, "roughness": 1, "emission": list(color)}}
     return Material(job, black(), list(color))
+
+
+def volume(density, albedo, anisotropy):
+    """A medium of even density; its extinction has no color."""
+    phase = {"type": "hg", "g": anisotropy} if anisotropy else {"type": "isotropic"}
+    medium = {"type": "homogeneous", "sigma_t": float(density), "albedo": rgb(albedo), "phase": phase}
+    return Material({"volume": {"density": density, "albedo": albedo, "anisotropy": anisotropy}}, {"type": "null"}, None, medium)
 
 
 def rgb_tuple(color):
@@ -374,6 +390,31 @@ def lens():
     return scene
 
 
+def medium():
+    """A ball of a medium that scatters forward, in a room with a lamp."""
+    scene = room("medium", max_bounces=16)
+    scene.rectangle_light(color=[1.6, 1.3, 0.9], **CEILING)
+    scene.ball([0.3, 0.8, 0.2], 0.6, volume(5, [0.95, 0.8, 0.6], 0.5))
+    scene.box([-0.6, 0.5, -0.5], [0.5, 1.0, 0.5], matte(*WHITE), 18)
+    return scene
+
+
+def medium_sky():
+    """A box of a medium with a ball inside of it, under a gradient."""
+    scene = Scene("medium-sky", [2.2, 1.8, 3.2], [0, 0.5, 0], sky=GRADIENT, max_bounces=24)
+    scene.box([0, -0.25, 0], [4, 0.5, 4], matte(0.6, 0.55, 0.5))
+    scene.box([0, 0.72, 0], [1.6, 1.4, 1.2], volume(3, [1.0, 0.9, 0.7], -0.3), 20)
+    scene.ball([0.2, 0.6, 0.1], 0.3, matte(0.7, 0.3, 0.2))
+    return scene
+
+
+def medium_furnace():
+    """A white ball of a medium in white light from everywhere cannot be seen: the picture is white."""
+    scene = Scene("medium-furnace", [0, 0, 3], [0, 0, 0], sky=[1, 1, 1], max_bounces=32, known=1.0)
+    scene.ball([0, 0, 0], 0.8, volume(1.5, [1.0, 1.0, 1.0], 0.3))
+    return scene
+
+
 def direct_ball():
     """Light of a ball that is not visible, by the integrator `direct`: camera, shapes and units without bounces."""
     scene = room("direct-ball", integrator="direct", hides_lights=True, max_bounces=0)
@@ -414,5 +455,5 @@ def direct_bounces():
 
 SCENES = [
     direct_ball, direct_sky, direct_surface, direct_bounces, cornell, glass_ball, furnace, white, sky, metal, plastic,
-    mirrors, sphere_light, disc_light, emissive, lens,
+    mirrors, sphere_light, disc_light, emissive, lens, medium, medium_sky, medium_furnace,
 ]  # fmt: skip
