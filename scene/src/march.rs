@@ -408,9 +408,9 @@ impl<R: Real> March<R> {
     }
 }
 
-/// How far a step goes past its sphere, in radii, by the limit `max_past`, and the distances `before` and after the step that went `past` its own. If
-/// the distance rises by m on each unit of the way (it falls with m < 0), a step of 2/(1 − m) radii makes the spheres touch,
-/// which is (1 + m)/(1 − m) past the first.
+/// How far a step goes past its sphere, in radii, by the limit `max_past`, and by the distances `before` and after the step
+/// that went `past` its own. If the distance rises by m on each unit of the way (it falls with m < 0), a step of 2/(1 − m)
+/// radii makes the spheres touch, which is (1 + m)/(1 − m) past the first.
 fn radii_past<R: Real>(max_past: f32, before: R, past: R, gap: R) -> R {
     if max_past == 0.0 {
         return gap.constant(0.0);

@@ -29,7 +29,8 @@ pub fn standard_error([half, count]: [u32; 2], first: [f32; 4], all: [f32; 4]) -
 }
 
 /// Number of samples of a pixel that are summed one after another: a batch. Their sum is added to that of the batches before,
-/// because each addition to an `f32` rounds: 65,536 in a row could lose 12 of its 24 bits, and batches lose 5 at most.
+/// because each addition to an `f32` rounds: the sum of 65,536 equal numbers is wrong by up to 0.1 % without batches, and by
+/// less than 0.001 % with them.
 pub const BATCH: u32 = 256;
 
 /// The parts of a range of samples, at most `most` in each, which divides [`BATCH`], so that each is in one batch.

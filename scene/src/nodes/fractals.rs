@@ -64,3 +64,19 @@ fn distance_from_box<R: Real>(p: Vec3<R>, half: Vec3<f32>) -> R {
 fn iterations<'de, D: serde::Deserializer<'de>>(deserializer: D) -> Result<u32, D::Error> {
     crate::values::integer_in_range(deserializer, 1, MAX_ITERATIONS, "iterations")
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_fractal_is_found_inside_of_other_nodes() {
+        let has_fractal = |shape: &str| serde_json::from_str::<Node>(shape).expect(shape).has_fractal();
+        assert!(has_fractal(
+            r#"{ "union": { "of": [{ "sphere": { "radius": 1 } }, { "scale": { "by": 2, "child": { "mandelbulb": { "power": 8, "iterations": 8 } } } }] } }"#
+        ));
+        assert!(!has_fractal(
+            r#"{ "union": { "of": [{ "sphere": { "radius": 1 } }, { "box": { "size": [1, 1, 1] } }] } }"#
+        ));
+    }
+}

@@ -92,3 +92,24 @@ fn a_sphere_light_casts_the_penumbra_of_its_disk() {
     let light = r#"{ "sphere": { "position": [0, 6, 0], "radius": 0.4, "color": [36, 36, 36] } }"#;
     assert_converges(light, 0.4 * EDGE / (6.0 - EDGE));
 }
+
+#[test]
+fn a_wall_takes_half_of_the_skys_light_from_a_floor() {
+    // Rays into the corner are between two surfaces that meet ahead, and run out of steps.
+    let text = r#"{ "scene": {
+        "camera": { "position": [0, 1, 0], "look_at": [0, 0, 0], "up": [0, 0, -1],
+            "projection": { "orthographic": { "height": 0.4 } } },
+        "background": { "color": [1, 1, 1] }, "lights": [{ "sky": {} }],
+        "materials": { "white": { "diffuse": { "kd": [1, 1, 1], "ambient": [0, 0, 0] } } },
+        "objects": [
+            { "material": "white", "shape": { "plane": { "normal": [0, 1, 0], "offset": 0 } } },
+            { "material": "white", "shape": { "plane": { "normal": [0, 0, 1], "offset": -0.5 } } } ] },
+        "image": { "width": 8, "height": 8, "samples": 1024 } }"#;
+    let job = scene::parse(text.as_bytes()).unwrap_or_else(|fault| panic!("{fault:?}"));
+    let still = job.at(0).expect("a still job");
+    let program = Integrator::new(&still);
+    let pixels = (0..64_u16).map(|index| program.pixel(f32::from(index % 8), f32::from(index / 8)).color.y);
+    let mean = pixels.map(f64::from).sum::<f64>() / 64.0;
+    // 0.5055 where rays without steps left count as unoccluded.
+    assert!((mean - 0.5).abs() < 0.002, "{mean}");
+}
