@@ -9,7 +9,7 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 use rayon::{ThreadPool, ThreadPoolBuilder};
-use scene::sample_count::BLOCK_PX;
+use scene::sample_count::{BLOCK_PX, within_batches};
 use scene::visits::Visited;
 use scene::{Exposure, Integrator, Job};
 
@@ -84,9 +84,9 @@ impl CpuRenderer {
                 let columns = (run.rect.x + column..).map(|x| x as f32);
                 place.iter_mut().take(lanes).zip(columns).for_each(|(to, x)| *to = x);
                 let inside = lanes.min((run.rect.width - column) as usize);
-                for first in (0..samples).step_by(SAMPLES_PER_RUN as usize) {
-                    place[2 * lanes..3 * lanes].fill(first as f32);
-                    place[3 * lanes..].fill((first + SAMPLES_PER_RUN).min(samples) as f32);
+                for part in within_batches(0..samples, SAMPLES_PER_RUN) {
+                    place[2 * lanes..3 * lanes].fill(part.start as f32);
+                    place[3 * lanes..].fill(part.end as f32);
                     evaluator.run(EVALUATIONS, &mut frame, &inputs, cancel.flag(), &place, &mut counts);
                     sum += counts[..inside].iter().map(|&count| count as u64).sum::<u64>();
                 }

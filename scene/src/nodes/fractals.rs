@@ -67,6 +67,8 @@ fn iterations<'de, D: serde::Deserializer<'de>>(deserializer: D) -> Result<u32, 
 
 #[cfg(test)]
 mod tests {
+    use std::collections::BTreeSet;
+
     use super::*;
 
     #[test]
@@ -78,5 +80,14 @@ mod tests {
         assert!(!has_fractal(
             r#"{ "union": { "of": [{ "sphere": { "radius": 1 } }, { "box": { "size": [1, 1, 1] } }] } }"#
         ));
+    }
+
+    #[test]
+    fn surfaces_with_fine_detail_are_fractals_or_have_noise() {
+        let nodes =
+            Node::examples().into_iter().map(|example| serde_json::from_str::<Node>(&example.node).expect("valid"));
+        let others: BTreeSet<&str> =
+            nodes.filter(|node| node.is_fine() && !node.has_fractal()).map(|node| node.name()).collect();
+        assert_eq!(others.into_iter().collect::<Vec<_>>(), ["displace", "height_field", "warp"]);
     }
 }

@@ -30,6 +30,7 @@ impl CudaRenderer {
             let (width, height) = (run.rect.width.min(edge), run.rect.height.min(edge));
             let (x, y) = (run.rect.x + (run.rect.width - width) / 2, run.rect.y + (run.rect.height - height) / 2);
             let piece = Rect { x, y, width, height };
+            // A launch that is the first and the last stores no sums of batches.
             let mut buffer = self.device.buffer(piece.pixels() as usize * run.job.image.rendered_channels().len())?;
             // The first run warms up, and shows whether the part is large enough.
             let mut ms = self.time_block_dim(loaded, BLOCK_DIMS[0], piece, run, &mut buffer)?;

@@ -21,7 +21,7 @@ const MIN: u32 = 8;
 const MAX: u32 = 32;
 
 /// A scene with even parts and noisy ones; its ball moves.
-fn job(integrator: &Value, shutter: f64) -> Job {
+pub(crate) fn job(integrator: &Value, shutter: f64) -> Job {
     let x = json!({ "keys": [[0, -0.4], [2, 0.4]] });
     let text = json!({
         "scene": { "camera": { "position": [0, 1.2, 4], "look_at": [0, 0, 0] }, "integrator": integrator,

@@ -3,37 +3,22 @@
 use proto::Rect;
 use scene::integrator::Radiance;
 use scene::sample_count::BATCH;
-use scene::{Integrator, Job};
+use scene::{Image, Integrator, Job};
 use serde_json::{Value, json};
 use worker::{CpuRenderer, Simd};
 
+use crate::adaptive;
 use crate::lanes::levels;
 use crate::motion_blur::{bits, render};
 
 const WIDTH: u32 = 9;
 const HEIGHT: u32 = 5;
 
-/// A blurred job of noisy light, with more members of its image.
-pub(crate) fn job(integrator: &Value, samples: &Value, image: &Value) -> Job {
-    let x = json!({ "keys": [[0, -0.4], [2, 0.4]] });
-    let mut text = json!({
-        "scene": { "camera": { "position": [0, 1.2, 4], "look_at": [0, 0, 0] }, "integrator": integrator,
-            "lights": [{ "sphere": { "position": [1, 2, 2], "radius": 0.6, "color": [5, 5, 5] } }],
-            "objects": [
-                { "shape": { "translate": { "by": [x, 0, 0], "child": { "sphere": { "radius": 0.6 } } } },
-                  "material": { "surface": { "roughness": 0.3 } } },
-                { "shape": { "box": { "size": [3, 0.2, 3] } } }] },
-        "frames": { "count": 3, "fps": 1 },
-        "image": { "width": WIDTH, "height": HEIGHT, "format": "exr", "samples": samples },
-    });
-    for (key, value) in image.as_object().expect("members") {
-        text["image"][key] = value.clone();
-    }
-    scene::parse(text.to_string().as_bytes()).unwrap_or_else(|refusal| panic!("{refusal}: {text}"))
-}
-
-fn blurred(mut job: Job) -> Job {
-    job.frames.shutter = serde_json::from_value(json!(0.7)).expect("a shutter");
+/// A job of noisy light, with these samples.
+pub(crate) fn job(integrator: &Value, shutter: f64, samples: Value) -> Job {
+    let mut job = adaptive::job(integrator, shutter);
+    let samples = serde_json::from_value(samples).expect("a valid number");
+    job.image = Image { width: WIDTH, height: HEIGHT, samples, layers: Vec::new(), ..job.image };
     job
 }
 
@@ -64,16 +49,16 @@ fn defined(job: &Job) -> Vec<u32> {
 
 #[test]
 fn sums_are_those_of_batches_on_every_path() {
-    let many = json!(2 * BATCH + 88);
+    let many = 2 * BATCH + 88;
     for integrator in [json!("direct"), json!({ "path": { "max_bounces": 2 } })] {
-        let still = job(&integrator, &many, &json!({}));
-        let blurred = blurred(still.clone());
+        let (still, blurred) = (job(&integrator, 0.0, json!(many)), job(&integrator, 0.7, json!(many)));
         assert!(blurred.exposure(1).expect("a valid frame").instants.len() > 1, "batches have several instants");
         let (of_still, of_blurred) = (defined(&still), defined(&blurred));
         // Rounds that end within batches, and at their ends: no block is done before the last.
-        let denoised = job(&integrator, &many, &json!({ "denoise": true }));
+        let mut denoised = still.clone();
+        denoised.image.denoise = true;
         let adaptive = json!({ "adaptive": { "min": 8, "max": 512, "error": 0.0001 } });
-        let (adaptive, fixed) = (job(&integrator, &adaptive, &json!({})), job(&integrator, &json!(512), &json!({})));
+        let (adaptive, fixed) = (job(&integrator, 0.0, adaptive), job(&integrator, 0.0, json!(512)));
         for level in [Simd::Scalar].into_iter().chain(levels()) {
             let renderer = CpuRenderer::new(Some(2), level).expect("a level of this CPU");
             let planes = |job: &Job| bits(&render(&renderer, job, Rect::full(WIDTH, HEIGHT)).planes[..4]);

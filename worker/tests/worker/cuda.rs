@@ -325,9 +325,8 @@ fn paths_whose_marches_a_warp_pauses_are_bit_identical() {
 
 #[test]
 fn sums_of_batches_are_bit_identical() {
-    let jobs = [json!("direct"), json!({ "path": { "max_bounces": 2 } })].map(|integrator| {
-        (format!("batches, {integrator}"), batches::job(&integrator, &json!(2 * BATCH + 88), &json!({})))
-    });
+    let jobs = [json!("direct"), json!({ "path": { "max_bounces": 2 } })]
+        .map(|integrator| (format!("batches, {integrator}"), batches::job(&integrator, 0.0, json!(2 * BATCH + 88))));
     for program_of in [serial, in_warps] {
         assert_same_on_host(&jobs, program_of);
     }
