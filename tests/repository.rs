@@ -186,6 +186,12 @@ fn required_files_exist() {
 }
 
 #[test]
+fn no_script_stands_among_the_pages() {
+    let scripts = files(&["docs"], &["py", "sh", "js", "rs"]);
+    assert_none("belongs into tests/", &scripts.iter().map(|(path, _)| path.display().to_string()).collect::<Vec<_>>());
+}
+
+#[test]
 fn changelog_has_an_unreleased_section() {
     let changelog = fs::read_to_string(root().join("CHANGELOG.md")).expect("there");
     assert!(changelog.contains("## Unreleased"));

@@ -1,4 +1,4 @@
-//! A compiled tape and its memory. The only unsafe code of the CPU's back ends, apart from memory for tests.
+//! A compiled tape and its memory: the unsafe call of its machine code.
 
 #![expect(unsafe_code, reason = "runs machine code")]
 

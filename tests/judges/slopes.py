@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Fits the error of pictures against their samples, and prints a Markdown table.
 
-    PYTHONPATH=.whl python3 docs/light/slopes.py PROGRAM [--device cuda] JOB …     # .whl has OpenEXR and numpy (.ci/run)
+    PYTHONPATH=.whl python3 tests/judges/slopes.py PROGRAM [--device cuda] JOB …     # .whl has OpenEXR and numpy (.ci/run)
 
 Each job is rendered as some frames of linear light with 16, 64, 256 and 1,024 samples, twice with different seeds. Without a
 bias, half of the squared difference of two such pictures is, in the mean, the squared error of one. It is relative: divided

@@ -1,6 +1,6 @@
 """Compares pictures with and without reweighted fireflies with the unbiased picture of 4,096 samples.
 
-    PYTHONPATH=.whl python3 docs/light/fireflies.py target/release/sdfarm scenes/lantern.json scenes/vitrine.json
+    PYTHONPATH=.whl python3 tests/judges/fireflies.py target/release/sdfarm scenes/lantern.json scenes/vitrine.json
 
 Prints, for each scene and number of samples, the relative mean square error without and with, and how much light is lost.
 """

@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Compares the price of each shipped scene with what its render takes, in CPU seconds, as a Markdown table.
 
-python3 docs/prices.py target/release/sdfarm [SCENE.json …]
+python3 tests/figures/prices.py target/release/sdfarm [SCENE.json …]
 
 All pictures of a job are rendered. Scenes that take less than a second are left out: no price is needed for them.
 """
@@ -13,7 +13,7 @@ import subprocess
 import sys
 import tempfile
 
-ROOT = pathlib.Path(__file__).resolve().parent.parent
+ROOT = pathlib.Path(__file__).resolve().parents[2]
 MIN_SECONDS = 1.0
 
 

@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Renders `chess`, and then again with a piece moved, as a job that is based on the first; prints the times and kept tiles.
 
-python3 docs/recorded.py target/release/sdfarm [SAMPLES] [RUNS]
+python3 tests/figures/recorded.py target/release/sdfarm [SAMPLES] [RUNS]
 
 Each run has another seed, so that no picture is in the cache.
 """
@@ -14,7 +14,7 @@ import tempfile
 import time
 import urllib.request
 
-SCENE = pathlib.Path(__file__).resolve().parent.parent / "scenes/chess.json"
+SCENE = pathlib.Path(__file__).resolve().parents[2] / "scenes/chess.json"
 # The x of the king and the z of a rook.
 PIECES = {"king": (0, 0), "rook": (2, 2)}
 

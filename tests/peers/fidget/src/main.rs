@@ -1,4 +1,4 @@
-//! Renders the spheres of a job of `docs/scenes/many.py` with fidget: a height map with normals, and prints how long
+//! Renders the spheres of a job of `tests/figures/many.py` with fidget: a height map with normals, and prints how long
 //! building and rendering took. `cargo run --release -- JOB EDGE_PX [sharp]`
 
 use std::time::Instant;

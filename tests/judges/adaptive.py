@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Compares pictures with adaptive samples with those of fixed numbers, and prints a Markdown table.
 
-    PYTHONPATH=.whl python3 docs/light/adaptive.py FOLDER SCENE …     # .whl has OpenEXR and numpy (.ci/run)
+    PYTHONPATH=.whl python3 tests/judges/adaptive.py FOLDER SCENE …     # .whl has OpenEXR and numpy (.ci/run)
 
 FOLDER has EXRs: SCENE-ref.exr with very many samples, SCENE-n16.exr with 16, and SCENE-a0.02.exr with adaptive ones and the
 layer `samples`. Errors are in the values of a PNG, from 0 to 1.

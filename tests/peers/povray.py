@@ -1,5 +1,5 @@
-"""Writes the spheres of a job of docs/scenes/many.py for POV-Ray 3.7, as a blob, whose parts melt together, or as a sharp union:
-python3 povray.py spheres.json blob|union > spheres.pov && povray +W960 +H540 -A -D +WT2 +Ispheres.pov +Ospheres.png
+"""Writes the spheres of a job of tests/figures/many.py for POV-Ray 3.7, as a blob, whose parts melt together, or as a sharp union:
+python3 tests/peers/povray.py spheres.json blob|union > spheres.pov && povray +W960 +H540 -A -D +WT2 +Ispheres.pov +Ospheres.png
 """
 
 import json

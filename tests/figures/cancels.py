@@ -1,6 +1,6 @@
 """Measures how soon a cancelled job frees a worker: cancels endless jobs of a farm, and renders a tiny one right after.
 
-Usage: sdfarm serve --workers 1 --device cuda & python3 cancels.py http://127.0.0.1:8080
+Usage: sdfarm serve --workers 1 --device cuda & python3 tests/figures/cancels.py http://127.0.0.1:8080
 Prints the milliseconds from each cancel to the tiny job's picture.
 """
 

@@ -1,6 +1,6 @@
 """Compares two programs by HDR-FLIP at equal time: how far their pictures seem from one of many samples of the second.
 
-    PYTHONPATH=.whl:.whl/flip python3 docs/light/flip.py OLD NEW SCENE ...
+    PYTHONPATH=.whl:.whl/flip python3 tests/judges/flip.py OLD NEW SCENE ...
 
 Pontus Andersson et al., "Visualizing errors in rendered high dynamic range images", Eurographics 2021, short papers.
 """

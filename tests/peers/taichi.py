@@ -1,5 +1,5 @@
 """Writes a job like the scene of the example `sdf_renderer` of Taichi 1.7 (https://github.com/taichi-dev/taichi, Apache-2.0), for benchmarks:
-python3 taichi.py > taichi.json
+python3 tests/peers/taichi.py > taichi.json
 
 A sphere, a box and a cylinder of eight shells, which a plane cuts open, before a wall, lit by a disc. Paths have six
 segments. Outer corners of the shells are round here, and walls have one color.

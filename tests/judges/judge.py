@@ -3,7 +3,7 @@
 
     pip install --target .whl/mitsuba mitsuba==3.9.1 numpy      # .whl is ignored by git
     apt-get install libllvm19                                   # 17 or newer; older ones fail on AVX-512
-    PYTHONPATH=.whl/mitsuba python3 docs/light/judge.py target/release/sdfarm [--quick] [SCENE …]
+    PYTHONPATH=.whl/mitsuba python3 tests/judges/judge.py target/release/sdfarm [--quick] [SCENE …]
 
 Every scene of scenes.py is rendered by both programs with the same samples per pixel, several times with other seeds. Each
 row has:
@@ -85,7 +85,7 @@ def load_mitsuba():
     try:
         import mitsuba as mi
     except ModuleNotFoundError:
-        sys.exit("Mitsuba is not installed: see the first lines of docs/light/judge.py")
+        sys.exit("Mitsuba is not installed: see the first lines of tests/judges/judge.py")
     mi.set_variant("llvm_ad_rgb")
     import materials  # noqa: F401
 
