@@ -62,7 +62,7 @@ const PAIRS: &[Pair] = &[
     Pair {
         name: "fireflies",
         title: "Fireflies",
-        text: "Sixty-four samples of each pixel. Light of few samples that are much brighter than those around them counts less.",
+        text: "Sixty-four samples of each pixel. Fireflies, samples far brighter than their neighbors, count less.",
         scene: "../scenes/lantern",
         samples: 64,
         both: &[("image.denoise", "false")],
@@ -73,7 +73,7 @@ const PAIRS: &[Pair] = &[
     Pair {
         name: "denoise",
         title: "The denoiser",
-        text: "Sixteen samples of each pixel. Noise goes; edges, the caustic and what the glass shows stay.",
+        text: "Sixteen samples of each pixel. Noise goes; edges, the caustic and refracted things stay.",
         scene: "scenes/light/cornell",
         samples: 16,
         both: &[],
@@ -98,7 +98,7 @@ const PAIRS: &[Pair] = &[
     Pair {
         name: "lens",
         title: "The lens",
-        text: "What lies before and behind the focus is as wide as the lens, in the shape of its six blades.",
+        text: "A point before or behind the focus is as wide as the lens, in the shape of its six blades.",
         scene: "scenes/light/macro",
         samples: 256,
         both: &[("image.denoise", "true")],
