@@ -105,7 +105,7 @@ fn a_job_may_have_one_of_each_added_kind() {
               "material": { "flat": { "color": { "added": { "period": 1, "color": [1, 1, 1] } } } } }
         ] }, "image": { "width": 16, "height": 16 } }"#;
     let job = crate::parse(text.as_bytes()).expect("every kind parses");
-    assert_eq!(job.warnings(), [""; 0]);
+    assert_eq!(crate::warnings(&job), [""; 0]);
     let still = job.at(0).expect("the job is valid");
     let seen = crate::Integrator::new(&still).pixel(8.0_f32, 8.0);
     assert!(seen.color.y > 0.1 && seen.color.x == 0.0, "{seen:?}");

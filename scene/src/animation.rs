@@ -7,9 +7,10 @@ use std::borrow::Cow;
 use std::collections::BTreeSet;
 use std::ops::Range;
 
-use crate::job::{Frames, Image, Job, Layer};
+use crate::film::{Frames, Image, Layer};
+use crate::job::Job;
 use crate::limits::{MAX_FULL_CHECK_BYTES, MAX_INSTANTS, MIN_SAMPLED_FRAMES};
-use crate::scene::Scene;
+use crate::scene::{LightGroups, Scene};
 use crate::seek::{FrameTime, Seek, SeekError};
 
 /// Job evaluated at one of its frames: the input of rendering a picture.
@@ -106,6 +107,11 @@ impl JobAtFrame<'_> {
     /// The instants at which the frame is exposed. Fails as [`Job::at`] does.
     pub(crate) fn exposure(&self) -> Result<Exposure<'_>, FrameError> {
         self.job.exposure(self.frame)
+    }
+
+    /// The light groups of the frame's picture; `None` if it has none.
+    pub(crate) fn light_groups(&self) -> Option<LightGroups> {
+        LightGroups::of(&self.image.light_groups, &self.scene)
     }
 
     /// JSON pointer in the document of a node of the scene; both pointers begin with `/scene`.
@@ -306,9 +312,9 @@ mod tests {
     #[test]
     fn only_a_job_without_animation_gets_that_warning() {
         let frames = r#", "frames": { "count": 2 }"#;
-        assert!(job("1", frames).warnings()[0].contains("nothing in the scene is animated"));
-        assert_eq!(job(GROWS, frames).warnings(), Vec::<String>::new());
-        assert!(job(GROWS, "").warnings()[0].contains("frames.count"));
+        assert!(crate::warnings(&job("1", frames))[0].contains("nothing in the scene is animated"));
+        assert_eq!(crate::warnings(&job(GROWS, frames)), Vec::<String>::new());
+        assert!(crate::warnings(&job(GROWS, ""))[0].contains("frames.count"));
     }
 
     #[test]

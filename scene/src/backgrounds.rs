@@ -17,7 +17,7 @@ pub use day::Day;
 pub use simple::{SkyGradient, SolidColor, Transparent};
 
 pub use crate::kinds::{Example, HasExamples};
-use crate::nodes::{NodeError, snake_case};
+use crate::kinds::{NodeError, snake_case};
 use crate::real::{Real, Vec3};
 use crate::seek::Seek;
 use crate::values::Color;

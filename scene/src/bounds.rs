@@ -3,7 +3,7 @@
 //! Bounds follow from a shape's numbers alone, in plain `f32`. Before a ray is clipped by a box, the box is expanded
 //! by far more than rounding errors, so that no surface is outside.
 
-use crate::camera::Ray;
+use crate::ray::Ray;
 use crate::real::{Real, Vec3, vec3};
 
 /// Axis-aligned box; a side may be infinitely distant.

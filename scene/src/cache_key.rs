@@ -2,14 +2,16 @@
 
 use serde::Serialize;
 
-use crate::PICTURE_VERSION;
 use crate::animation::{Exposure, JobAtFrame};
-use crate::job::{Bits, Crop, Format, Image, Job, Layer, Precision, ToneMap};
-use crate::light_groups::LightGroups;
+use crate::film::{Bits, Crop, Format, Image, Layer, Precision, ToneMap};
+use crate::job::Job;
 use crate::mattes::Matte;
 use crate::sample_count::SampleCount;
-use crate::scene::Scene;
+use crate::scene::{LightGroups, Scene};
 use crate::values::{ExposureStops, FrameRate};
+
+/// Version of the picture's exact bits: raised only when some picture's bits change, never with a release.
+pub const PICTURE_VERSION: u32 = 12;
 
 /// Everything that decides a frame's pixels.
 #[derive(Serialize)]

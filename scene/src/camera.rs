@@ -19,12 +19,11 @@ pub use projections::{
 
 use self::lens::Aperture;
 use crate::bounds::Bounds;
-use crate::groups::Placement;
-use crate::job::Frames;
-use crate::march::Tolerance;
-use crate::real::{Real, Vec3, bundle, vec3};
+use crate::film::Frames;
+use crate::ray::{Ray, Tolerance};
+use crate::real::{Real, Vec3, vec3};
 use crate::seek::Seek;
-use crate::values::{Direction, FieldOfView, Point, Revolutions, sin_cos_degrees};
+use crate::values::{Direction, FieldOfView, Placement, Point, Revolutions, sin_cos_degrees};
 
 /// Position, direction and projection of the camera.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
@@ -84,24 +83,6 @@ pub struct View {
     footprint: Tolerance,
     /// Rounding error of coordinates around the camera, in scene units.
     coordinate_error: f32,
-}
-
-/// A ray: a half line.
-#[derive(Clone, Copy, Debug)]
-pub struct Ray<R> {
-    /// Start of the ray.
-    pub origin: Vec3<R>,
-    /// Direction, of length 1.
-    pub direction: Vec3<R>,
-}
-
-bundle!(Ray { origin, direction });
-
-impl<R: Real> Ray<R> {
-    /// Point at a distance along the ray.
-    pub fn at(&self, distance: R) -> Vec3<R> {
-        self.direction.mul_add(distance, self.origin)
-    }
 }
 
 impl Camera {

@@ -25,7 +25,8 @@ mod tree;
 mod walk;
 
 use crate::bounds::Bounds;
-pub use division::{BOX_LEVELS, BOX_NUMBERS, Division};
+pub use crate::real::Division;
+pub use division::{BOX_LEVELS, BOX_NUMBERS};
 pub use program::Program;
 pub(crate) use program::contents::{ContentIds, Contents, List};
 pub use prune::{Pruned, Pruner, ROUNDING, Regions, SLAB_CELLS, SLABS, Unpruned};

@@ -12,8 +12,8 @@ use std::rc::Rc;
 use crate::animation::JobAtFrame;
 use crate::bounds::Bounds;
 use crate::cells::{ContentIds, Contents, List, SLAB_CELLS};
+use crate::film::Layer;
 use crate::integrator::Integrator;
-use crate::job::Layer;
 use crate::scene::Scene;
 use crate::visits::{OUTSIDE, VisitGrid, Visited, cell_place};
 

@@ -11,18 +11,19 @@ use serde::{Deserialize, Serialize};
 use crate::ambient_occlusion::AmbientOcclusion;
 use crate::backgrounds::Background;
 use crate::camera::Camera;
+use crate::film::{Frames, Image};
 use crate::fog::Fog;
 use crate::groups::Group;
-use crate::job::{Frames, Image, priority};
-use crate::json_scan;
+use crate::job::priority;
+use crate::json_text;
 use crate::lights::{Light, PlacedLight, default_lights};
 use crate::limits::MAX_LIGHTS;
 use crate::materials::{Material, MaterialRef, MaterialSlots};
 use crate::nodes::{Node, material_pointer};
 use crate::scene::{March, Object, Scene, child_pointers};
-use crate::shapes::WrittenNodes;
 use crate::transport::Transport;
 use crate::values::NamedNumber;
+use crate::written::WrittenNodes;
 
 /// Body of a job submission.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -151,7 +152,7 @@ impl SceneDocument {
         let MaterialResolver { slots, material_pointers: places, mut unknown, .. } = slots;
         let mut in_unused = MaterialResolver::new(&named, shapes.written.as_ref());
         for (name, shape) in &mut shapes.unused {
-            in_unused.resolve_tree(shape, &mut format!("/shapes/{}", json_scan::escape(name)));
+            in_unused.resolve_tree(shape, &mut format!("/shapes/{}", json_text::escape(name)));
         }
         unknown.extend(in_unused.unknown);
         let MaterialSlots { used: materials, count: material_count, by_name, .. } = slots;
@@ -191,7 +192,7 @@ impl<'a> MaterialResolver<'a> {
         let written = self.written;
         let pointer = || written.map_or_else(&pointer, |written| written.pointer(&pointer()));
         let named = match material {
-            MaterialRef::Name(name) => Some(format!("/materials/{}", json_scan::escape(name))),
+            MaterialRef::Name(name) => Some(format!("/materials/{}", json_text::escape(name))),
             MaterialRef::InPlace(_) | MaterialRef::Slot(_) => None,
         };
         if let Err(name) = material.resolve(self.named, &mut self.slots) {

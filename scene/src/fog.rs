@@ -3,8 +3,8 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::camera::Ray;
 use crate::kinds::HasExamples;
+use crate::ray::Ray;
 use crate::real::{Real, Vec3, vec3};
 use crate::seek::Seek;
 use crate::values::{Color, Density};

@@ -6,6 +6,7 @@
 use std::borrow::Cow;
 use std::collections::{HashMap, HashSet};
 
+use crate::json_text::{escape, unescape};
 use crate::limits::{MAX_JSON_DEPTH, MAX_KEY_BYTES};
 
 /// Error found by the scan.
@@ -221,16 +222,6 @@ fn pointer(levels: &[OpenContainer<'_>]) -> String {
             OpenContainer::Object { key, .. } => format!("/{}", escape(key.as_deref().unwrap_or_default())),
         })
         .collect()
-}
-
-/// A member name, escaped for a JSON pointer (RFC 6901).
-pub(crate) fn escape(key: &str) -> String {
-    key.replace('~', "~0").replace('/', "~1")
-}
-
-/// The member name of an escaped part of a JSON pointer.
-pub(crate) fn unescape(part: &str) -> String {
-    part.replace("~1", "/").replace("~0", "~")
 }
 
 /// Scans a text while it is valid and `visit` returns true.

@@ -17,13 +17,14 @@ pub mod color;
 mod document;
 pub mod effects;
 mod error;
+pub mod film;
 pub mod fog;
 mod format;
-mod formula;
 mod groups;
 pub mod integrator;
 pub mod job;
 mod json_scan;
+pub mod json_text;
 pub mod kinds;
 pub mod light_groups;
 pub mod lights;
@@ -31,12 +32,14 @@ pub mod limits;
 pub mod march;
 pub mod materials;
 pub mod mattes;
+pub mod names;
 pub mod nodes;
 pub mod noise;
 mod parse;
 mod pick;
 pub mod profiles;
 mod provenance;
+pub mod ray;
 pub mod real;
 pub mod sample_count;
 pub mod sampling;
@@ -49,25 +52,26 @@ pub mod values;
 mod visible;
 pub mod visits;
 mod warnings;
+pub mod written;
 
 pub use animation::{Exposure, FrameError, JobAtFrame};
 pub use backgrounds::Background;
+pub use cache_key::PICTURE_VERSION;
 pub use changes::reached;
 pub use error::{ParseError, ValidationError};
+pub use film::{Bits, Crop, Format, Frames, Image, Layer, Precision, Region, ToneMap};
 pub use format::format;
-pub use formula::{FUNCTIONS, Function, NAMES as FORMULA_NAMES};
-pub use integrator::Integrator;
-pub use job::{Bits, Crop, Format, Frames, Image, Job, Layer, Precision, Region, ToneMap};
+pub use integrator::{Integrator, compiled_nodes, frame_compiled_nodes};
+pub use job::Job;
 pub use parse::{error_in_frame, parse, plain_json, set_value};
 pub use pick::{Pick, pick};
 pub use provenance::Provenance;
 pub use sample_count::{AdaptiveSamples, SampleCount};
 pub use scene::Scene;
 pub use schema::{editor_schema, schema};
+pub use values::formula::{FUNCTIONS, Function, NAMES as FORMULA_NAMES};
+pub use warnings::of as warnings;
 
 // Some tests of the public interface also run inside the crate, and refer to it by this name.
 #[cfg(test)]
 use {crate as subject, added::is_tested};
-
-/// Version of the picture's exact bits: raised only when some picture's bits change, never with a release.
-pub const PICTURE_VERSION: u32 = 12;

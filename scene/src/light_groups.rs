@@ -7,10 +7,6 @@ use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::de::Error;
 use serde::{Deserialize, Deserializer, Serialize};
 
-use crate::animation::JobAtFrame;
-use crate::job::Image;
-use crate::lights::LightSource;
-use crate::scene::Scene;
 use crate::seek::{FrameTime, Seek, SeekError};
 
 /// Name of the layers of all light that is of no listed group.
@@ -68,59 +64,5 @@ impl JsonSchema for LightGroup {
 impl Seek for LightGroup {
     fn seek(&mut self, _: &mut FrameTime<'_>) -> Result<bool, Box<SeekError>> {
         Ok(false)
-    }
-}
-
-/// The light groups of a picture, and what belongs to each: as the group's place in the picture's list, or the place after
-/// the last for light of no listed group.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
-pub(crate) struct LightGroups {
-    names: Vec<LightGroup>,
-    /// Of each light.
-    pub lights: Vec<usize>,
-    /// Of each object.
-    pub objects: Vec<usize>,
-    /// Of the sky and the background.
-    pub sky: usize,
-}
-
-impl LightGroups {
-    /// The light groups of a picture of a scene; `None` if it has none.
-    pub(crate) fn of(image: &Image, scene: &Scene) -> Option<Self> {
-        let names = &image.light_groups;
-        if names.is_empty() {
-            return None;
-        }
-        let place = |group: Option<&LightGroup>| {
-            group.and_then(|group| names.iter().position(|name| name == group)).unwrap_or(names.len())
-        };
-        let lights: Vec<usize> = scene.lights.iter().map(|light| place(light.group())).collect();
-        let sky = scene.sky_lights().next().map_or(names.len(), |index| lights[index]);
-        let objects = scene.objects.iter().map(|object| place(object.light_group.as_ref())).collect();
-        Some(Self { names: names.clone(), lights, objects, sky })
-    }
-
-    /// The place of light of no listed group.
-    pub(crate) fn rest(&self) -> usize {
-        self.names.len()
-    }
-
-    /// Objects of listed groups: the first and the last of those that follow one another, and their group's place.
-    pub(crate) fn runs_of_objects(&self) -> Vec<([usize; 2], usize)> {
-        let mut runs: Vec<([usize; 2], usize)> = Vec::new();
-        for (index, &place) in self.objects.iter().enumerate().filter(|(_, place)| **place < self.rest()) {
-            match runs.last_mut().filter(|([_, last], of_last)| *of_last == place && last + 1 == index) {
-                Some(([_, last], _)) => *last = index,
-                None => runs.push(([index; 2], place)),
-            }
-        }
-        runs
-    }
-}
-
-impl JobAtFrame<'_> {
-    /// The light groups of the frame's picture; `None` if it has none.
-    pub(crate) fn light_groups(&self) -> Option<LightGroups> {
-        LightGroups::of(self.image(), self.scene())
     }
 }

@@ -31,23 +31,13 @@ pub use sun::Sun;
 
 use crate::backgrounds::{Background, Day};
 pub use crate::kinds::{Example, HasExamples};
+use crate::kinds::{NodeError, snake_case};
 use crate::light_groups::LightGroup;
+pub use crate::materials::LightSample;
 use crate::materials::microfacet::orthonormal_basis;
-use crate::nodes::{NodeError, snake_case};
-use crate::real::{Real, Vec3, bundle};
+use crate::real::{Real, Vec3};
 use crate::seek::Seek;
 use crate::values::{Color, FullAngle, Point, Strength};
-
-/// Light that arrives at a point from one direction.
-#[derive(Clone, Copy, Debug)]
-pub struct LightSample<R> {
-    /// Toward the light, of length 1.
-    pub direction: Vec3<R>,
-    /// Linear RGB radiance at the point; 0 in shadow.
-    pub radiance: Vec3<R>,
-}
-
-bundle!(LightSample { direction, radiance });
 
 /// Ambient light: from all directions at once.
 #[derive(Clone, Copy, Debug)]

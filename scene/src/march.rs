@@ -4,17 +4,8 @@
 //! John C. Hart, "Sphere tracing: a geometric method for the antialiased ray tracing of implicit
 //! surfaces", The Visual Computer 12, 1996.
 
-use crate::camera::Ray;
+use crate::ray::{Ray, Tolerance};
 use crate::real::{MaskValue, Real, Vec3, bundle};
-
-/// Tolerance: `slope · t + floor` at distance t along the ray.
-#[derive(Clone, Copy, Debug)]
-pub struct Tolerance {
-    /// Growth per distance along the ray.
-    pub slope: f32,
-    /// Minimum, in scene units.
-    pub floor: f32,
-}
 
 /// Interval and limits of a march.
 #[derive(Clone, Copy, Debug)]
@@ -116,18 +107,6 @@ pub struct Approach<R> {
     pub among_details: bool,
     /// Evaluations of the distance field that tell whether a surface has fine detail.
     pub detail_evaluations: f32,
-}
-
-impl Tolerance {
-    /// The same approach with tolerances `factor` times as large.
-    pub fn scaled(self, factor: f32) -> Self {
-        Self { slope: self.slope * factor, floor: self.floor * factor }
-    }
-
-    /// Tolerance at a distance along the ray.
-    pub fn at<R: Real>(self, distance: R) -> R {
-        distance.mul_add(distance.uniform(self.slope), distance.uniform(self.floor))
-    }
 }
 
 impl<R: Real> Approach<R> {

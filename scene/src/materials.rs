@@ -34,7 +34,6 @@ pub use volume::{Clouds, MediumMaterial, Volume};
 pub use crate::kinds::{Example, HasExamples};
 use bsdf::{Bsdf, Lobes};
 
-use crate::lights::LightSample;
 use crate::real::{MaskValue, Real, Vec3, bundle};
 use crate::seek::Seek;
 
@@ -72,6 +71,17 @@ impl<R: Real> ShadingPoint<R> {
         across.length_squared().max(along.length_squared()).sqrt() * 2.0
     }
 }
+
+/// Light that arrives at a point from one direction.
+#[derive(Clone, Copy, Debug)]
+pub struct LightSample<R> {
+    /// Toward the light, of length 1.
+    pub direction: Vec3<R>,
+    /// Linear RGB radiance at the point; 0 in shadow.
+    pub radiance: Vec3<R>,
+}
+
+bundle!(LightSample { direction, radiance });
 
 /// Light that arrives at a point.
 #[derive(Clone, Debug, Default)]

@@ -8,8 +8,9 @@ use std::collections::BTreeMap;
 use serde::Serialize;
 
 use crate::animation::JobAtFrame;
-use crate::job::Layer;
-use crate::provenance::ascii_json;
+use crate::film::Layer;
+use crate::json_text;
+use crate::json_text::ascii_json;
 
 /// Maximum size of the list of names in a file; longer lists are left out.
 const MAX_MANIFEST_BYTES: usize = 64 << 10;
@@ -74,6 +75,15 @@ impl JobAtFrame<'_> {
             Some(Matte { layer, names })
         };
         self.image().layers.iter().filter_map(of_layer).collect()
+    }
+
+    /// Names of the materials in use, by slot; of one without a name, its place in the job file.
+    fn material_names(&self) -> Vec<String> {
+        let name = |pointer: String| match pointer.strip_prefix("/scene/materials/") {
+            Some(name) => json_text::unescape(name),
+            None => pointer.trim_start_matches("/scene/").to_owned(),
+        };
+        (0..).map_while(|slot| self.job().material_pointer(slot)).map(name).collect()
     }
 
     /// Names of all objects; of one without a name, its index as messages have it.

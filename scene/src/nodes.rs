@@ -54,8 +54,8 @@ pub use modifiers::{
     Bend, CopyCount, Elongate, Mirror, Onion, Paint, PolarRepeat, Repeat, Round, Stretch, Taper, Twist,
 };
 pub use named::Use;
+pub use names::NodeExample;
 pub(crate) use names::material_pointer;
-pub use names::{NodeExample, snake_case};
 pub use operators::{
     Chamfer, Columns, Difference, Engrave, Groove, Intersection, Morph, SeamKind, Stairs, Tongue, Union, Xor,
 };
@@ -68,10 +68,10 @@ pub use primitives::{
     Link, OctagonalPrism, Octahedron, Plane, PolygonSides, Pyramid, Quad, RegularPyramid, Rhombus, RoundCone,
     RoundedCylinder, SchwarzP, SolidAngle, Sphere, Tetrahedron, Torus, Triangle, TriangularPrism, U, Vesica,
 };
+pub(crate) use rotations::rotation_error;
 pub use rotations::{Aim, Rotate};
-pub(crate) use rotations::{inverse_rows_about, rotation_error};
 pub use scatter::{BallRegion, BoxRegion, DiscRegion, Scatter, ScatterRegion};
-pub use sdf::{Exactness, NodeError, Primitive, Sdf};
+pub use sdf::{Primitive, Sdf};
 pub use sweeps::{Extrude, Revolve};
 pub use terrain::HeightField;
 pub use transforms::{Scale, Translate};
@@ -79,6 +79,7 @@ pub use value::{Distance, DistanceWithMaterials, MaterialWeight, SdfValue};
 pub use warp::Warp;
 
 use crate::bounds::Bounds;
+pub use crate::kinds::{Exactness, NodeError, snake_case};
 use crate::materials::MaterialRef;
 use crate::real::{Real, Vec3};
 use crate::seek::{Seek, SeekError};

@@ -20,9 +20,7 @@ mod tests;
 mod tree;
 
 pub use self::comments::plain_json;
-pub(crate) use self::groups::GroupPointers;
 pub use self::set::set_value;
-pub(crate) use self::suggest::nearest as nearest_name;
 
 use std::collections::BTreeSet;
 use std::sync::Arc;
@@ -32,7 +30,8 @@ use serde::de::IgnoredAny;
 use crate::animation::{FrameError, frames_to_check};
 use crate::document::{JobDocument, NamedShapes, Resolved};
 use crate::error::{ParseError, ValidationError};
-use crate::job::{Format, Job, Layer, ToneMap};
+use crate::film::{Format, Layer, ToneMap};
+use crate::job::Job;
 use crate::json_scan::{self, ScanError, ScanErrorKind};
 use crate::lights::PlacedLight;
 use crate::limits::{
@@ -42,6 +41,7 @@ use crate::limits::{
 use crate::sample_count::AdaptiveSamples;
 use crate::seek::{FrameTime, Seek};
 use crate::transport::{PathSettings, Transport};
+use crate::written::GroupPointers;
 
 /// Maximum number of errors in one response.
 const MAX_ERRORS: usize = 100;

@@ -1,9 +1,10 @@
 //! Finds the surface that is seen at a point of a picture, and where the job file has it.
 
-use crate::animation::{FrameError, JobAtFrame};
+use crate::animation::FrameError;
 use crate::integrator::Integrator;
 use crate::job::Job;
 use crate::json_scan;
+use crate::json_text;
 use crate::parse::plain_json;
 use crate::real::Vec3;
 
@@ -36,44 +37,18 @@ pub fn pick(text: &str, job: &Job, frame: u32, [x, y]: [f32; 2]) -> Result<Optio
     let Some(seen) = Integrator::new(&still).seen_at(x * width, y * height) else { return Ok(None) };
     let in_scene = format!("/scene/objects/{}", seen.object);
     let text = plain_json(text);
-    let material = seen.slot.and_then(|slot| job.material_pointers.get(slot)).map(|pointer| written(job, pointer));
-    let name = material.as_deref().and_then(|pointer| pointer.strip_prefix(NAMED_MATERIALS));
+    let material = seen.slot.and_then(|slot| job.material_pointer(slot));
+    let name = material.as_deref().and_then(|pointer| pointer.strip_prefix("/scene/materials/"));
     Ok(Some(Pick {
         object: seen.object,
         name: still.scene().objects.get(seen.object).and_then(|object| object.name.clone()),
         pointer: still.pointer_in_document(&in_scene),
-        material: name.map(json_scan::unescape),
+        material: name.map(json_text::unescape),
         material_pointer: material.filter(|pointer| json_scan::locate_value(&text, pointer).is_some()),
         position: seen.position,
         normal: seen.normal,
         distance: seen.distance,
     }))
-}
-
-/// Start of the pointers of materials with names.
-const NAMED_MATERIALS: &str = "/scene/materials/";
-
-impl JobAtFrame<'_> {
-    /// Names of the materials in use, by slot; of one without a name, its place in the job file.
-    pub(crate) fn material_names(&self) -> Vec<String> {
-        let job = self.job();
-        let pointers = job.material_pointers.iter().map(|pointer| written(job, pointer));
-        let name = |pointer: String| match pointer.strip_prefix(NAMED_MATERIALS) {
-            Some(name) => json_scan::unescape(name),
-            None => pointer.trim_start_matches("/scene/").to_owned(),
-        };
-        pointers.map(name).collect()
-    }
-}
-
-/// A material's pointer in the document. A shape with numbers of its own is written once, under its own name.
-fn written(job: &Job, pointer: &str) -> String {
-    let in_shape = pointer.strip_prefix("/shapes/").and_then(|rest| rest.split_once('/'));
-    let named = in_shape.and_then(|(name, rest)| {
-        let shape = job.written.as_ref()?.instances.get(&json_scan::unescape(name))?;
-        Some(format!("/scene/shapes/{}/{rest}", json_scan::escape(shape)))
-    });
-    named.unwrap_or_else(|| format!("/scene{pointer}"))
 }
 
 #[cfg(test)]

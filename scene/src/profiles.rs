@@ -29,7 +29,7 @@ pub use strokes::{Arc, Bezier};
 pub use text::Text;
 pub use text_outline::{TextOutline, TextOutlineError};
 
-use crate::nodes::{Exactness, NodeError, snake_case};
+use crate::kinds::{Exactness, NodeError, snake_case};
 use crate::real::Real;
 use crate::seek::Seek;
 use crate::values::{Coordinate, LengthOrZero};

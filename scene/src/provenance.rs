@@ -2,13 +2,12 @@
 //!
 //! It has no times and machines, because they would make equal pictures differ.
 
-use std::fmt::Write as _;
-
 use serde::{Deserialize, Serialize};
 
-use crate::PICTURE_VERSION;
 use crate::animation::JobAtFrame;
-use crate::job::{Format, Layer};
+use crate::cache_key::PICTURE_VERSION;
+use crate::film::{Format, Layer};
+use crate::json_text::ascii_json;
 
 /// Maximum size of the names of objects in a file; longer lists are left out.
 const MAX_NAMES_BYTES: usize = 8 << 10;
@@ -46,22 +45,6 @@ impl Provenance {
     pub fn json(&self) -> String {
         ascii_json(self)
     }
-}
-
-/// JSON in ASCII of strings and numbers.
-pub(crate) fn ascii_json(value: &impl Serialize) -> String {
-    let json = serde_json::to_string(value).expect("strings and numbers are JSON");
-    let mut ascii = String::with_capacity(json.len());
-    for character in json.chars() {
-        if character.is_ascii() {
-            ascii.push(character);
-        } else {
-            for unit in character.encode_utf16(&mut [0; 2]) {
-                write!(ascii, "\\u{unit:04x}").expect("a String takes all that is written");
-            }
-        }
-    }
-    ascii
 }
 
 impl JobAtFrame<'_> {

@@ -22,7 +22,7 @@ pub use bundle::{Bundle, MaskValue, Merge};
 pub use interval::{Interval, IntervalBits, Tribool};
 use list::ListFunctions;
 pub(crate) use reference::F32Bits;
-pub use table::{INDEX_BITS, LENGTH_PLACE, LIST_PLACE, MakeWords, STAND_IN, Table, Words};
+pub use table::{Division, INDEX_BITS, LENGTH_PLACE, LIST_PLACE, MakeWords, STAND_IN, Table, Words};
 pub use vector::{Vec3, vec3};
 
 /// Below this, [`Real::sqrt`] is 0, so that a GPU may compute a root through its reciprocal.

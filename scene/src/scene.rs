@@ -1,5 +1,7 @@
 //! A scene: camera, background, lights, materials and objects, ready to be rendered.
 
+mod light_groups;
+
 use std::fmt::Write as _;
 
 use schemars::JsonSchema;
@@ -9,16 +11,18 @@ use crate::ambient_occlusion::AmbientOcclusion;
 use crate::backgrounds::{Backdrop, Background};
 use crate::camera::Camera;
 use crate::fog::Fog;
+use crate::kinds::NodeError;
 use crate::light_groups::LightGroup;
 use crate::lights::{AmbientLight, LightSource, PlacedLight};
 use crate::limits::{MAX_BOUNCES, MAX_STEPS};
 use crate::materials::{Material, MaterialRef, Shade};
-use crate::nodes::{Node, NodeError, material_pointer};
+use crate::nodes::{Node, material_pointer};
 use crate::real::{Real, Vec3};
 use crate::seek::Seek;
 use crate::transport::Transport;
 use crate::values::{Length, integer_in_range};
 use crate::visible::Visible;
+pub(crate) use light_groups::LightGroups;
 
 /// The scene to render: materials are in slots, and every number is evaluated at one time.
 ///

@@ -1,14 +1,12 @@
-//! Named shapes: counts the nodes of a document, and finds positions in it.
+//! Named shapes: counts the nodes of a document.
 //!
-//! A `use` is replaced by its shape when a job is parsed, so a scene has none. Here are the nodes as written: their
-//! sizes with every `use` replaced, and the position in the document of a position in the scene.
+//! A `use` is replaced by its shape when a job is parsed, so a scene has none. Here are the sizes of nodes with every
+//! `use` replaced, and the order in which that is done.
 
 use std::collections::BTreeMap;
 
-use crate::json_scan;
 use crate::nodes::Node;
-use crate::parse::GroupPointers;
-use crate::scene::{base_pointer, child_at, child_pointers};
+use crate::scene::{base_pointer, child_pointers};
 
 /// Size of a tree of nodes in which every `use` is replaced.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -96,59 +94,6 @@ pub(crate) fn in_order_of_use<'n>(shapes: &'n BTreeMap<String, Node>) -> Result<
     Ok(order)
 }
 
-/// The nodes of a valid document as written, each `use` still in its place.
-#[derive(Clone, Debug, PartialEq)]
-pub(crate) struct WrittenNodes {
-    /// The objects' shapes.
-    pub objects: Vec<Node>,
-    /// The named shapes.
-    pub shapes: BTreeMap<String, Node>,
-    /// See [`ends`].
-    pub ends: BTreeMap<String, String>,
-    /// Names of shapes that stand for a shape with numbers, with the name of that shape.
-    pub instances: BTreeMap<String, String>,
-    /// Where objects and lights of groups are written.
-    pub groups: GroupPointers,
-}
-
-impl WrittenNodes {
-    /// JSON pointer in the document's scene of a position in the scene, in which every `use` has been replaced.
-    pub(crate) fn pointer(&self, in_scene: &str) -> String {
-        let Some((mut node, start)) = self.root(in_scene) else { return self.groups.written(in_scene) };
-        let (start, mut rest) = in_scene.split_at(start);
-        let mut pointer = start.to_owned();
-        loop {
-            if let Some((name, shape)) = self.target(node) {
-                let name = self.instances.get(name).map_or(name, String::as_str);
-                pointer = format!("/shapes/{}", json_scan::escape(name));
-                node = shape;
-            }
-            let Some((child, length)) = child_at(node, rest) else { return self.groups.written(&(pointer + rest)) };
-            pointer.push_str(&rest[..length]);
-            rest = &rest[length..];
-            node = child;
-        }
-    }
-
-    /// The root of the tree of a position, and the length of its JSON pointer.
-    fn root(&self, pointer: &str) -> Option<(&Node, usize)> {
-        let mut steps = pointer.split('/').skip(1);
-        let (list, key) = (steps.next()?, steps.next()?);
-        let node = match list {
-            "objects" => self.objects.get(key.parse::<usize>().ok()?).filter(|_| steps.next() == Some("shape"))?,
-            "shapes" => self.shapes.get(&json_scan::unescape(key))?,
-            _ => return None,
-        };
-        let last = if list == "objects" { "/shape".len() } else { 0 };
-        Some((node, 2 + list.len() + key.len() + last))
-    }
-
-    /// The shape that a `use` stands for, and its name; a shape that is itself a `use` is followed.
-    fn target(&self, node: &Node) -> Option<(&str, &Node)> {
-        target(&self.shapes, &self.ends, node)
-    }
-}
-
 /// For each name of a shape that is itself a `use`, the name at the end of the chain. `order` is that of
 /// [`in_order_of_use`], so that every chain is followed in one step.
 pub(crate) fn ends(shapes: &BTreeMap<String, Node>, order: &[&str]) -> BTreeMap<String, String> {
@@ -160,15 +105,4 @@ pub(crate) fn ends(shapes: &BTreeMap<String, Node>, order: &[&str]) -> BTreeMap<
         }
     }
     ends
-}
-
-/// The shape that a `use` stands for, and its name; a shape that is itself a `use` is followed to its end.
-pub(crate) fn target<'n>(
-    shapes: &'n BTreeMap<String, Node>,
-    ends: &BTreeMap<String, String>,
-    node: &Node,
-) -> Option<(&'n str, &'n Node)> {
-    let name = node.used_shape()?;
-    let end = ends.get(name).map_or(name, String::as_str);
-    shapes.get_key_value(end).map(|(name, shape)| (name.as_str(), shape))
 }

@@ -7,11 +7,13 @@
 mod angles;
 mod color;
 mod focus;
+pub mod formula;
 mod motion;
 mod named_number;
 mod one_or_three;
 mod path;
 mod peeked_map;
+mod placement;
 mod points;
 pub(crate) mod track;
 mod triple;
@@ -36,6 +38,8 @@ use crate::limits::{MAX_LENGTH, MIN_LENGTH};
 use crate::seek::{FrameTime, Seek, SeekError};
 
 pub(crate) use peeked_map::PeekedMap;
+pub use placement::Placement;
+pub(crate) use placement::inverse_rows_about;
 
 /// Kinds of number that may be animated.
 macro_rules! animatable_numbers {

@@ -7,12 +7,11 @@
 
 use std::sync::{Arc, Mutex, PoisonError};
 
-use crate::PICTURE_VERSION;
 use crate::bounds::Bounds;
-use crate::camera::Ray;
-use crate::cells::Division;
+use crate::cache_key::PICTURE_VERSION;
+use crate::ray::Ray;
 use crate::real::list::is_set;
-use crate::real::{MakeWords, Real, Table, Vec3, Words, vec3};
+use crate::real::{Division, MakeWords, Real, Table, Vec3, Words, vec3};
 
 /// Cells along the edge of a grid.
 const EDGE: u32 = 128;

@@ -13,7 +13,8 @@ mod view;
 
 use crate::animation::JobAtFrame;
 use crate::camera::Project;
-use crate::job::{Job, Layer};
+use crate::film::Layer;
+use crate::job::Job;
 use crate::scene::Scene;
 
 /// Subject of a warning: a job gets at most one warning of each kind.
@@ -62,8 +63,8 @@ struct Warning {
     text: String,
 }
 
-/// All warnings of a job.
-pub(crate) fn of(job: &Job) -> Vec<String> {
+/// Warnings: suspicious properties of a valid job. Samples some rays of it, which takes milliseconds.
+pub fn of(job: &Job) -> Vec<String> {
     let mut warnings = job_warnings(job);
     let last = job.frames.count - 1;
     let mut frames = if job.is_animated() { vec![0, last / 2, last] } else { vec![0] };

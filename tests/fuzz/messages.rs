@@ -16,7 +16,7 @@ fn job_files() -> Vec<Vec<u8>> {
 fn try_job_files(effort: Effort) {
     fuzz("job files", effort, &job_files(), |text| match scene::parse(text) {
         Ok(job) => {
-            job.warnings();
+            scene::warnings(&job);
             assert!(job.nodes() > 0 && job.frames.count > 0 && job.image.width > 0);
             let again = scene::parse(text).expect("an accepted job is accepted again");
             assert_eq!(again.name, job.name);

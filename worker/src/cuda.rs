@@ -39,7 +39,7 @@ pub use error::CudaError;
 pub use launches::KernelTimes;
 pub use source::{DIVISION_POINT, KernelSource};
 
-/// Maximum number of nodes whose formulas a kernel has, see [`scene::Job::compiled_nodes`].
+/// Maximum number of nodes whose formulas a kernel has, see [`scene::compiled_nodes`].
 pub const MAX_NODES: u32 = proto::worker_protocol::CUDA_MAX_NODES;
 /// Maximum memory of freed planes kept for reuse, in numbers.
 const MAX_SPARE_FLOATS: usize = 128 << 20;
@@ -284,7 +284,7 @@ impl CudaRenderer {
         if let Some(known) = recent::find(&self.sources, |other| *other == key) {
             return Ok(known);
         }
-        let nodes = exposure.last().compiled_nodes();
+        let nodes = scene::frame_compiled_nodes(exposure.last());
         if nodes > MAX_NODES {
             return Err(CudaError::TooLarge { nodes, most: MAX_NODES });
         }

@@ -3,8 +3,8 @@
 use std::ops::Range;
 
 use proto::Rect;
-use scene::integrator::BRIGHTNESS_LEVELS;
-use scene::job::GUIDE_CHANNELS;
+use scene::film::BRIGHTNESS_LEVELS;
+use scene::film::GUIDE_CHANNELS;
 use scene::{Image, Layer};
 
 use crate::renderer::TilePixels;

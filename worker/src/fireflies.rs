@@ -9,7 +9,8 @@
 //! A pixel depends on its direct neighbors and on nothing else, and on IEEE-754 arithmetic in a fixed order.
 
 use rayon::prelude::*;
-use scene::integrator::{BRIGHTNESS_LEVELS, LEAST_BRIGHTNESS, LEVEL_RATIO};
+use scene::film::BRIGHTNESS_LEVELS;
+use scene::integrator::{LEAST_BRIGHTNESS, LEVEL_RATIO};
 
 /// Distance to the farthest pixel that a pixel depends on, in pixels.
 pub(crate) const MARGIN_PX: u32 = 1;

@@ -13,7 +13,7 @@ use std::io::{self, Seek, Write};
 
 use proto::Rect;
 
-use ::scene::color::DisplayTransform;
+use ::scene::film::DisplayTransform;
 use ::scene::mattes::Matte;
 use ::scene::sample_count::BLOCK_PX;
 use ::scene::{Bits, Format, JobAtFrame, Precision};

@@ -1,6 +1,7 @@
 //! Records the formulas of a picture, for every compiler.
 
-use scene::color::{DisplayTransform, level_of_256, srgb_from_linear};
+use scene::color::{level_of_256, srgb_from_linear};
+use scene::film::DisplayTransform;
 use scene::integrator::{Aovs, Coverage, Guides, Rank, Ranks};
 use scene::real::{Real, vec3};
 use scene::sampling::thresholds;

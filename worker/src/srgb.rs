@@ -1,7 +1,8 @@
 //! Linear light to sRGB for whole rows; bit-identical to [`DisplayTransform::apply`], [`srgb_from_linear`] and
 //! [`level_of_256`].
 
-use scene::color::{DisplayTransform, level_of_256, srgb_from_linear};
+use scene::color::{level_of_256, srgb_from_linear};
+use scene::film::DisplayTransform;
 use scene::sampling::thresholds;
 
 use crate::CancelFlag;

@@ -45,7 +45,7 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
             return Err(error);
         }
     };
-    let warnings = job.warnings();
+    let warnings = scene::warnings(&job);
     let threads = std::thread::available_parallelism().map_or(1, usize::from);
     let sample = sample(&job, threads, if arguments.estimate { RENDER_MS } else { QUICK_RENDER_MS });
     // A job is valid even if no sample of it finishes in time.

@@ -85,7 +85,7 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
     if arguments.frames.is_some() && is_folder(&arguments.output) {
         make_folder(&arguments.output)?;
     }
-    let warnings = job.warnings();
+    let warnings = scene::warnings(&job);
     if !arguments.json {
         for warning in &warnings {
             print_note(&format!("{}: warning: {}", file.name, escape_line(warning)));

@@ -6,7 +6,8 @@
 use anyhow::Context;
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use image::{ExtendedColorType, ImageEncoder, Rgba32FImage};
-use scene::color::{DisplayTransform, level_of_256, srgb_from_linear};
+use scene::color::{level_of_256, srgb_from_linear};
+use scene::film::DisplayTransform;
 use scene::sampling::thresholds;
 
 /// Displayed color, premultiplied, and alpha.

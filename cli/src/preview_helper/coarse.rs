@@ -9,7 +9,7 @@ use image::Rgba32FImage;
 use image::imageops::{self, FilterType};
 use proto::Rect;
 use scene::Job;
-use scene::color::DisplayTransform;
+use scene::film::DisplayTransform;
 use worker::{CancelFlag, CpuRenderer, Renderer, Simd, TilePixels, TileRequest, blob};
 
 use super::canvas::shown;

@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, bail, ensure};
 use proto::Rect;
 use proto::preview_helper::{AboutPicture, Drawing, HelperPicture, PictureLayer};
-use scene::color::DisplayTransform;
+use scene::film::DisplayTransform;
 use scene::{Format, Image, Job, Layer};
 use worker::image::{Encoders, PictureSpec};
 use worker::stitch::TileRows;

@@ -5,7 +5,7 @@ use std::io::BufReader;
 use std::path::{Path, PathBuf};
 
 use scene::Job;
-use scene::color::DisplayTransform;
+use scene::film::DisplayTransform;
 use worker::blob::{self, BlobError, BlobReader};
 
 use super::canvas::{Canvas, shown};

@@ -10,7 +10,8 @@ use exr::prelude::{ReadChannels, ReadLayers, ReadSpecificChannel, Vec2, read};
 use png::{BitDepth, ColorType, Decoder, Limits, Reader};
 use proto::preview_helper::StoredLayer;
 use scene::Image;
-use scene::color::{DisplayTransform, linear_from_srgb};
+use scene::color::linear_from_srgb;
+use scene::film::DisplayTransform;
 use scene::limits::{MAX_EDGE_PX, MAX_PIXELS};
 use serde_json::json;
 

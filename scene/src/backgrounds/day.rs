@@ -4,7 +4,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::{Backdrop, HasExamples};
-use crate::nodes::NodeError;
+use crate::kinds::NodeError;
 use crate::real::{Real, Vec3, vec3};
 use crate::seek::{Invalidate, Seek, SeekError};
 use crate::values::{Color, Direction, Strength, Turbidity};

@@ -11,8 +11,9 @@ mod tests;
 use schemars::JsonSchema;
 use serde::{Deserialize, Deserializer, Serialize};
 
-use super::{Example, HasExamples, Ray};
+use super::{Example, HasExamples};
 use crate::limits::MIN_LENGTH;
+use crate::ray::Ray;
 use crate::real::{Real, Vec3};
 use crate::seek::Seek;
 use crate::values::{Degrees, FNumber, Focus, Length, LengthOrZero, integer, sin_cos_degrees};

@@ -19,11 +19,11 @@ pub use orthographic::Orthographic;
 pub use panorama::Panorama;
 pub use perspective::Perspective;
 
-use super::{Matrix, Ray, View};
+use super::{Matrix, View};
 use crate::bounds::Bounds;
-use crate::job::Image;
+use crate::film::Image;
 pub use crate::kinds::{Example, HasExamples};
-use crate::march::Tolerance;
+use crate::ray::{Ray, Tolerance};
 use crate::real::{Real, Vec3};
 use crate::seek::Seek;
 use crate::values::FieldOfView;

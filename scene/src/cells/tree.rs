@@ -7,12 +7,12 @@ use std::collections::HashMap;
 use std::ops::Deref;
 use std::sync::{Arc, Mutex, PoisonError};
 
-use super::division::Division;
+use super::division::division_of;
 use super::program::Program;
 use super::prune::{EMPTY_ABOVE, Pruned, Pruner, Regions, SLAB_CELLS, SLABS, Unpruned};
 use crate::bounds::Bounds;
 use crate::real::list::{IS_LAST, NO_LEAF, OPERATION_WORDS, function_of};
-use crate::real::{INDEX_BITS, Interval, MakeWords, Table, Vec3, Words, vec3};
+use crate::real::{Division, INDEX_BITS, Interval, MakeWords, Table, Vec3, Words, vec3};
 
 /// Edge of a block, in cells.
 pub(super) const BLOCK_EDGE: u32 = 4;
@@ -202,7 +202,7 @@ impl CellTree {
         let pruner = Pruner::new(program);
         match how.distances(program) {
             Distances::Kept(distances) => {
-                let division = Division::new(program, &frame, &pruner, [root, leaf_lists]);
+                let division = division_of(program, &frame, &pruner, [root, leaf_lists]);
                 let builder = Builder::new(frame, pruner, root, distances);
                 tree.words.set_maker(Box::new(LazyBuilder { builder, division }));
             }

@@ -2,8 +2,8 @@
 
 use super::tree::{BLOCK_CELLS, BLOCK_EDGE, KIND_SHIFT, LIST, MAX_LEVELS};
 use super::{Cells, Program};
-use crate::camera::Ray;
 use crate::march::Part;
+use crate::ray::Ray;
 use crate::real::list::{IS_LAST, ListFunctions, OPERATION_WORDS, is_set};
 use crate::real::{F32Bits, Real, Vec3, bundle, vec3};
 

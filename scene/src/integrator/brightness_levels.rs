@@ -7,14 +7,13 @@
 
 use super::Integrator;
 use super::colors::Colors;
+use crate::film::BRIGHTNESS_LEVELS;
 use crate::real::{Real, Vec3};
 
 /// Brightness of level 0, which is not stored: what is left of the light.
 pub const LEAST_BRIGHTNESS: f32 = 1.0 / 8.0;
 /// Brightness of a level over that of the one below.
 pub const LEVEL_RATIO: f32 = 8.0;
-/// Number of levels above level 0.
-pub const BRIGHTNESS_LEVELS: usize = 5;
 
 /// Light of each level above level 0; nothing if fireflies stay as they are.
 pub type LeveledLight<R> = Colors<R, BRIGHTNESS_LEVELS>;
@@ -42,7 +41,8 @@ fn parts<R: Real>(light: Vec3<R>) -> [Vec3<R>; BRIGHTNESS_LEVELS] {
 
 #[cfg(test)]
 mod tests {
-    use super::{BRIGHTNESS_LEVELS, LEAST_BRIGHTNESS, LEVEL_RATIO, parts};
+    use super::{LEAST_BRIGHTNESS, LEVEL_RATIO, parts};
+    use crate::film::BRIGHTNESS_LEVELS;
     use crate::real::vec3;
 
     #[test]

@@ -6,6 +6,7 @@ use super::{Integrator, shrink, surfaces_of};
 use crate::animation::JobAtFrame;
 use crate::bounds::Bounds;
 use crate::cells::{CellBuilder, Cells, ContentIds, Contents, Program};
+use crate::job::Job;
 use crate::materials::Shade;
 use crate::real::Table;
 use crate::visits::{VisitGrid, Visits};
@@ -155,10 +156,13 @@ impl<'a> Integrator<'a> {
     }
 }
 
-impl JobAtFrame<'_> {
-    /// Number of nodes whose formulas are compiled: all of them, or those of one leaf of each family if the scene is
-    /// rendered by cells.
-    pub fn compiled_nodes(&self) -> u32 {
-        program(self).map_or_else(|| self.scene().nodes(), |program| program.family_nodes())
-    }
+/// Number of nodes whose formulas a kernel has, which limits the scenes of a GPU: all of them, or those of one leaf of
+/// each family if the scene is rendered by cells.
+pub fn compiled_nodes(job: &Job) -> u32 {
+    job.at(0).map_or_else(|_| job.nodes(), |still| frame_compiled_nodes(&still))
+}
+
+/// Number of nodes whose formulas the kernel of a frame has, as [`compiled_nodes`].
+pub fn frame_compiled_nodes(still: &JobAtFrame<'_>) -> u32 {
+    program(still).map_or_else(|| still.scene().nodes(), |program| program.family_nodes())
 }

@@ -3,7 +3,7 @@
 use super::Hit;
 use super::Integrator;
 use crate::animation::JobAtFrame;
-use crate::job::Layer;
+use crate::film::Layer;
 use crate::mattes::Matte;
 use crate::real::{Bundle, Merge, Real, bundle};
 use crate::sampling::{PixelSampler, Sampler};

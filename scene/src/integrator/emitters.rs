@@ -6,14 +6,13 @@ use super::Integrator;
 use super::lighting::{OF_LIGHT, ON_LIGHT};
 use super::sky_table::{SkyDirection, SkyTable};
 use crate::backgrounds::Backdrop;
-use crate::camera::Ray;
-use crate::light_groups::LightGroups;
 use crate::lights::{LightBody, LightSource, NEVER, PlacedLight, direction_around};
 use crate::materials::Shade;
 use crate::materials::microfacet::orthonormal_basis;
+use crate::ray::Ray;
 use crate::real::{MaskValue, Real, Vec3, bundle, vec3};
 use crate::sampling::Sampler;
-use crate::scene::Scene;
+use crate::scene::{LightGroups, Scene};
 
 /// Maximum number of emitting objects that are sampled as lights; others light surfaces where a path meets them.
 const MAX_EMITTING_OBJECTS: usize = 32;

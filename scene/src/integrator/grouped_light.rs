@@ -4,9 +4,9 @@
 
 use super::Integrator;
 use super::colors::Colors;
-use crate::light_groups::LightGroups;
 use crate::limits::MAX_LIGHT_GROUPS;
 use crate::real::{Real, vec3};
+use crate::scene::LightGroups;
 
 /// Light of each group of a picture, and after those the light of no listed group; nothing if the picture has no groups.
 pub type GroupedLight<R> = Colors<R, { MAX_LIGHT_GROUPS + 1 }>;

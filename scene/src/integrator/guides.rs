@@ -1,8 +1,8 @@
 //! Guides of the denoiser: the surface that a pixel shows, in mirrors too.
 
 use super::{Hit, Integrator};
-use crate::camera::Ray;
 use crate::materials::bsdf::Bsdf;
+use crate::ray::Ray;
 use crate::real::{Bundle, MaskValue, Real, Vec3, bundle, vec3};
 use crate::sampling::{PixelSampler, Sampler};
 

@@ -9,13 +9,13 @@ use super::grouped_light::GroupedLight;
 use super::lighting::{OF_DIRECTION, OF_LOBE, OF_ROULETTE};
 use super::{Hit, Integrator, Radiance};
 use crate::backgrounds::Backdrop;
-use crate::camera::Ray;
-use crate::light_groups::LightGroups;
 use crate::lights::NEVER;
-use crate::march::{MarchResult, Tolerance};
+use crate::march::MarchResult;
 use crate::materials::bsdf::Geometry;
+use crate::ray::{Ray, Tolerance};
 use crate::real::{MaskValue, Real, Vec3, bundle, vec3};
 use crate::sampling::Sampler;
+use crate::scene::LightGroups;
 
 /// Number of bounces from which on paths of little throughput end at random.
 const FIRST_ROULETTE: f32 = 3.0;

@@ -2,8 +2,8 @@
 
 use super::scene_distance::AlongRay;
 use super::{Hit, Integrator};
-use crate::camera::Ray;
-use crate::march::{Approach, MarchRange, MarchResult, Tolerance, find_root, march_to_root, settle};
+use crate::march::{Approach, MarchRange, MarchResult, find_root, march_to_root, settle};
+use crate::ray::{Ray, Tolerance};
 use crate::real::{MaskValue, Real, Vec3, vec3};
 
 impl Integrator<'_> {

@@ -13,13 +13,13 @@ use super::emitters::NextEvent;
 use super::light_path::LightPath;
 use super::lighting::{IN_MEDIA, IN_SHADOWING_MEDIA, OF_DIRECTION, OF_LOBE};
 use super::media::Media;
-use crate::camera::Ray;
-use crate::light_groups::LightGroups;
 use crate::lights::{NEVER, direction_around};
 use crate::materials::MediumScattering;
 use crate::materials::microfacet::orthonormal_basis;
+use crate::ray::Ray;
 use crate::real::{MaskValue, Real, Vec3, bundle, vec3};
 use crate::sampling::Sampler;
+use crate::scene::LightGroups;
 
 /// Maximum number of tentative collisions on a ray.
 const MAX_COLLISIONS: u32 = 2048;

@@ -2,7 +2,8 @@
 
 use super::{Hit, Integrator};
 use crate::animation::JobAtFrame;
-use crate::camera::{Ray, View};
+use crate::camera::View;
+use crate::ray::Ray;
 use crate::real::{Real, Vec3};
 use crate::scene::Scene;
 

@@ -6,12 +6,12 @@ use super::lighting::{OF_DIRECTION, OF_LOBE};
 use super::media::MediumSegment;
 use super::{Hit, Integrator, Radiance};
 use crate::backgrounds::Backdrop;
-use crate::camera::Ray;
 use crate::fog::Fog;
 use crate::march::MarchResult;
 use crate::materials::SpecularBsdf;
 use crate::materials::bsdf::fresnel;
 use crate::materials::microfacet::{alpha_from_roughness, orthonormal_basis, sample_visible_normal, smith_g2_over_g1};
+use crate::ray::Ray;
 use crate::real::{MaskValue, Real, Vec3, bundle, vec3};
 use crate::sampling::Sampler;
 

@@ -2,9 +2,9 @@
 
 use super::Integrator;
 use crate::bounds::{Bounds, per_slope};
-use crate::camera::Ray;
 use crate::march::Part;
 use crate::nodes::Node;
+use crate::ray::Ray;
 use crate::real::list::is_set;
 use crate::real::{Real, Vec3, vec3};
 use crate::scene::Scene;

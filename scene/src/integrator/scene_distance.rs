@@ -2,8 +2,8 @@
 
 use super::Integrator;
 use super::ray_boxes::RayBoxes;
-use crate::camera::Ray;
 use crate::march::{Part, RayField};
+use crate::ray::Ray;
 use crate::real::{Bundle, Real, Vec3};
 
 /// Distance returned if there is no surface.

@@ -1,11 +1,11 @@
 //! Material shading at a hit: evaluates each material there and blends the results by weight.
 
 use super::{Hit, Integrator};
-use crate::camera::Ray;
 use crate::materials::bsdf::{Bsdf, Lobes};
 use crate::materials::microfacet::orthonormal_basis;
 use crate::materials::{IncidentLight, Shade, ShadingPoint, SpecularBsdf};
 use crate::nodes::{DistanceWithMaterials, MaterialWeight, SdfValue};
+use crate::ray::Ray;
 use crate::real::{Bundle, Real, Vec3, vec3};
 use crate::scene::Scene;
 

@@ -2,7 +2,8 @@
 
 use super::Integrator;
 use super::scene_distance::AlongRay;
-use crate::march::{MarchRange, Tolerance, march_to_root};
+use crate::march::{MarchRange, march_to_root};
+use crate::ray::Tolerance;
 
 /// Maximum number of sample rays.
 const MAX_PROBE_RAYS: u32 = 256;

@@ -4,9 +4,9 @@
 use super::Integrator;
 use super::light_path::LightPath;
 use super::lighting::{NORMAL_EVALUATIONS, SHADOW_SLOPE};
-use crate::camera::Ray;
 use crate::march::MarchResult;
 use crate::materials::bsdf::Geometry;
+use crate::ray::Ray;
 use crate::real::{MaskValue, Real, Vec3, bundle, vec3};
 use crate::transport::{PathSettings, Transport};
 

@@ -3,8 +3,8 @@
 use std::f32::consts::PI;
 
 use super::direction_around;
-use crate::camera::Ray;
 use crate::materials::microfacet::orthonormal_basis;
+use crate::ray::Ray;
 use crate::real::{Real, Vec3};
 
 /// Distance along a ray that does not meet a light.

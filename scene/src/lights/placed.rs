@@ -6,9 +6,9 @@ use serde::{Serialize, Serializer};
 
 use super::{Light, LightBody, LightSample, LightShape, LightSource};
 use crate::backgrounds::Day;
-use crate::groups::Placement;
 use crate::real::{Real, Vec3};
 use crate::seek::{FrameTime, Seek, SeekError};
+use crate::values::Placement;
 
 /// A light of a scene, and the placements of the groups that it belongs to, the outermost first.
 #[derive(Clone, Debug, PartialEq)]

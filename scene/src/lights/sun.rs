@@ -5,8 +5,8 @@ use serde::{Deserialize, Serialize};
 
 use super::{HasExamples, LightSample, LightSource, default_shadow, default_strength, sample_cone};
 use crate::backgrounds::{Backdrop, Background, Day};
+use crate::kinds::NodeError;
 use crate::light_groups::LightGroup;
-use crate::nodes::NodeError;
 use crate::real::{Real, Vec3};
 use crate::seek::Seek;
 use crate::values::{FullAngle, Strength};

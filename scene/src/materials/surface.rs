@@ -7,7 +7,7 @@ use super::bsdf::{Bsdf, CLEARCOAT_F0, Lobes};
 use super::microfacet::{alpha_from_roughness, f0_from_ior, ggx_distribution, schlick_weight, smith_visibility};
 use super::param::lerp;
 use super::{ColorParam, HasExamples, IncidentLight, ScalarParam, Shade, ShadingPoint, SpecularBsdf, Texture};
-use crate::lights::LightSample;
+use crate::materials::LightSample;
 use crate::real::{Real, Vec3, bundle, vec3};
 use crate::seek::Seek;
 use crate::values::{Fraction, RefractiveIndex};

@@ -26,7 +26,7 @@ pub use ramp::{Ramp, RampStop};
 pub use stripes::Stripes;
 
 use super::{ColorParam, Example, ShadingPoint};
-use crate::nodes::snake_case;
+use crate::kinds::snake_case;
 use crate::real::{Real, Vec3};
 use crate::seek::Seek;
 

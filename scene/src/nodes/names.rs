@@ -15,15 +15,3 @@ pub struct NodeExample {
 pub(crate) fn material_pointer(placement: Option<usize>) -> String {
     placement.map_or_else(|| "/material".to_owned(), |index| format!("/at/{index}/material"))
 }
-
-/// Name in JSON: `InfiniteCylinder` becomes `infinite_cylinder`.
-pub fn snake_case(name: &str) -> String {
-    let mut snake = String::new();
-    for (index, letter) in name.char_indices() {
-        if letter.is_ascii_uppercase() && index > 0 {
-            snake.push('_');
-        }
-        snake.push(letter.to_ascii_lowercase());
-    }
-    snake
-}

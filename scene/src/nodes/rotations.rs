@@ -11,7 +11,7 @@ use super::{Child, Node, NodeError, Sdf, SdfValue};
 use crate::bounds::Bounds;
 use crate::real::{Real, Vec3, vec3};
 use crate::seek::{Seek, SeekError};
-use crate::values::{Angles, Direction, Point, Rotation, sin_cos_degrees, unit_of};
+use crate::values::{Angles, Direction, Placement, Point, Rotation, inverse_rows_about, unit_of};
 
 /// Smallest sine of the angle between two directions that are not parallel.
 const MIN_SINE: f32 = 1e-4;
@@ -70,14 +70,6 @@ impl Rotate {
     }
 }
 
-/// Rows of the inverse of a rotation about a unit axis: the columns of Rodrigues' matrix
-/// cos θ·I + sin θ·[k]× + (1 − cos θ)·k·kᵀ.
-pub(crate) fn inverse_rows_about(k: Vec3<f32>, degrees: f32) -> [Vec3<f32>; 3] {
-    let (s, c) = sin_cos_degrees(degrees);
-    [vec3(1.0, 0.0, 0.0), vec3(0.0, 1.0, 0.0), vec3(0.0, 0.0, 1.0)]
-        .map(|e| e * c + k.cross(e) * s + k * ((1.0 - c) * k.dot(e)))
-}
-
 /// Error in the combination of angles and an axis, if there is one.
 pub(crate) fn rotation_error(degrees: &Angles, axis: Option<&Direction>) -> Option<NodeError> {
     match (degrees, axis) {
@@ -95,6 +87,22 @@ impl Node {
     /// A shape rotated by angles.
     pub(crate) fn rotated(degrees: Angles, axis: Option<Direction>, about: Option<Point>, child: Self) -> Self {
         Self::Rotate(Box::new(Rotate { degrees, axis, about, child: Box::new(child), rows: Cached::default() }))
+    }
+
+    /// The shape inside the nodes that place it, and the names of these nodes, the innermost first.
+    pub(crate) fn placed(self, placement: &Placement) -> (Self, Vec<&'static str>) {
+        let Placement { by, degrees, axis, about } = placement;
+        let mut shape = self;
+        let mut names = Vec::new();
+        if let Some(degrees) = degrees {
+            shape = Self::rotated(degrees.clone(), axis.clone(), about.clone(), shape);
+            names.push(shape.name());
+        }
+        if let Some(by) = by {
+            shape = Self::translated(by.clone(), shape);
+            names.push(shape.name());
+        }
+        (shape, names)
     }
 }
 

@@ -3,6 +3,7 @@
 use super::cut::Cut;
 use super::{Node, SdfValue};
 use crate::bounds::Bounds;
+use crate::kinds::{Exactness, NodeError};
 use crate::materials::MaterialRef;
 use crate::real::{Real, Vec3};
 use crate::values::Rotation;
@@ -11,49 +12,6 @@ use crate::values::Rotation;
 pub(super) const NOISE_COST: f32 = 20.0;
 /// Cost of a fractal.
 const FRACTAL_COST: f32 = 32.0;
-
-/// Relation of a node's value to the Euclidean distance to its surface, best first.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Exactness {
-    /// The value is the distance.
-    Exact,
-    /// The value divided by its Lipschitz factor is never more than the distance.
-    Bound,
-    /// An estimate, which no Lipschitz factor bounds everywhere; a step of value/lipschitz still passes no surface.
-    Estimate,
-}
-
-impl Exactness {
-    /// This exactness, but at most a bound: for a formula around it that gives a bound.
-    pub(crate) fn capped_at_bound(self) -> Self {
-        match self {
-            Self::Exact | Self::Bound => Self::Bound,
-            Self::Estimate => Self::Estimate,
-        }
-    }
-}
-
-/// Error in the numbers of a node, a light or a background taken together.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct NodeError {
-    /// JSON pointer within it: a member name, or a path of names and indices such as `points/2`.
-    pub pointer: String,
-    /// Message with the fix, continuing a sentence after the pointer.
-    pub message: String,
-}
-
-impl NodeError {
-    /// Error at a pointer within the node.
-    pub fn new(place: impl Into<String>, message: impl Into<String>) -> Self {
-        Self { pointer: place.into(), message: message.into() }
-    }
-
-    /// The same error, with its pointer prefixed by the member of the parent.
-    pub(crate) fn inside(self, key: &str) -> Self {
-        let separator = if self.pointer.is_empty() { "" } else { "/" };
-        Self { pointer: format!("{key}{separator}{}", self.pointer), message: self.message }
-    }
-}
 
 /// A node: a shape or an operator.
 pub trait Sdf {

@@ -20,8 +20,9 @@ use self::names::{Numbers, Scope};
 use self::scan::{end_of, members, skip_space, string_end};
 use self::source::Source;
 use super::MAX_ERRORS;
-use crate::formula::{Expr, Syntax};
 use crate::limits::{MAX_BODY_BYTES, MAX_NODE_DEPTH, MAX_NODES};
+use crate::names::nearest_name;
+use crate::values::formula::{Expr, Syntax};
 
 /// Maximum number of different uses of shapes with numbers.
 const MAX_INSTANCES: usize = 10_000;
@@ -219,7 +220,7 @@ impl<'t> Expander<'t> {
         let text = scan::string(self.text, string);
         let parsed = self.parsed.get(&string.start).cloned();
         let parsed = parsed.unwrap_or_else(|| {
-            let parsed = crate::formula::parse(&text).map(Arc::new);
+            let parsed = crate::values::formula::parse(&text).map(Arc::new);
             let parsed = parsed.map_err(|error| {
                 self.fault(scan::offset_in_string(self.text, string, error.at), error.message);
             });
@@ -227,7 +228,7 @@ impl<'t> Expander<'t> {
             parsed
         });
         let Ok(syntax) = parsed else { return stand_in() };
-        let resolved = crate::formula::resolve(&syntax, &mut scope.names(&mut self.numbers, &mut self.faults));
+        let resolved = crate::values::formula::resolve(&syntax, &mut scope.names(&mut self.numbers, &mut self.faults));
         resolved.unwrap_or_else(|error| {
             let at = scan::offset_in_string(self.text, string, error.at);
             // A formula of counted copies is told once, for the first copy for which it is wrong.
@@ -379,7 +380,7 @@ impl<'t> Expander<'t> {
         let asked = scope.asked;
         for (number, at) in keys.iter().filter(|(number, _)| !asked.contains(*number)) {
             let known: Vec<&str> = asked.iter().map(String::as_str).collect();
-            let meant = super::nearest_name(number, &known).map(|meant| format!("; did you mean \"{meant}\"?"));
+            let meant = nearest_name(number, &known).map(|meant| format!("; did you mean \"{meant}\"?"));
             let meant = meant.unwrap_or_default();
             self.fault(*at, format!("is in no formula of \"{shape}\": remove it, or use it there{meant}"));
         }

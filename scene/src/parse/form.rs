@@ -9,6 +9,8 @@ use super::strict::Strict;
 use super::{messages, suggest};
 use crate::error::ValidationError;
 use crate::json_scan;
+use crate::json_text;
+use crate::names::nearest_name;
 
 /// An error of the form of a text.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -55,17 +57,17 @@ pub(super) fn read<T: DeserializeOwned>(text: &str) -> Result<T, FormError> {
 /// The error of serde at a pointer.
 fn fault(text: &str, pointer: String, message: String) -> FormError {
     if let Some((name, known)) = suggest::unknown(&message, "unknown variant `") {
-        let meant = suggest::nearest(name, &known).map(str::to_owned);
+        let meant = nearest_name(name, &known).map(str::to_owned);
         let message = suggest::unknown_name(name, &known);
         let (pointer, is_key) = place_of_name(text, pointer, name);
         return FormError { pointer, is_key, kind: FormErrorKind::UnknownName(meant), message };
     }
     if let Some((key, known)) = suggest::unknown(&message, "unknown field `") {
-        let meant = suggest::nearest(key, &known).map(str::to_owned);
+        let meant = nearest_name(key, &known).map(str::to_owned);
         let message = suggest::unknown_key(key, &known);
         // A visitor that looks at the first key to decide on a type loses the key's place.
-        let inside = format!("{pointer}/{}", json_scan::escape(key));
-        let is_inside = last(&pointer) != json_scan::escape(key) && json_scan::locate_member(text, &inside).is_some();
+        let inside = format!("{pointer}/{}", json_text::escape(key));
+        let is_inside = last(&pointer) != json_text::escape(key) && json_scan::locate_member(text, &inside).is_some();
         let pointer = if is_inside { inside } else { pointer };
         let is_key = json_scan::locate_member(text, &pointer).is_some();
         return FormError { pointer, is_key, kind: FormErrorKind::UnknownKey(meant), message };
@@ -81,11 +83,11 @@ fn fault(text: &str, pointer: String, message: String) -> FormError {
 
 /// Position of an unknown name: as a key, or as a value.
 fn place_of_name(text: &str, pointer: String, name: &str) -> (String, bool) {
-    let key = format!("{pointer}/{}", json_scan::escape(name));
+    let key = format!("{pointer}/{}", json_text::escape(name));
     if json_scan::locate_member(text, &key).is_some() {
         return (key, true);
     }
-    if last(&pointer) == json_scan::escape(name) && json_scan::locate_member(text, &pointer).is_some() {
+    if last(&pointer) == json_text::escape(name) && json_scan::locate_member(text, &pointer).is_some() {
         return (pointer, true);
     }
     // If the path ends in the choice itself, the text has no such position.
@@ -110,7 +112,7 @@ fn pointer(path: &Path) -> String {
     path.iter().fold(String::new(), |mut pointer, segment| {
         match segment {
             Segment::Seq { index } => write!(pointer, "/{index}"),
-            Segment::Map { key } | Segment::Enum { variant: key } => write!(pointer, "/{}", json_scan::escape(key)),
+            Segment::Map { key } | Segment::Enum { variant: key } => write!(pointer, "/{}", json_text::escape(key)),
             Segment::Unknown => Ok(()),
         }
         .expect("a String takes all that is written");

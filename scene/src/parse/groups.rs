@@ -5,47 +5,14 @@ use std::collections::BTreeMap;
 
 use super::{SemanticErrors, names};
 use crate::document::SceneDocument;
-use crate::groups::{Group, Placement};
+use crate::groups::Group;
 use crate::lights::{LightSource, PlacedLight};
 use crate::limits::MAX_GROUP_DEPTH;
 use crate::materials::{Material, MaterialRef, Shade};
 use crate::nodes::{Node, rotation_error};
 use crate::scene::Object;
-
-/// Where the objects and lights of groups are in the document.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub(crate) struct GroupPointers {
-    /// For the pointers of a scene's objects and lights, those in the document, and the nodes added around a shape.
-    moved: BTreeMap<String, Moved>,
-}
-
-#[derive(Clone, Debug, PartialEq)]
-struct Moved {
-    /// JSON pointer in the document's scene.
-    written: String,
-    /// Names of the nodes around the shape, the outermost first, and the pointer of the group that each comes from.
-    around: Vec<(&'static str, String)>,
-}
-
-impl GroupPointers {
-    /// JSON pointer in the document's scene of a position in a scene whose groups have been replaced.
-    pub(crate) fn written(&self, pointer: &str) -> String {
-        let mut steps = pointer.match_indices('/').skip(2).map(|(start, _)| start);
-        let end = steps.next().unwrap_or(pointer.len());
-        let Some(moved) = self.moved.get(&pointer[..end]) else { return pointer.to_owned() };
-        let Some(mut rest) = pointer[end..].strip_prefix("/shape") else {
-            return format!("{}{}", moved.written, &pointer[end..]);
-        };
-        for (node, group) in &moved.around {
-            let Some(inside) = rest.strip_prefix('/').and_then(|rest| rest.strip_prefix(node)) else { break };
-            match inside.strip_prefix("/child") {
-                Some(below) => rest = below,
-                None => return format!("{group}{inside}"),
-            }
-        }
-        format!("{}/shape{rest}", moved.written)
-    }
-}
+use crate::values::Placement;
+use crate::written::{GroupPointers, Moved};
 
 /// Replaces the groups of a scene; `lights` gets all of its lights. Returns where their contents were.
 pub(super) fn flatten(scene: &mut SceneDocument, faults: &mut SemanticErrors) -> (Vec<PlacedLight>, GroupPointers) {
@@ -79,7 +46,7 @@ impl Flat<'_> {
     /// Adds what is in a group; `outer` has the groups around it.
     fn group(&mut self, group: Group, pointer: &str, outer: &mut Vec<(Placement, String)>) {
         self.check(&group, pointer, outer.len());
-        outer.push((Placement::of(&group), pointer.to_owned()));
+        outer.push((group.placement(), pointer.to_owned()));
         let Group { objects, lights, camera, groups, name: _, by: _, degrees: _, axis: _, about: _ } = group;
         let placements = || outer.iter().map(|(placement, _)| placement.clone()).collect::<Vec<_>>();
         if camera && self.camera.is_none() {
@@ -155,7 +122,7 @@ fn placed(object: Object, outer: &[(Placement, String)], is_textured: bool) -> (
         around.push(("paint", String::new()));
     }
     for (placement, pointer) in outer.iter().rev() {
-        let (placed, names) = placement.around(shape);
+        let (placed, names) = shape.placed(placement);
         shape = placed;
         around.extend(names.into_iter().map(|name| (name, pointer.clone())));
     }

@@ -3,11 +3,11 @@
 use std::collections::BTreeSet;
 
 use super::SemanticErrors;
-use crate::job::{Format, Image};
-use crate::light_groups::{LightGroup, LightGroups};
+use crate::film::{Format, Image};
+use crate::light_groups::LightGroup;
 use crate::lights::LightSource;
 use crate::limits::{MAX_LIGHT_GROUP_RUNS, MAX_LIGHT_GROUPS};
-use crate::scene::Scene;
+use crate::scene::{LightGroups, Scene};
 
 /// Pointer to the light groups that a picture lists.
 const LISTED: &str = "/image/light_groups";
@@ -15,7 +15,7 @@ const LISTED: &str = "/image/light_groups";
 /// Errors in the light groups of a picture of a scene.
 pub(super) fn errors(image: &Image, scene: &Scene) -> SemanticErrors {
     let mut faults = SemanticErrors::new();
-    let Some(groups) = LightGroups::of(image, scene) else { return faults };
+    let Some(groups) = LightGroups::of(&image.light_groups, scene) else { return faults };
     let mut fault = |pointer: String, message: String| faults.push((pointer, message));
     let listed = &image.light_groups;
     if image.format == Format::Png {

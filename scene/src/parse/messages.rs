@@ -4,6 +4,7 @@ use serde_json::Value;
 
 use super::form::{last, parent};
 use crate::json_scan;
+use crate::materials::Texture;
 
 /// Pointer and message of an error, from serde's pointer and message; `text` is valid JSON.
 pub(super) fn rewrite_serde_error(text: &str, pointer: String, message: String) -> (String, String) {
@@ -24,7 +25,7 @@ pub(super) fn rewrite_serde_error(text: &str, pointer: String, message: String) 
             (pointer, message)
         }
         _ => {
-            let message = type_error(&message).unwrap_or(message);
+            let message = type_error(&message).or_else(|| texture_error(&message)).unwrap_or(message);
             (pointer, message)
         }
     }
@@ -50,6 +51,20 @@ fn shape_error(text: &str, message: &str) -> Option<String> {
                 .to_owned()
         }
     })
+}
+
+/// Message for a texture in place of a number or a color that takes none.
+fn texture_error(message: &str) -> Option<String> {
+    let (wanted, key) = message.split_once(", not an object with the key \"")?;
+    if !Texture::is_name(key.split('"').next()?) {
+        return None;
+    }
+    let form = if wanted.starts_with("must be a color") {
+        "[red, green, blue], where a channel may be a track; a material's colors take textures"
+    } else {
+        "a number or a track; a material's numbers take textures"
+    };
+    Some(format!("takes no texture: write {form}"))
 }
 
 /// Rewrites "invalid type: string "one", expected a number" as "must be a number, not "one"".

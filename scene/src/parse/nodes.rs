@@ -4,13 +4,15 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use super::{GroupPointers, MAX_ERRORS, SemanticErrors, suggest};
+use super::{MAX_ERRORS, SemanticErrors, suggest};
 use crate::document::{NamedShapes, SceneDocument};
-use crate::json_scan::escape;
+use crate::json_text::escape;
+use crate::kinds::NodeError;
 use crate::limits::{MAX_NODE_DEPTH, MAX_NODES, MAX_PLACING_COST};
-use crate::nodes::{Node, NodeError};
+use crate::nodes::Node;
 use crate::scene::{base_pointer, child_pointers};
-use crate::shapes::{TreeSize, WrittenNodes, each_use, ends, in_order_of_use, target};
+use crate::shapes::{TreeSize, each_use, ends, in_order_of_use};
+use crate::written::{GroupPointers, WrittenNodes, target};
 
 /// Maximum number of nodes, with their copies, that are evaluated for errors in a scene that has too many.
 const MAX_EVALUATED_NODES: u64 = 4 * MAX_NODES as u64;

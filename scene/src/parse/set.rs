@@ -2,7 +2,8 @@
 //! its bytes.
 
 use super::expand::scan::{end_of, member, members, skip_space, string};
-use super::{nearest_name, plain_json};
+use super::plain_json;
+use crate::names::nearest_name;
 
 /// Maximum length of a value that is set.
 const MAX_VALUE_BYTES: usize = 4_096;

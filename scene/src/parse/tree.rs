@@ -1,7 +1,8 @@
 //! A JSON text as a tree with the position of each value, in which parts can be replaced. The text itself is not
 //! changed, so an error found after a repair still has its position in the user's text.
 
-use crate::json_scan::{container_end, escape};
+use crate::json_scan::container_end;
+use crate::json_text::escape;
 use crate::limits::MAX_JSON_DEPTH;
 
 /// A value of the text.

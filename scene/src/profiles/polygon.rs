@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use super::edge::Edge;
 use super::{Bounds2, Point2, ProfileSdf};
-use crate::nodes::NodeError;
+use crate::kinds::NodeError;
 use crate::real::Real;
 use crate::seek::{FrameTime, Seek, SeekError};
 

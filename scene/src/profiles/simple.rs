@@ -4,7 +4,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::{Bounds2, ProfileSdf};
-use crate::nodes::NodeError;
+use crate::kinds::NodeError;
 use crate::real::Real;
 use crate::seek::Seek;
 use crate::values::{Length, LengthOrZero};

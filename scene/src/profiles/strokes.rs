@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use super::bezier::{HalfParabola, QuadraticBezier};
 use super::{Bounds2, Point2, ProfileSdf};
-use crate::nodes::Exactness;
+use crate::kinds::Exactness;
 use crate::real::Real;
 use crate::seek::Seek;
 use crate::values::{Length, SweepAngle, sin_cos_degrees};

@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 use super::edge::EdgeScan;
 use super::text_outline::{GlyphOutline, OutlineSegment, TextOutline};
 use super::{Bounds2, ProfileSdf};
-use crate::nodes::Exactness;
+use crate::kinds::Exactness;
 use crate::real::Real;
 use crate::seek::Seek;
 use crate::values::Length;

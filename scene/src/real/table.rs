@@ -4,7 +4,7 @@ use std::fmt;
 use std::sync::atomic::{AtomicU32, AtomicUsize, Ordering};
 use std::sync::{Arc, OnceLock};
 
-use crate::cells::Division;
+use super::Vec3;
 
 /// A table, shared by all that read it.
 pub type Table = Arc<Words>;
@@ -37,6 +37,40 @@ pub trait MakeWords: Send + Sync {
 
     /// How a GPU makes missing words, if it can.
     fn division(&self) -> Option<&Division>;
+}
+
+/// The rules by which cells are divided, and the scene's numbers for them. A division has the same cells and lists
+/// wherever it is computed.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Division {
+    /// Center of the outermost cell.
+    pub center: Vec3<f32>,
+    /// Edge of the smallest cells.
+    pub unit: f32,
+    /// Depth of the tree.
+    pub levels: u32,
+    /// Level up to which a cell may have all shapes, and is divided nonetheless.
+    pub coarse_levels: u32,
+    /// Index of the word of the outermost cell.
+    pub root: u32,
+    /// Index of the list that is the first leaf alone; those of the others follow.
+    pub leaf_lists: u32,
+    /// Number of leaves in a list up to which a cell is not divided.
+    pub short_list: u32,
+    /// Part of its parent's leaves up to which a cell is smaller in what matters.
+    pub shorter: f32,
+    /// Number of cells, each inside the one before, that may be hardly smaller.
+    pub max_stalls: u32,
+    /// Maximum number of values that wait for a join.
+    pub depth: u32,
+    /// Lipschitz factor of each leaf; infinite for those that have boxes.
+    pub factors: Vec<f32>,
+    /// Of each leaf, the index of its first box; none if no leaf has boxes.
+    pub first_boxes: Vec<u32>,
+    /// Boxes of the leaves without a Lipschitz factor, 7 numbers each: the level, and the least and the greatest corner, the greatest level first.
+    pub boxes: Vec<f32>,
+    /// Of each join, the seam's width, or the factor.
+    pub joins: Vec<f32>,
 }
 
 /// Words of a scene: at least one. They are appended, and never move. Memory that no word was appended to is not used.

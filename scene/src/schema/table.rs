@@ -11,7 +11,7 @@ use serde_json::{Map, Value};
 
 use super::only_key;
 use crate::effects;
-use crate::nodes::snake_case;
+use crate::kinds::snake_case;
 use values::{Shape, about, shape_of, target, unit};
 
 /// Families, with the names of their definitions.

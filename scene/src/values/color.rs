@@ -11,7 +11,6 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use super::track::{self, KeyframeValue, WrittenTrack};
 use super::{Channel, ColorTemperature, PeekedMap, triple};
 use crate::color::{linear_from_srgb, of_temperature};
-use crate::materials::Texture;
 use crate::real::{Vec3, vec3};
 use crate::seek::{FrameTime, Seek, SeekError};
 
@@ -158,12 +157,9 @@ impl<'de> Visitor<'de> for ColorVisitor {
                 Ok(Color { linear, moving })
             }
             "expr" => Err(A::Error::custom("must be [red, green, blue], each of which may be a formula")),
-            other if !Texture::is_name(other) => Err(A::Error::custom(format_args!(
+            other => Err(A::Error::custom(format_args!(
                 "must be a color: [red, green, blue], \"#rrggbb\", {{\"kelvin\": number}}, or a track: {{\"keys\": [[seconds, color], …]}}, not an object with the key \"{other}\""
             ))),
-            _ => Err(A::Error::custom(
-                "takes no texture: write [red, green, blue], where a channel may be a track; a material's colors take textures",
-            )),
         }
     }
 }

@@ -15,10 +15,9 @@ use serde::{Deserialize, Deserializer, Serializer};
 use super::PeekedMap;
 use super::path::Path;
 use super::track::{KeyframeValue, Track, TrackSchema, WrittenTrack};
-use crate::formula::Formula;
-use crate::materials::Texture;
-use crate::parse::nearest_name;
+use crate::names::nearest_name;
 use crate::seek::FrameTime;
+use crate::values::formula::Formula;
 
 /// A kind of number, with its range.
 pub(super) trait RangedNumber: Sized {
@@ -164,11 +163,6 @@ impl<'de, T: RangedNumber> Visitor<'de> for NumberOrMotion<T> {
 
     fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<T, A::Error> {
         let first = map.next_key::<String>()?;
-        if first.as_deref().is_some_and(Texture::is_name) {
-            return Err(A::Error::custom(
-                "takes no texture: write a number or a track; a material's numbers take textures",
-            ));
-        }
         if first.as_deref().is_none_or(|key| !FORMS.contains(&key)) {
             return Err(A::Error::custom(of_no_form(first.as_deref())));
         }
@@ -237,7 +231,7 @@ impl JsonSchema for FormulaSchema {
             "examples": [{ "expr": "1 + 0.2 * sin(360 * t)" }],
             "type": "object",
             "properties": {
-                "expr": { "type": "string", "minLength": 1, "maxLength": crate::formula::MAX_FORMULA_BYTES,
+                "expr": { "type": "string", "minLength": 1, "maxLength": crate::values::formula::MAX_FORMULA_BYTES,
                     "description": "The formula: + - * / % ^, comparisons, the scene's numbers, t (seconds), frame, frames, pi, i and n among counted copies, and functions; angles in degrees.",
                     "examples": ["0.2 * sin(360 * t)", "r + gap / 2"] }
             },

@@ -1,7 +1,8 @@
 //! Warnings about differences that are empty.
 
 use crate::animation::JobAtFrame;
-use crate::nodes::{Exactness, Node};
+use crate::kinds::Exactness;
+use crate::nodes::Node;
 use crate::real::{Vec3, vec3};
 use crate::scene::child_pointers;
 

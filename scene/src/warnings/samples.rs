@@ -2,7 +2,8 @@
 
 use serde_json::Value;
 
-use crate::job::{Bits, Format, Image, Job};
+use crate::film::{Bits, Format, Image};
+use crate::job::Job;
 use crate::lights::Light;
 use crate::materials::Shade;
 use crate::sample_count::SampleCount;

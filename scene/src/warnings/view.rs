@@ -3,8 +3,8 @@
 use super::{Warning, WarningKind, objects};
 use crate::animation::JobAtFrame;
 use crate::camera::{Project, View};
+use crate::film::Image;
 use crate::integrator::Integrator;
-use crate::job::Image;
 use crate::materials::{MaterialRef, Shade};
 use crate::nodes::Node;
 use crate::real::Vec3;

@@ -174,7 +174,7 @@ fn every_example_has_its_own_picture_and_cache_key() {
 #[test]
 fn examples_have_no_warnings() {
     each(|name, family, _, value| {
-        let warnings = job(&(family.scene)(value)).warnings();
+        let warnings = scene::warnings(&job(&(family.scene)(value)));
         assert!(warnings.is_empty(), "{name}: {warnings:?}");
     });
 }
@@ -195,7 +195,7 @@ fn a_black_light_gets_a_warning_and_has_no_effect() {
             own["strength"] = json!(0);
         }
         let job = job(&(lights.scene)(&light));
-        let warnings = job.warnings();
+        let warnings = scene::warnings(&job);
         assert!(warnings.iter().any(|warning| warning.contains("all lights are black")), "{was}: {warnings:?}");
         assert_eq!(pixels(&job), dark, "{light} lights something");
     }

@@ -180,18 +180,18 @@ fn the_layers_are_those_of_a_pinhole() {
 fn an_object_that_only_the_blur_brings_into_the_picture_is_no_mistake() {
     let beside = [[0.0, 2.6, 0.0]];
     let pinhole = job(&json!({}), &beside, 1);
-    assert!(pinhole.warnings()[0].contains("outside the view"), "{:?}", pinhole.warnings());
+    assert!(scene::warnings(&pinhole)[0].contains("outside the view"), "{:?}", scene::warnings(&pinhole));
     let lens = job(&json!({ "lens": { "aperture": 2, "focus": 2 } }), &beside, 1);
-    assert_eq!(lens.warnings(), [""; 0]);
+    assert_eq!(scene::warnings(&lens), [""; 0]);
     assert!(pixels(&lens, 0).iter().any(|pixel| pixel[0] != 0), "it is seen");
     let narrow = job(&json!({ "lens": { "aperture": 0.1, "focus": 2 } }), &beside, 1);
-    assert!(narrow.warnings()[0].contains("outside the view"), "{:?}", narrow.warnings());
+    assert!(scene::warnings(&narrow)[0].contains("outside the view"), "{:?}", scene::warnings(&narrow));
 }
 
 #[test]
 fn a_lens_that_reaches_into_an_object_is_reported() {
     let near = [[0.0; 3], [0.0, 0.7, 6.0]];
-    let of = |aperture: f32| job(&json!({ "lens": { "aperture": aperture, "focus": 5 } }), &near, 1).warnings();
+    let of = |aperture: f32| scene::warnings(&job(&json!({ "lens": { "aperture": aperture, "focus": 5 } }), &near, 1));
     assert_eq!(of(0.1), [""; 0]);
     let told = of(0.6);
     assert!(told.len() == 1 && told[0].contains("part of the lens is inside object 1"), "{told:?}");
@@ -202,7 +202,7 @@ fn many_samples_of_a_lens_are_no_waste() {
     let of = |camera: Value| {
         let mut job = job(&camera, &[[0.0; 3]], 1);
         job.image.samples = 1024.into();
-        job.warnings()
+        scene::warnings(&job)
     };
     assert!(of(json!({}))[0].contains("samples"));
     assert_eq!(of(json!({ "lens": { "aperture": 0.3, "focus": 3 } })), [""; 0]);

@@ -230,7 +230,7 @@ fn the_last_frame_moves_on_and_a_frame_alone_moves() {
         let still = job.at(frames - 1).expect("a valid frame");
         let (x, _) = Integrator::new(&still).aovs(24.0_f32, 18.0).motion;
         assert!(x > 1.0, "frame {} of {frames}: {x}", frames - 1);
-        assert_eq!(job.warnings(), Vec::<String>::new());
+        assert_eq!(scene::warnings(&job), Vec::<String>::new());
     }
 }
 
@@ -245,7 +245,7 @@ fn nothing_moves_where_nothing_is_animated() {
         assert_eq!(integrator.aovs(x, y).motion, (0.0, 0.0));
     }
     let without = job_in(WIDTH, &camera(), &json!([{ "shape": { "sphere": { "radius": 1 } } }]), 1);
-    assert!(without.warnings()[0].contains("motion is 0 everywhere"), "{:?}", without.warnings());
+    assert!(scene::warnings(&without)[0].contains("motion is 0 everywhere"), "{:?}", scene::warnings(&without));
     let still = without.at(0).expect("a valid frame");
     assert_eq!(Integrator::new(&still).aovs(24.0_f32, 18.0).motion, (0.0, 0.0));
 }

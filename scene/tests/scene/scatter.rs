@@ -167,7 +167,7 @@ fn the_surface_may_be_a_named_shape() {
     let named = job_of(&shapes, &scatter(&json!({ "on": { "use": "ground" }, "count": 5 }))).unwrap();
     let written = job(&scatter(&json!({ "on": shapes["ground"], "count": 5 })));
     assert_eq!(named.scene, written.scene);
-    assert!(named.warnings().iter().all(|warning| !warning.contains("ground")), "{:?}", named.warnings());
+    assert!(scene::warnings(&named).iter().all(|warning| !warning.contains("ground")), "{:?}", scene::warnings(&named));
 }
 
 #[test]

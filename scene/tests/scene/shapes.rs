@@ -95,7 +95,7 @@ fn numbers_in_a_shape_may_be_animated() {
 #[test]
 fn a_shape_that_no_object_uses_gets_a_warning() {
     let shapes = format!(r#""ball": {BALL}, "leg": {LEG}, "feet": {{ "use": "leg" }}"#);
-    let warnings = job(&shapes, r#"{ "use": "ball" }"#).warnings();
+    let warnings = scene::warnings(&job(&shapes, r#"{ "use": "ball" }"#));
     for name in ["feet", "leg"] {
         assert!(warnings.contains(&format!("shape \"{name}\" is not used")), "{warnings:?}");
     }
@@ -105,7 +105,7 @@ fn a_shape_that_no_object_uses_gets_a_warning() {
 #[test]
 fn warnings_point_into_the_shape() {
     let turned = r#""ball": { "union": { "of": [{ "rotate": { "degrees": [0, 1.5708, 0], "child": { "box": { "size": [1, 1, 1] } } } }] } }"#;
-    let warnings = job(turned, r#"{ "translate": { "by": [1, 0, 0], "child": { "use": "ball" } } }"#).warnings();
+    let warnings = scene::warnings(&job(turned, r#"{ "translate": { "by": [1, 0, 0], "child": { "use": "ball" } } }"#));
     let place = "/scene/shapes/ball/union/of/0/rotate/degrees is [0, 1.5708, 0]";
     assert!(warnings.iter().any(|warning| warning.starts_with(place)), "{warnings:?}");
 }

@@ -121,7 +121,7 @@ fn errors_while_the_shutter_is_open_name_the_instant() {
 
 #[test]
 fn one_blurred_frame_of_an_animation_gets_no_warning() {
-    let warnings = |shutter: f64| job(&json!({ "count": 1, "shutter": shutter }), 16).warnings();
+    let warnings = |shutter: f64| scene::warnings(&job(&json!({ "count": 1, "shutter": shutter }), 16));
     assert!(warnings(0.0).iter().any(|text| text.contains("frames.count")));
     assert!(!warnings(0.5).iter().any(|text| text.contains("frames.count")));
 }

@@ -261,7 +261,7 @@ fn errors_and_warnings_name_objects() {
     assert!(told.iter().any(|error| error.ends_with("(in object \"left leg\")")), "{told:?}");
     assert!(told.iter().any(|error| !error.contains("in object")), "{told:?}");
     let inside = json!([{ "name": "the moon", "shape": { "sphere": { "radius": 20 } } }]);
-    let warnings = job(&scene(json!({ "objects": inside }))).warnings();
+    let warnings = scene::warnings(&job(&scene(json!({ "objects": inside }))));
     assert!(warnings.iter().any(|warning| warning.contains("object 0 (\"the moon\")")), "{warnings:?}");
     for wrong in ["", "two\nlines"] {
         let told = errors(&scene(json!({ "objects": [{ "name": wrong, "shape": ball([0.0; 3], 1.0) }] })));

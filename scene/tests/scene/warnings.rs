@@ -19,7 +19,7 @@ const CAMERA: &str = r#""position": [0, 0, 5], "look_at": [0, 0, 0]"#;
 const SPHERE: &str = r#"{ "shape": { "sphere": { "radius": 1 } } }"#;
 
 fn of(scene: &str) -> Vec<String> {
-    seen_from(CAMERA, scene, "").warnings()
+    scene::warnings(&seen_from(CAMERA, scene, ""))
 }
 
 fn of_objects(objects: &str) -> Vec<String> {
@@ -62,7 +62,7 @@ fn shipped_scenes_have_no_warnings() {
     let told: Vec<String> = files
         .iter()
         .flat_map(|file| {
-            let warnings = job(&std::fs::read_to_string(file).unwrap()).warnings();
+            let warnings = scene::warnings(&job(&std::fs::read_to_string(file).unwrap()));
             warnings.into_iter().map(|warning| format!("{}: {warning}", file.display()))
         })
         .collect();
@@ -93,7 +93,7 @@ fn orthographic_picture_that_starts_inside_an_object_is_reported() {
             r#""position": [0, 4, 5], "look_at": [0, 0, 0], "projection": {{ "orthographic": {{ "height": {height} }} }}"#
         );
         let floor = r#"{ "shape": { "plane": { "normal": [0, 1, 0], "offset": 0 } } }"#;
-        seen_from(&camera, &format!(r#""objects": [{SPHERE}, {floor}]"#), "").warnings()
+        scene::warnings(&seen_from(&camera, &format!(r#""objects": [{SPHERE}, {floor}]"#), ""))
     };
     none(&of(3.0));
     one(&of(30.0), &["starts inside object 1", "back"]);
@@ -113,7 +113,7 @@ fn nothing_in_view_is_reported_for_every_projection() {
         format!(r#"{CAMERA}, "up": [1, 1, 0], "fov": 120"#),
     ];
     for camera in &cameras {
-        let of = |x, y, z| seen_from(camera, &at(x, y, z), "").warnings();
+        let of = |x, y, z| scene::warnings(&seen_from(camera, &at(x, y, z), ""));
         none(&of(0.0, 0.0, 0.0));
         none(&of(1.0, -1.0, 0.0));
         one(&of(0.0, 0.0, 50.0), &["outside the view", "look_at"]);
@@ -128,7 +128,7 @@ fn nothing_in_view_is_reported_for_every_projection() {
             r#"{{ "scene": {{ "camera": {{ {camera} }}, {} }}, "image": {{ "width": 64, "height": 32 }} }}"#,
             at(x, 0.0, 50.0)
         );
-        job(&text).warnings()
+        scene::warnings(&job(&text))
     };
     none(&panorama(0.0));
     one(&panorama(5000.0), &["max_distance"]);
@@ -140,7 +140,7 @@ fn floor_is_out_of_view_only_above_the_horizon() {
         "fog": { "density": 0.1 }"#;
     let toward = |y: f32| {
         let camera = format!(r#""position": [0, 1, 0], "look_at": [3, {y}, 4], "fov": 40"#);
-        seen_from(&camera, floor, "").warnings()
+        scene::warnings(&seen_from(&camera, floor, ""))
     };
     none(&toward(1.0));
     none(&toward(2.5));
@@ -154,7 +154,7 @@ fn objects_seen_in_later_frames_do_not_warn() {
             r#""objects": [{{ "shape": {{ "translate": {{ "by": [{{ "keys": [[0, 90], [1, {last}]] }}, 0, 0],
                "child": {{ "sphere": {{ "radius": 1 }} }} }} }} }}]"#
         );
-        seen_from(CAMERA, &objects, r#", "frames": { "count": 11, "fps": 10 }"#).warnings()
+        scene::warnings(&seen_from(CAMERA, &objects, r#", "frames": { "count": 11, "fps": 10 }"#))
     };
     none(&moving(0.0));
     one(&moving(80.0), &["outside the view"]);
@@ -164,7 +164,7 @@ fn objects_seen_in_later_frames_do_not_warn() {
 fn the_frame_of_a_warning_is_named() {
     let camera = r#""position": [0, 0, { "keys": [[0, 5], [1, 0.5]] }], "look_at": [0, 0, -9]"#;
     let objects = format!(r#""objects": [{SPHERE}]"#);
-    let warnings = seen_from(camera, &objects, r#", "frames": { "count": 11, "fps": 10 }"#).warnings();
+    let warnings = scene::warnings(&seen_from(camera, &objects, r#", "frames": { "count": 11, "fps": 10 }"#));
     one(&warnings, &["inside object 0", "(in frame 10)"]);
 }
 
@@ -301,7 +301,7 @@ fn angles_in_radians_are_reported_with_their_degrees() {
         none(&turned(degrees));
     }
     let seen = |fov: f32| {
-        seen_from(&format!(r#"{CAMERA}, "fov": {fov}"#), &format!(r#""objects": [{SPHERE}]"#), "").warnings()
+        scene::warnings(&seen_from(&format!(r#"{CAMERA}, "fov": {fov}"#), &format!(r#""objects": [{SPHERE}]"#), ""))
     };
     one(&seen(0.8), &["/scene/camera/fov", "46"]);
     none(&seen(20.0));
@@ -315,7 +315,7 @@ fn a_texture_that_does_not_follow_is_reported() {
             r#""objects": [{{ "material": {material}, "shape": {{ "translate": {{
                "by": [{{ "keys": [[0, 0], [1, 1]] }}, 0, 0], "child": {child} }} }} }}]"#
         );
-        seen_from(CAMERA, &objects, r#", "frames": { "count": 11, "fps": 10 }"#).warnings()
+        scene::warnings(&seen_from(CAMERA, &objects, r#", "frames": { "count": 11, "fps": 10 }"#))
     };
     let sphere = r#"{ "sphere": { "radius": 1 } }"#;
     one(&moved(CHECKERS, sphere), &["/scene/objects/0/shape/translate", "paint"]);
@@ -368,12 +368,11 @@ fn metal_with_a_transparent_background_is_reported() {
 #[test]
 fn samples_without_visible_effect_are_reported() {
     let of = |samples: u32, more: &str, material: &str| {
-        job(&format!(
+        scene::warnings(&job(&format!(
             r#"{{ "scene": {{ "camera": {{ {CAMERA} }}, "objects": [{{ "material": {material},
                "shape": {{ "sphere": {{ "radius": 1 }} }} }}] }},
                "image": {{ "width": 64, "height": 48, "samples": {samples}{more} }} }}"#
-        ))
-        .warnings()
+        )))
     };
     let matte = r#"{ "diffuse": {} }"#;
     one(&of(257, "", matte), &["/image/samples is 257", "256"]);
@@ -398,7 +397,7 @@ fn scattered_copies_that_miss_their_shape_are_reported() {
             r#"{{ "scene": {{ "camera": {{ "position": [0, 3, 9], "look_at": [0, 0, 0] }}, "objects": [{{ "shape": {shape} }}] }},
                 "image": {{ "width": 8, "height": 8 }} }}"#
         );
-        scene::parse(text.as_bytes()).unwrap_or_else(|error| panic!("{error}")).warnings()
+        scene::warnings(&scene::parse(text.as_bytes()).unwrap_or_else(|error| panic!("{error}")))
     };
     let missed = warnings(&scatter(2.2));
     assert!(
@@ -418,7 +417,7 @@ fn blurs_of_few_samples_and_ambient_light_on_paths_get_one() {
             r#"{{ "scene": {{ "camera": {{ {lens} }}, "objects": [{SPHERE}] }},
                 "image": {{ "width": 64, "height": 48, "samples": {samples} }} }}"#
         );
-        job(&text).warnings()
+        scene::warnings(&job(&text))
     };
     one(&blurred("4"), &["/image/samples is 4", "the lens blurs", "16 or more"]);
     none(&blurred("16"));

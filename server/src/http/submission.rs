@@ -150,10 +150,10 @@ impl Submission {
         let read = move |job: scene::Job| {
             let plan = TilePlan::new(&job, edge_px);
             let plan = if recorded { plan.recorded() } else { plan };
-            let (priority, warnings) = (job.priority, job.warnings());
+            let (priority, warnings) = (job.priority, scene::warnings(&job));
             // A large job takes hundreds of megabytes: a dry run drops it here, before another one is parsed.
             // Cutting it into leaves takes as long as parsing it.
-            (plan, priority, warnings, (!dry_run).then(|| (job.compiled_nodes(), job)))
+            (plan, priority, warnings, (!dry_run).then(|| (scene::compiled_nodes(&job), job)))
         };
         let parsed = intake.jobs.parse(reader, text.clone(), move |parsed| parsed.map(read)).await?;
         let (plan, priority, warnings, job) = parsed?;

@@ -265,7 +265,8 @@ fn unpremultiply(premultiplied: f32, alpha: f32) -> f32 {
 
 #[cfg(test)]
 mod tests {
-    use scene::color::{DisplayTransform, linear_from_srgb};
+    use scene::color::linear_from_srgb;
+    use scene::film::DisplayTransform;
 
     use super::*;
 

@@ -7,7 +7,8 @@ use image::{ExtendedColorType, ImageEncoder};
 use proto::Rect;
 use proto::price::PriceMap;
 use scene::Job;
-use scene::color::{DisplayTransform, srgb_from_linear};
+use scene::color::srgb_from_linear;
+use scene::film::DisplayTransform;
 use worker::{CancelFlag, CpuRenderer, Renderer, Simd, TilePixels, TileRequest};
 
 /// Width of each of the two parts, and their maximum height, in pixels.

@@ -5,7 +5,8 @@ use std::time::{Duration, Instant};
 
 use proto::Rect;
 use proto::price::Saving;
-use scene::color::{DisplayTransform, srgb_from_linear};
+use scene::color::srgb_from_linear;
+use scene::film::DisplayTransform;
 use scene::{Job, SampleCount};
 use serde_json::Value;
 use worker::{CpuRenderer, TilePixels};

@@ -5,8 +5,8 @@ use serde::{Deserialize, Serialize};
 
 use super::{CameraAxes, Extent, HasExamples, Project};
 use crate::bounds::Bounds;
-use crate::camera::{Ray, View};
-use crate::march::Tolerance;
+use crate::camera::View;
+use crate::ray::{Ray, Tolerance};
 use crate::real::{Real, Vec3};
 use crate::seek::Seek;
 use crate::values::{FieldOfView, Length};

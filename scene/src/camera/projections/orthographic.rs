@@ -5,9 +5,9 @@ use serde::{Deserialize, Serialize};
 
 use super::{CameraAxes, Extent, HasExamples, Project};
 use crate::bounds::Bounds;
-use crate::camera::{Matrix, Ray, View};
-use crate::job::Image;
-use crate::march::Tolerance;
+use crate::camera::{Matrix, View};
+use crate::film::Image;
+use crate::ray::{Ray, Tolerance};
 use crate::real::{Real, Vec3};
 use crate::seek::Seek;
 use crate::values::{FieldOfView, Length};

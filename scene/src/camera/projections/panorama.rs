@@ -2,9 +2,9 @@
 
 use super::{CameraAxes, Extent, Project};
 use crate::bounds::Bounds;
-use crate::camera::{Ray, View};
-use crate::job::Image;
-use crate::march::Tolerance;
+use crate::camera::View;
+use crate::film::Image;
+use crate::ray::{Ray, Tolerance};
 use crate::real::{Real, Vec3};
 use crate::values::FieldOfView;
 

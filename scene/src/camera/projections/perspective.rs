@@ -2,8 +2,8 @@
 
 use super::{CameraAxes, Extent, Project};
 use crate::bounds::Bounds;
-use crate::camera::{Matrix, Ray, View};
-use crate::march::Tolerance;
+use crate::camera::{Matrix, View};
+use crate::ray::{Ray, Tolerance};
 use crate::real::{Real, Vec3};
 use crate::values::FieldOfView;
 

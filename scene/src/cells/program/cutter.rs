@@ -6,8 +6,9 @@ use super::{Above, Join, JoinKind, Leaf, NextLeaf, Operation};
 use crate::bounds::Bounds;
 use crate::cells::materials::{LeafMaterial, ListedMaterial};
 use crate::cells::trace::{Symbol, Trace, trace};
+use crate::kinds::Exactness;
 use crate::materials::{Material, Shade};
-use crate::nodes::{Cut, Exactness, FoldStep, Node, Part, for_each_step};
+use crate::nodes::{Cut, FoldStep, Node, Part, for_each_step};
 use crate::real::vec3;
 use crate::scene::Scene;
 

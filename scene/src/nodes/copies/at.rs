@@ -9,9 +9,9 @@ use serde::de::{Error, MapAccess, SeqAccess, Visitor};
 use serde::{Deserialize, Deserializer, Serialize};
 
 use super::placement::{Placement, Placements};
+use crate::kinds::NodeError;
 use crate::limits::{MAX_LENGTH, MAX_NODES};
 use crate::materials::MaterialRef;
-use crate::nodes::NodeError;
 use crate::real::{Vec3, vec3};
 use crate::seek::{FrameTime, Seek, SeekError};
 use crate::values::{

@@ -5,8 +5,9 @@ use serde::{Deserialize, Serialize};
 
 use super::{distance_from_box, folds, iterations};
 use crate::bounds::Bounds;
+use crate::kinds::Exactness;
 use crate::limits::MAX_ITERATIONS;
-use crate::nodes::{Exactness, Primitive};
+use crate::nodes::Primitive;
 use crate::real::{Real, Vec3, vec3};
 use crate::seek::Seek;
 use crate::values::Length;

@@ -4,9 +4,10 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::bounds::Bounds;
+use crate::kinds::Exactness;
 use crate::nodes::carried::carries_child;
 use crate::nodes::transforms::around_child;
-use crate::nodes::{Child, Exactness, Node, Sdf, SdfValue};
+use crate::nodes::{Child, Node, Sdf, SdfValue};
 use crate::real::{Real, Vec3, vec3};
 use crate::seek::Seek;
 use crate::values::{LengthOrZero, ScaleFactor};

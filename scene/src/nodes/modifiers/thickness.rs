@@ -4,8 +4,9 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::bounds::Bounds;
+use crate::kinds::Exactness;
 use crate::nodes::transforms::around_child;
-use crate::nodes::{Child, Exactness, Node, Sdf, SdfValue};
+use crate::nodes::{Child, Node, Sdf, SdfValue};
 use crate::real::{Real, Vec3};
 use crate::seek::Seek;
 use crate::values::{Length, LengthOrZero};

@@ -11,8 +11,9 @@ use serde::{Deserialize, Serialize};
 
 use super::seams::around_joined;
 use crate::bounds::Bounds;
+use crate::kinds::{Exactness, NodeError};
 use crate::nodes::value::indicator;
-use crate::nodes::{Exactness, Node, NodeError, Sdf, SdfValue};
+use crate::nodes::{Node, Sdf, SdfValue};
 use crate::real::{Real, Vec3};
 use crate::seek::Seek;
 use crate::values::{Fraction, Length};

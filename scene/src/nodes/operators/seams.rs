@@ -13,7 +13,8 @@ use serde::{Deserialize, Deserializer, Serialize};
 
 use super::fold_children;
 use crate::bounds::Bounds;
-use crate::nodes::{Exactness, Node, Sdf, SdfValue};
+use crate::kinds::Exactness;
+use crate::nodes::{Node, Sdf, SdfValue};
 use crate::real::{Real, Vec3};
 use crate::seek::Seek;
 use crate::values::{Length, integer_in_range};

@@ -6,8 +6,9 @@ use serde::{Deserialize, Serialize};
 use super::fold_children;
 use super::seams::around_joined;
 use crate::bounds::Bounds;
+use crate::kinds::Exactness;
 use crate::nodes::value::indicator;
-use crate::nodes::{Exactness, Node, Sdf, SdfValue};
+use crate::nodes::{Node, Sdf, SdfValue};
 use crate::real::{Real, Vec3};
 use crate::seek::Seek;
 

@@ -5,7 +5,8 @@ use serde::{Deserialize, Serialize};
 
 use super::{distance_from_y_axis, hypot};
 use crate::bounds::Bounds;
-use crate::nodes::{NodeError, Precompute, Precomputed, Primitive};
+use crate::kinds::NodeError;
+use crate::nodes::{Precompute, Precomputed, Primitive};
 use crate::real::{Real, Vec3, vec3};
 use crate::seek::Seek;
 use crate::values::{AcuteHalfAngle, HalfAngle, Length, LengthOrZero, sin_cos_degrees};

@@ -4,7 +4,8 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::bounds::Bounds;
-use crate::nodes::{Exactness, Precompute, Precomputed, Primitive};
+use crate::kinds::Exactness;
+use crate::nodes::{Precompute, Precomputed, Primitive};
 use crate::real::{Real, Vec3, vec3};
 use crate::seek::Seek;
 use crate::values::{Length, Point};

@@ -4,7 +4,8 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::bounds::Bounds;
-use crate::nodes::{NodeError, Precompute, Precomputed, Primitive};
+use crate::kinds::NodeError;
+use crate::nodes::{Precompute, Precomputed, Primitive};
 use crate::real::{Real, Vec3};
 use crate::seek::Seek;
 use crate::values::{Length, Point};

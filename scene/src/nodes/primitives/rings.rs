@@ -5,7 +5,8 @@ use serde::{Deserialize, Serialize};
 
 use super::{closed_hole_error, hypot};
 use crate::bounds::Bounds;
-use crate::nodes::{Exactness, NodeError, Precompute, Precomputed, Primitive};
+use crate::kinds::{Exactness, NodeError};
+use crate::nodes::{Precompute, Precomputed, Primitive};
 use crate::real::{Real, Vec3, vec3};
 use crate::seek::Seek;
 use crate::values::{ArcAngle, Length, LengthOrZero, sin_cos_degrees};

@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use super::scan::{self, members};
 use super::stand_in;
-use crate::formula::{self, Expr, FUNCTIONS, NAMES, Names, is_name};
+use crate::values::formula::{self, Expr, FUNCTIONS, NAMES, Names, is_name};
 use crate::values::track::Track;
 
 /// Maximum number of numbers between a number and one that it is computed from.

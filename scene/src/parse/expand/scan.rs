@@ -3,7 +3,8 @@
 use std::ops::Range;
 
 use crate::error::{LineIndex, ValidationError};
-use crate::json_scan::{container_end, escape};
+use crate::json_scan::container_end;
+use crate::json_text::escape;
 
 /// Position after white space.
 pub(in crate::parse) fn skip_space(text: &str, mut at: usize) -> usize {

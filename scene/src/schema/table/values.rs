@@ -7,7 +7,7 @@ use serde::Serialize;
 use serde_json::{Map, Value};
 
 use super::super::DEFINITIONS;
-use crate::nodes::snake_case;
+use crate::kinds::snake_case;
 
 /// Definitions that are kinds of values of their own.
 const KINDS: [(&str, &str); 9] = [
