@@ -26,7 +26,6 @@ mod open;
 mod pause;
 mod pool;
 mod preview;
-mod preview_helper;
 mod price;
 mod priority;
 mod relocate;
@@ -59,6 +58,7 @@ use clap::Subcommand;
 use tempfile::TempDir;
 
 use crate::signals::Signals;
+use crate::terminal::write_bytes;
 
 /// How long blocking calls may go on after a command has finished.
 const SHUTDOWN_TIMEOUT: Duration = Duration::from_millis(500);
@@ -230,7 +230,7 @@ impl Command {
             Self::Move(arguments) => run_async(interruptible(relocate::run(arguments))),
             Self::Doctor(arguments) => run_async(interruptible(doctor::run(arguments))),
             Self::Demo(arguments) => run_async(demo::run(arguments)),
-            Self::PreviewHelper => preview_helper::run(),
+            Self::PreviewHelper => write_bytes(&helper::run()?),
         }
     }
 }

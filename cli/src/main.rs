@@ -16,14 +16,12 @@ mod logs;
 mod output_file;
 mod overrides;
 mod overview;
-mod preview_helper;
 mod progress;
 mod shipped;
 mod signals;
 mod size;
 mod systemd;
 mod terminal;
-mod verify;
 
 use std::process::ExitCode;
 

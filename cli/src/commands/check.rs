@@ -10,7 +10,6 @@ use self::size::Outlook;
 use crate::error::InvalidJob;
 use crate::job_file::JobFile;
 use crate::overrides::OverrideArguments;
-use crate::preview_helper::sample;
 use crate::terminal::{escape_line, print_line, print_note};
 
 /// Arguments of `check`.
@@ -47,7 +46,7 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
     };
     let warnings = scene::warnings(&job);
     let threads = std::thread::available_parallelism().map_or(1, usize::from);
-    let sample = sample(&job, threads, if arguments.estimate { RENDER_MS } else { QUICK_RENDER_MS });
+    let sample = helper::sample(&job, threads, if arguments.estimate { RENDER_MS } else { QUICK_RENDER_MS });
     // A job is valid even if no sample of it finishes in time.
     let outlook = Outlook::new(&job, threads, sample.as_ref().ok());
     if arguments.json {

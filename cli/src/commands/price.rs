@@ -17,7 +17,6 @@ use crate::error::UsageError;
 use crate::job_file::JobFile;
 use crate::output_file::OutputFile;
 use crate::overrides::OverrideArguments;
-use crate::preview_helper::price;
 use crate::terminal::{escape_line, print_line, print_note};
 
 /// Time for each measurement on this machine, where no other caller waits for it, in milliseconds.
@@ -83,7 +82,7 @@ pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
         let job = job.clone();
         let plan = PricePlan { sample_ms: SAMPLE_MS, map_ms: if has_map { MAP_MS } else { 0 }, savings_ms: SAVINGS_MS };
         let threads = std::thread::available_parallelism().map_or(1, usize::from);
-        let measured = tokio::task::spawn_blocking(move || price(&text, &job, threads, plan));
+        let measured = tokio::task::spawn_blocking(move || helper::price(&text, &job, threads, plan));
         let measured = measured.await.context("the measurement was interrupted")??;
         of_this_machine(measured, threads, &arguments.rates.rates())
     };

@@ -7,6 +7,7 @@ use std::path::Path;
 
 use anyhow::Context;
 use clap::Args;
+use helper::verify::{Checked, Extent, Original, draw, unreadable};
 use proto::verify::{Comparison, Maker, Verification, chance_to_find, tiles_found_surely};
 use proto::{Client, rounding};
 use scene::PICTURE_VERSION;
@@ -19,7 +20,6 @@ use crate::error::{PictureDiffers, UsageError};
 use crate::output_file::OutputFile;
 use crate::overrides::OverrideArguments;
 use crate::terminal::{print_line, print_note};
-use crate::verify::{Checked, Extent, Original, draw, unreadable};
 
 /// Arguments of `verify`.
 #[derive(Debug, Args)]

@@ -15,9 +15,9 @@ use worker::image::{Encoders, PictureSpec};
 use worker::stitch::TileRows;
 use worker::{CancelFlag, CpuRenderer, RenderError, Renderer, Simd, TilePixels, TileRequest};
 
-use super::canvas::Canvas;
-use super::coarse;
-use super::layer_picture::{self, LayerPicture};
+use crate::canvas::Canvas;
+use crate::coarse;
+use crate::layer_picture::{self, LayerPicture};
 
 /// Maximum number of render threads.
 const MAX_THREADS: usize = 4;

@@ -12,7 +12,7 @@ use scene::Job;
 use scene::film::DisplayTransform;
 use worker::{CancelFlag, CpuRenderer, Renderer, Simd, TilePixels, TileRequest, blob};
 
-use super::canvas::shown;
+use crate::canvas::shown;
 
 /// Width of the first and smallest attempt, in pixels.
 const FIRST_PX: u32 = 32;

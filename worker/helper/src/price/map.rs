@@ -8,7 +8,7 @@ use proto::price::PriceMap;
 use scene::{Format, Job, Layer};
 use worker::{CancelFlag, CpuRenderer, RenderError, Renderer, TileRequest};
 
-use crate::preview_helper::cost_sample::{Block, Pass};
+use crate::cost_sample::{Block, Pass};
 
 /// Maximum number of columns and of rows.
 const MAX_CELLS: u32 = 32;

@@ -8,8 +8,8 @@ use scene::Job;
 use scene::film::DisplayTransform;
 use worker::blob::{self, BlobError, BlobReader};
 
-use super::canvas::{Canvas, shown};
-use super::coarse::{self, CoarseCache};
+use crate::canvas::{Canvas, shown};
+use crate::coarse::{self, CoarseCache};
 
 /// Draws the preview as a PNG of at most this width. Tiles that cannot be read, or do not belong to the frame, are
 /// skipped.

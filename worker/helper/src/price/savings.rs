@@ -11,7 +11,7 @@ use scene::{Job, SampleCount};
 use serde_json::Value;
 use worker::{CpuRenderer, TilePixels};
 
-use crate::preview_helper::cost_sample::{Pass, blocks};
+use crate::cost_sample::{Pass, blocks};
 
 /// Maximum number of savings.
 const MAX_SAVINGS: usize = 3;

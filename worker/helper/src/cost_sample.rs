@@ -29,7 +29,7 @@ const MAX_FRAMES: u32 = 5;
 const MAX_FRAME_BYTES: u64 = 256 << 20;
 
 /// Samples a job on `threads` threads for about `render_ms`.
-pub(crate) fn sample(job: &Job, threads: usize, render_ms: u64) -> anyhow::Result<CostSample> {
+pub fn sample(job: &Job, threads: usize, render_ms: u64) -> anyhow::Result<CostSample> {
     let count = job.frames.count.min(MAX_FRAMES);
     let spread = |index: u32| u64::from(job.frames.count - 1) * u64::from(index) / u64::from((count - 1).max(1));
     let limit = Duration::from_millis(render_ms) / count;

@@ -22,7 +22,7 @@ const CHECKED: f32 = 0.75;
 const UNCHECKED: f32 = 0.3;
 
 /// Draws the differences as a PNG of the picture's size.
-pub(crate) fn draw(stored: &StoredPicture, checked: &Checked) -> anyhow::Result<Vec<u8>> {
+pub fn draw(stored: &StoredPicture, checked: &Checked) -> anyhow::Result<Vec<u8>> {
     let [width, height] = [stored.width, stored.height];
     let mut canvas = Canvas { width, height, pixels: vec![[0; 3]; width as usize * height as usize] };
     canvas.draw_gray(&Rect::full(width, height), stored, UNCHECKED);

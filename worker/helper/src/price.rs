@@ -11,10 +11,10 @@ use proto::tile::Tiling;
 use scene::Job;
 use worker::{CpuRenderer, Simd};
 
-use super::cost_sample::sample;
+use crate::cost_sample::sample;
 
 /// Measures a job that was parsed from this text, on `threads` threads.
-pub(crate) fn price(text: &str, job: &Job, threads: usize, plan: PricePlan) -> anyhow::Result<PriceSample> {
+pub fn price(text: &str, job: &Job, threads: usize, plan: PricePlan) -> anyhow::Result<PriceSample> {
     let cost = sample(job, threads, plan.sample_ms)?;
     let image = &job.image;
     let (width, height, samples) = (image.width, image.height, image.samples.max());

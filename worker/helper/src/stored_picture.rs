@@ -19,8 +19,8 @@ use proto::preview_helper::{
 use scene::Layer;
 use scene::color::linear_from_srgb;
 
-use super::layer_picture;
-use super::thumbnail::{self, check_exr_size, limits, png_layout};
+use crate::layer_picture;
+use crate::thumbnail::{self, check_exr_size, limits, png_layout};
 
 /// Maximum number of rows of a layer's picture.
 const MAX_ROWS: u32 = 4096;

@@ -51,7 +51,7 @@ struct Genuine {
 
 /// Job files that are shipped.
 fn shipped() -> Vec<PathBuf> {
-    let root = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("..");
+    let root = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../..");
     let mut paths = Vec::new();
     for folder in ["scenes", "docs/scenes", "docs/scenes/light"] {
         let entries = std::fs::read_dir(root.join(folder)).expect("the scenes are there").flatten();

@@ -18,11 +18,11 @@ use worker::image::stored::{ChannelValues, FoundProvenance, StoredPicture, Unrea
 use worker::image::{PictureSpec, Provenance};
 use worker::{CancelFlag, RenderError, Renderer, TileRequest};
 
-pub(crate) use marked::draw;
+pub use marked::draw;
 
 /// Tiles that are checked.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Extent {
+pub enum Extent {
     /// All.
     All,
     /// This many, chosen at random.
@@ -31,7 +31,7 @@ pub(crate) enum Extent {
 
 /// A job's frame, as it should be.
 #[derive(Clone, Debug)]
-pub(crate) struct Original<'a> {
+pub struct Original<'a> {
     job: &'a Job,
     frame: u32,
     spec: PictureSpec,
@@ -39,13 +39,13 @@ pub(crate) struct Original<'a> {
 
 /// Result of a verification, with the place of every difference.
 #[derive(Debug, Default)]
-pub(crate) struct Checked {
+pub struct Checked {
     /// The comparison.
-    pub(crate) comparison: Comparison,
+    pub comparison: Comparison,
     /// Tiles that were rendered again.
-    pub(crate) tiles: Vec<Rect>,
+    pub tiles: Vec<Rect>,
     /// Pixels that differ, as column and row: the first [`MAX_MARKED`].
-    pub(crate) pixels: Vec<[u32; 2]>,
+    pub pixels: Vec<[u32; 2]>,
     /// Top left corners of the tiles that differ.
     corners: HashSet<[u32; 2]>,
 }
@@ -55,22 +55,22 @@ const MAX_MARKED: usize = 1 << 20;
 
 impl<'a> Original<'a> {
     /// The frame of a job.
-    pub(crate) fn new(job: &'a Job, frame: u32) -> anyhow::Result<Self> {
+    pub fn new(job: &'a Job, frame: u32) -> anyhow::Result<Self> {
         Ok(Self { job, frame, spec: PictureSpec::new(&job.at(frame)?) })
     }
 
     /// Provenance that its picture has.
-    pub(crate) fn provenance(&self) -> &Provenance {
+    pub fn provenance(&self) -> &Provenance {
         &self.spec.provenance
     }
 
     /// How a picture's size or channels differ from its own.
-    pub(crate) fn misfit(&self, stored: &StoredPicture) -> Option<String> {
+    pub fn misfit(&self, stored: &StoredPicture) -> Option<String> {
         stored.misfit(&self.spec)
     }
 
     /// Compares a file that could be read with what it should be, until the time limit.
-    pub(crate) fn check(
+    pub fn check(
         &self,
         file: &[u8],
         stored: StoredPicture,
@@ -176,7 +176,7 @@ impl<'a> Original<'a> {
 }
 
 /// A picture that cannot be read, compared with a frame: nothing of it is known.
-pub(crate) fn unreadable(original: &Original<'_>, error: &UnreadablePicture) -> Checked {
+pub fn unreadable(original: &Original<'_>, error: &UnreadablePicture) -> Checked {
     let total = proto::verify::tiles(original.spec.width, original.spec.height).len();
     let comparison = Comparison {
         tiles_total: u32::try_from(total).unwrap_or(u32::MAX),

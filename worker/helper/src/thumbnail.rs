@@ -15,7 +15,7 @@ use scene::film::DisplayTransform;
 use scene::limits::{MAX_EDGE_PX, MAX_PIXELS};
 use serde_json::json;
 
-use super::canvas::{Canvas, DisplayPixel, shown};
+use crate::canvas::{Canvas, DisplayPixel, shown};
 
 /// Maximum memory for a PNG's rows.
 const MAX_ROW_BYTES: usize = 64 << 20;
