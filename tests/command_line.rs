@@ -351,17 +351,9 @@ fn bench_measures_every_level_of_this_machine() {
 }
 
 #[test]
-fn bench_points_says_how_to_get_a_compiler() {
-    let mut command = sdfarm(&["bench", "csg", "--points", "--seconds", "1"]);
-    command.env("CXX", "no-such-compiler");
-    let output = finish(command, b"");
-    assert!(output.status.success(), "{}", text(&output.stderr));
-    let (table, notes) = (text(&output.stdout), text(&output.stderr));
-    let row = table.lines().find(|line| line.starts_with("csg")).expect("a row");
-    // Without vector instructions there is nothing to compare with.
-    if row.contains("avx") {
-        assert!(notes.contains("apt-get install g++"), "{notes}");
-    }
+fn bench_points_measures_distances_alone() {
+    let table = succeed(&["bench", "csg", "--points", "--seconds", "1"]);
+    assert!(table.lines().any(|line| line.starts_with("csg")) && !table.contains("frames"), "{table}");
 }
 
 #[test]
@@ -380,27 +372,4 @@ fn bench_compile_lists_scenes_and_back_ends() {
     }
     let table = succeed(&["bench", "csg", "--compile", "--runs", "1"]);
     assert!(table.contains("the largest") && table.contains("all together"), "{table}");
-}
-
-#[test]
-fn bench_paper_prints_measured_and_published_rows() {
-    let arguments = ["bench", "paper", "--device", "cpu", "--runs", "1", "--resolutions"];
-    let folder = tempfile::tempdir().expect("a folder");
-    let output = run_in(folder.path(), &[&arguments[..], &["16,32", "--json"]].concat());
-    let told = text(&output.stderr);
-    assert!(output.status.success() && told.contains("GPU is skipped"), "{told}");
-    let table: Value = serde_json::from_slice(&output.stdout).expect("JSON");
-    let rows = table["rows"].as_array().expect("rows");
-    assert_eq!(rows.len(), 10, "two resolutions with five block dimensions each");
-    for row in rows {
-        let ratio = row["serial_ms"].as_f64().expect("ms") / row["simd_ms"].as_f64().expect("ms");
-        assert!(ratio > 0.0 && (row["simd_speed_up"].as_f64().expect("ratio") / ratio - 1.0).abs() < 1e-9, "{row}");
-        assert!(row["gpu"].is_null() && row["published"].is_null(), "this size was not published: {row}");
-    }
-    let output = run_in(folder.path(), &[&arguments[..], &["256", "--block", "8x8"]].concat());
-    let table = text(&output.stdout);
-    let rows: Vec<&str> = table.lines().filter(|line| line.starts_with("256² 8x8")).collect();
-    assert_eq!(rows.len(), 2, "a measured and a published row: {table}");
-    assert!(rows[1].contains("1092") && rows[1].contains("4.40"), "{table}");
-    assert_misuse(&run_in(folder.path(), &["bench", "paper", "--resolutions", "1"]), "16");
 }

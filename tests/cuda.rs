@@ -3,47 +3,18 @@
 //! The stand-ins run the program that a GPU would run, so its pictures must be bit-identical to the CPU's.
 
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::{Command, Output, Stdio};
-use std::sync::OnceLock;
 
 use rustix::process::Signal;
 use serde_json::{Value, json};
 
+use crate::fake_cuda::{self, COMPILER, DRIVER, SOURCES, stand_ins};
 use crate::jobs;
 use crate::skip::skip;
 use crate::support::{eventually, finish, sdfarm, send_signal, text, wait};
 
 mod farm;
-
-const DRIVER: &str = "libcuda.so";
-const COMPILER: &str = "libnvrtc.so";
-/// Sources of the stand-ins.
-const SOURCES: [(&str, &str); 2] =
-    [(DRIVER, include_str!("fake_cuda/driver.cpp")), (COMPILER, include_str!("fake_cuda/nvrtc.cpp"))];
-
-/// Builds the stand-ins once; returns their folder, which has one folder for each, with its name.
-fn stand_ins() -> &'static Path {
-    static FOLDER: OnceLock<PathBuf> = OnceLock::new();
-    FOLDER.get_or_init(|| {
-        let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("fake_cuda");
-        // It does not exist before the first run.
-        let _ = fs::remove_dir_all(&folder);
-        for (library, source) in SOURCES {
-            fs::create_dir_all(folder.join(library)).expect("a folder");
-            let (compiler, text_path) = (std::env::var("CXX"), folder.join(format!("{library}.cpp")));
-            fs::write(&text_path, source).expect("written");
-            let compiled = Command::new(compiler.as_deref().unwrap_or("c++"))
-                .args(["-std=c++17", "-O1", "-fPIC", "-shared", "-o"])
-                .args([folder.join(library).join(library), text_path])
-                .arg("-ldl")
-                .output()
-                .expect("a C++ compiler is installed");
-            assert!(compiled.status.success(), "{}", text(&compiled.stderr));
-        }
-        folder
-    })
-}
 
 /// Copies a stand-in and erases a function's name, so that it lacks the function like an older release.
 fn without(function: &str, library: &str, folder: &Path) {
@@ -69,19 +40,12 @@ fn functions(source: &str) -> impl Iterator<Item = &str> {
 
 /// Command of the program on a machine with these libraries.
 fn with(libraries: &[&Path], arguments: &[&str]) -> Command {
-    let mut command = sdfarm(arguments);
-    command.env("LD_LIBRARY_PATH", std::env::join_paths(libraries).expect("plain"));
-    command.env("SDFARM_CACHE", stand_ins().join("cache"));
-    command.env("FAKE_NVRTC_STORE", stand_ins().join(COMPILER));
-    for name in ["FAKE_CUDA", "FAKE_CUDA_COUNT", "FAKE_NVRTC", "FAKE_NVRTC_COUNT"] {
-        command.env_remove(name);
-    }
-    command
+    fake_cuda::on_machine_with(libraries, sdfarm(arguments))
 }
 
 /// Command of the program on a machine with a working GPU.
 fn with_gpu(arguments: &[&str]) -> Command {
-    with(&[&stand_ins().join(DRIVER), &stand_ins().join(COMPILER)], arguments)
+    fake_cuda::on_machine_with_gpu(sdfarm(arguments))
 }
 
 /// Command of the program on a machine with a GPU that simulates a fault.
@@ -434,52 +398,4 @@ fn bench_measures_a_gpu() {
     );
     assert!(report["kernel_ms"].as_f64().is_some_and(|ms| ms > 0.0), "{report}");
     assert!(report["evaluations"].as_u64().is_some_and(|evaluations| evaluations > 64 * 48 * 3), "{report}");
-}
-
-/// Stand-in for Nsight Compute: it reports one launch with the requested block dimensions.
-const NCU: &str = r#"#!/bin/sh
-while [ $# -gt 0 ]; do
-    case "$1" in --log-file) log=$2 ;; --block) block=$2 ;; esac
-    shift
-done
-echo '"ID","Block Size","Grid Size","Metric Name","Metric Value"' > "$log"
-for figure in sm__warps_active.avg.pct_of_peak_sustained_active,40.5 smsp__thread_inst_executed_per_inst_executed.ratio,21.7; do
-    echo "\"0\",\"(${block%x*}, ${block#*x}, 1)\",\"(64, 1, 1)\",\"${figure%,*}\",\"${figure#*,}\"" >> "$log"
-done
-"#;
-
-#[cfg(unix)]
-#[test]
-fn bench_paper_reports_a_gpu_and_profiler_counters() {
-    use std::os::unix::fs::PermissionsExt;
-
-    let folder = tempfile::tempdir().expect("a folder");
-    let profiler = folder.path().join("ncu");
-    let arguments =
-        ["bench", "paper", "--device", "cuda", "--runs", "1", "--block", "8x8", "--resolutions", "16,17", "--json"];
-    let mut path = vec![folder.path().to_owned()];
-    path.extend(std::env::split_paths(&std::env::var_os("PATH").expect("there is one")));
-    let rows = |script: &str| {
-        fs::write(&profiler, script).expect("written");
-        fs::set_permissions(&profiler, fs::Permissions::from_mode(0o755)).expect("may be run");
-        let mut command = with_gpu(&arguments);
-        command.env("PATH", std::env::join_paths(&path).expect("plain"));
-        let output = finish(command, b"");
-        assert!(output.status.success(), "{}", told(&output));
-        let table: Value = serde_json::from_slice(&output.stdout).expect("JSON");
-        assert_eq!(table["gpu"], "Fake GPU");
-        (table["rows"].as_array().expect("rows").clone(), told(&output))
-    };
-    let (without, told) = rows("#!/bin/sh\nexit 9\n");
-    assert!(told.contains("ncu counted nothing") && told.matches("ncu").count() == 1, "run once: {told}");
-    let (with, _) = rows(NCU);
-    assert_eq!((with.len(), without.len()), (2, 2));
-    for (with, without) in with.iter().zip(&without) {
-        let gpu = &with["gpu"];
-        assert!(gpu["kernel_ms"].as_f64().is_some_and(|ms| ms > 0.0) && gpu["registers"] == json!(64), "{gpu}");
-        assert_eq!(gpu["theoretical_occupancy_percent"], json!(50.0));
-        assert_eq!((&gpu["achieved_occupancy_percent"], &gpu["active_lanes"]), (&json!(40.5), &json!(21.7)));
-        assert!(gpu["branch_efficiency_percent"].is_null(), "it was not reported: {gpu}");
-        assert!(without["gpu"]["achieved_occupancy_percent"].is_null(), "{without}");
-    }
 }

@@ -17,6 +17,7 @@ mod cuda;
 mod documented;
 mod executable_memory;
 mod exr_reader;
+mod fake_cuda;
 mod faults;
 mod first_steps;
 mod follow;

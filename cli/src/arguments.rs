@@ -1,6 +1,6 @@
 //! Flags that several commands share.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::str::FromStr;
 use std::sync::Arc;
 
@@ -119,21 +119,6 @@ pub(crate) struct CudaArguments {
 }
 
 impl CudaArguments {
-    /// Returns the settings with other block dimensions.
-    pub(crate) fn with_block(&self, shape: BlockDim) -> Self {
-        Self { block: Some(shape), ..self.clone() }
-    }
-
-    /// Block dimensions, if given.
-    pub(crate) fn block(&self) -> Option<BlockDim> {
-        self.block
-    }
-
-    /// Folder for compiled kernels, if given.
-    pub(crate) fn cache(&self) -> Option<&Path> {
-        self.cache.as_deref()
-    }
-
     /// Starts the GPU with this ordinal.
     pub(crate) fn renderer(&self, ordinal: usize) -> Result<CudaRenderer, RenderError> {
         let cache = self.cache.clone().or_else(worker::cuda::default_cache_folder);

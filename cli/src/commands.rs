@@ -37,7 +37,6 @@ mod retry;
 mod schema;
 mod selftest;
 mod serve;
-mod soak;
 mod status;
 mod submit;
 mod tiles;
@@ -148,8 +147,6 @@ pub(crate) enum Command {
     Bench(bench::Arguments),
     /// Check that this machine renders bit-identical pictures.
     Selftest(selftest::Arguments),
-    /// Stress-test a temporary farm: kill its processes repeatedly and check that nothing is lost or changed.
-    Soak(soak::Arguments),
     /// Open a farm's page in the browser, or print its address.
     Open(open::Arguments),
     /// Show a farm on one screen: queue, workers, disk, and warnings.
@@ -220,7 +217,6 @@ impl Command {
             Self::Export(arguments) => export::run(&arguments),
             Self::Bench(arguments) => bench::run(&arguments),
             Self::Selftest(arguments) => selftest::run(&arguments),
-            Self::Soak(arguments) => run_async(soak::run(arguments)),
             Self::Open(arguments) => run_async(interruptible(open::run(arguments))),
             Self::Status(arguments) => run_async(interruptible(status::run(arguments))),
             Self::Top(arguments) => run_async(interruptible(top::run(arguments))),

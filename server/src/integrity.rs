@@ -1,7 +1,7 @@
 //! Checks the invariants of a data folder, with or without a running server: everything that must hold after
 //! any crash.
 //!
-//! It only reads; `sdfarm soak` runs it after each kill.
+//! It only reads; a soak runs it after each kill.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::io;

@@ -4,15 +4,14 @@ mod compile;
 mod frames;
 mod gpu;
 mod points;
-mod straight;
 
 use serde::Serialize;
 
+pub use crate::picture_tape::{DISTANCE, record_distance};
 pub use compile::{BackEndReport, CompileReport, compile};
 pub use frames::{RenderReport, frames, render};
 pub use gpu::{GpuReport, render_on_gpu};
-pub use points::{PointsReport, Yardstick, points};
-pub use straight::{StraightError, StraightReport};
+pub use points::{DistanceBench, POINTS, PointsReport, ROUNDS, points};
 
 /// Median and range of a figure measured several times.
 #[derive(Clone, Copy, Debug, Serialize)]
@@ -27,7 +26,7 @@ pub struct Spread {
 
 impl Spread {
     /// Of at least one figure.
-    fn new(mut figures: Vec<f64>) -> Self {
+    pub fn new(mut figures: Vec<f64>) -> Self {
         figures.sort_by(f64::total_cmp);
         let middle = figures.len() / 2;
         let median = if figures.len().is_multiple_of(2) {

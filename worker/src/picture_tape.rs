@@ -24,7 +24,7 @@ pub(crate) const LEVELS: &str = "levels";
 /// samples.
 pub(crate) const EVALUATIONS: &str = "evaluations";
 /// The scene's distance at a point. Not "distance": that is the name of a step of the scene.
-pub(crate) const DISTANCE: &str = "distance_at_point";
+pub const DISTANCE: &str = "distance_at_point";
 
 /// Records the entries [`ACCUMULATE`], [`MEAN`] and, if the job requests layers, [`LAYERS`].
 pub(crate) fn record_picture(still: &JobAtFrame<'_>, cells: FastBuilder) -> Tape {
@@ -81,7 +81,7 @@ pub(crate) fn record_evaluations(still: &JobAtFrame<'_>) -> Tape {
 }
 
 /// Records the entry [`DISTANCE`].
-pub(crate) fn record_distance(still: &JobAtFrame<'_>) -> Tape {
+pub fn record_distance(still: &JobAtFrame<'_>) -> Tape {
     let program = Integrator::of_picture(still, &FastBuilder::UNLIMITED);
     record(|recording| recording.entry(DISTANCE, |[x, y, z]| vec![program.distance(vec3(x, y, z))]))
 }

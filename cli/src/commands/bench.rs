@@ -1,9 +1,6 @@
 //! `sdfarm bench`: measures how fast this machine evaluates distances, renders frames and compiles scenes.
 
 mod farm;
-mod paper;
-mod queue;
-mod setup;
 mod tables;
 
 use std::num::NonZero;
@@ -11,13 +8,11 @@ use std::path::Path;
 use std::time::Duration;
 
 use anyhow::Context;
+use clap::Args;
 use clap::builder::{PossibleValuesParser, TypedValueParser};
-use clap::{Args, Subcommand};
 use scene::Job;
 use serde::Serialize;
-use worker::bench::{
-    CompileReport, GpuReport, PointsReport, RenderReport, Yardstick, compile, frames, points, render_on_gpu,
-};
+use worker::bench::{CompileReport, GpuReport, PointsReport, RenderReport, compile, frames, points, render_on_gpu};
 use worker::{CpuRenderer, RenderError, Simd};
 
 use crate::arguments::{CudaArguments, DeviceChoice, MAX_THREADS};
@@ -33,18 +28,15 @@ const ALL_LEVELS: [Simd; 4] = [Simd::Scalar, Simd::Portable, Simd::Avx2, Simd::A
 
 /// Arguments of `bench`.
 #[derive(Debug, Args)]
-#[command(args_conflicts_with_subcommands = true)]
 #[expect(clippy::struct_excessive_bools, reason = "each is a flag of the command line")]
 pub(crate) struct Arguments {
-    #[command(subcommand)]
-    table: Option<BenchSuite>,
     /// Job files, or names of shipped scenes [default: csg five-spheres mandelbulb; all shipped scenes with --compile].
     #[arg(value_name = "JOB")]
     jobs: Vec<String>,
     /// Vector instructions to measure.
     #[arg(long, env = "SDFARM_SIMD", default_value = "auto", value_parser = levels_parser())]
     simd: SimdLevels,
-    /// Measure only distances per second, beside straight C++ if a C++ compiler is installed, and render nothing.
+    /// Measure only distances per second, and render nothing.
     #[arg(long, env = "SDFARM_POINTS", value_parser = clap::builder::FalseyValueParser::new(), action = clap::ArgAction::SetTrue)]
     points: bool,
     /// Measure how long scenes take to compile, and render nothing.
@@ -75,17 +67,6 @@ pub(crate) struct Arguments {
     json: bool,
 }
 
-/// Subcommands that measure one complete table.
-#[derive(Debug, Subcommand)]
-enum BenchSuite {
-    /// Measure the paper's Table 1 on this machine, next to the published figures.
-    Paper(paper::Arguments),
-    /// Measure a server's queue: jobs and tiles per second, and response times.
-    Queue(queue::Arguments),
-    /// Measure how long an animated job takes to evaluate at a frame.
-    Setup(setup::Arguments),
-}
-
 /// SIMD levels to measure.
 #[derive(Clone, Debug)]
 struct SimdLevels(Vec<Simd>);
@@ -105,12 +86,6 @@ type Table = fn(&Reports) -> anyhow::Result<()>;
 
 /// Runs the measurements and prints them.
 pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
-    match &arguments.table {
-        Some(BenchSuite::Paper(arguments)) => return paper::run(arguments),
-        Some(BenchSuite::Queue(arguments)) => return run_async(queue::run(arguments)),
-        Some(BenchSuite::Setup(arguments)) => return setup::run(arguments),
-        None => {}
-    }
     let names = match arguments.jobs.as_slice() {
         [] if arguments.compile => shipped::names(),
         [] => DEFAULT_JOBS.map(str::to_owned).to_vec(),
@@ -176,10 +151,9 @@ fn measure_farms(names: &[String], jobs: &[Job], arguments: &Arguments, reports:
 }
 
 fn measure_points(jobs: &[Job], arguments: &Arguments, reports: &mut Reports) -> anyhow::Result<()> {
-    let beside = if arguments.points { Yardstick::Straight } else { Yardstick::None };
     for job in jobs {
         for &level in &arguments.simd.0 {
-            let report = points(job, level, Duration::from_secs(arguments.seconds), beside);
+            let report = points(job, level, Duration::from_secs(arguments.seconds));
             reports.points.extend(unless_skipped(report, arguments)?);
         }
     }

@@ -64,7 +64,7 @@ fn instrument(root: &Path, tree: &Path, areas: &[&str]) {
                 list += &format!("{}\t{area}\t{file}\t{}\t{}\n", mutant.number, mutant.line, mutant.what);
             }
             written.insert(file.to_owned(), prettyplease::unparse(&syntax));
-            let name = file.split('/').next().expect("a crate");
+            let (name, _) = file.split_once("/src/").expect("a source of a crate");
             let library = fs::read_to_string(root.join(name).join("src/lib.rs")).expect("a library");
             let library = format!("{library}\n#[allow(unused, missing_docs)]\nmod mutant;\n");
             written.insert(format!("{name}/src/lib.rs"), library);

@@ -7,15 +7,14 @@ use scene::{Integrator, Job, JobAtFrame};
 use serde::Serialize;
 
 use super::Spread;
-use super::straight::{Straight, StraightError, StraightReport};
 use crate::cpu::Evaluator;
 use crate::picture_tape::{DISTANCE, record_distance};
 use crate::{CancelFlag, RenderError, Simd};
 
 /// Number of points that fit into the L1 cache together, a multiple of all lanes.
-pub(super) const POINTS: usize = 1024;
+pub const POINTS: usize = 1024;
 /// Number of times that a rate is measured.
-const ROUNDS: u32 = 10;
+pub const ROUNDS: u32 = 10;
 
 /// Distances per second on one core.
 #[derive(Debug, Serialize)]
@@ -30,56 +29,64 @@ pub struct PointsReport {
     pub least_points_per_second: f64,
     /// The same in the fastest round.
     pub greatest_points_per_second: f64,
-    /// Straight C++ of the same distance, if it was measured.
-    pub straight: Option<StraightReport>,
-    /// Why it was requested and not measured.
-    pub straight_error: Option<StraightError>,
-}
-
-/// Whether distances are measured alone, or beside straight C++.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Yardstick {
-    /// Alone.
-    None,
-    /// In turns with straight C++ of the same distance, which takes as much time again.
-    Straight,
 }
 
 /// Evaluates the scene's distance at points around the camera's target, for about `time`, on one thread.
-pub fn points(job: &Job, simd: Simd, time: Duration, beside: Yardstick) -> Result<PointsReport, RenderError> {
+pub fn points(job: &Job, simd: Simd, time: Duration) -> Result<PointsReport, RenderError> {
     let (still, simd) = (job.at(0)?, simd.resolve_auto());
-    let mut points = Aligned::new(&points_around(job));
-    let points = &*points.slice();
-    let mut evaluate = evaluation(&still, points, simd)?;
-    let (mut straight, mut straight_error) = (None, None);
-    if beside == Yardstick::Straight {
-        let mut distances = vec![0.0; POINTS];
-        evaluate(&mut distances);
-        match Straight::build(&record_distance(&still), simd, points, &distances) {
-            Ok(program) => straight = Some(program),
-            Err(error) => straight_error = Some(error),
-        }
-    }
-    let (mut rates, mut straight_rates) = (Vec::new(), Vec::new());
-    for _ in 0..ROUNDS {
-        rates.push(points_per_second(time / ROUNDS, &mut evaluate));
-        match straight.as_mut().map(|program| program.points_per_second(time / ROUNDS)) {
-            None => {}
-            Some(Ok(rate)) => straight_rates.push(rate),
-            Some(Err(error)) => (straight, straight_error) = (None, Some(error)),
-        }
-    }
-    let straight = straight.map(|program| program.report(&rates, &straight_rates));
-    let Spread { least, median, greatest } = Spread::new(rates);
+    let mut bench = DistanceBench::new(&still, simd)?;
+    let Spread { least, median, greatest } =
+        Spread::new((0..ROUNDS).map(|_| bench.points_per_second(time / ROUNDS)).collect());
     Ok(PointsReport {
         job: job.name.clone(),
         simd: simd.name(),
         points_per_second: median,
         least_points_per_second: least,
         greatest_points_per_second: greatest,
-        straight,
-        straight_error,
     })
+}
+
+/// Evaluates a scene's distance at points around the camera's target, on one thread.
+pub struct DistanceBench<'a> {
+    points: Aligned,
+    distances: Aligned,
+    evaluate: Evaluation<'a>,
+}
+
+impl<'a> DistanceBench<'a> {
+    /// Prepares the distance for these instructions.
+    pub fn new(still: &'a JobAtFrame<'_>, simd: Simd) -> Result<Self, RenderError> {
+        let (points, distances) = (Aligned::new(&points_around(still)), Aligned::new(&[0.0; POINTS]));
+        Ok(Self { points, distances, evaluate: evaluation(still, simd)? })
+    }
+
+    /// The [`POINTS`] points: a row of each coordinate.
+    pub fn points(&self) -> &[f32] {
+        self.points.numbers()
+    }
+
+    /// Evaluates each point once.
+    pub fn distances(&mut self) -> Vec<f32> {
+        (self.evaluate)(self.points.numbers(), self.distances.numbers_mut());
+        self.distances.numbers().to_vec()
+    }
+
+    /// Evaluates the points again and again, for about this time.
+    pub fn points_per_second(&mut self, time: Duration) -> f64 {
+        const CALLS: usize = 64;
+        let (mut done, start) = (0, Instant::now());
+        loop {
+            for _ in 0..CALLS {
+                (self.evaluate)(self.points.numbers(), self.distances.numbers_mut());
+                std::hint::black_box(self.distances.numbers());
+            }
+            done += CALLS * POINTS;
+            let elapsed = start.elapsed();
+            if elapsed >= time {
+                return done as f64 / elapsed.as_secs_f64();
+            }
+        }
+    }
 }
 
 /// Numbers that start at a line of the cache, so that no vector crosses one.
@@ -99,15 +106,19 @@ impl Aligned {
         Self { numbers, first }
     }
 
-    fn slice(&mut self) -> &mut [f32] {
-        let end = self.numbers.len() - Self::LINE;
-        &mut self.numbers[self.first..self.first + end]
+    fn numbers(&self) -> &[f32] {
+        &self.numbers[self.first..self.first + self.numbers.len() - Self::LINE]
+    }
+
+    fn numbers_mut(&mut self) -> &mut [f32] {
+        let end = self.first + self.numbers.len() - Self::LINE;
+        &mut self.numbers[self.first..end]
     }
 }
 
 /// [`POINTS`] points around the camera's target: a row of each coordinate.
-fn points_around(job: &Job) -> Vec<f32> {
-    let middle = job.scene.camera.target();
+fn points_around(still: &JobAtFrame<'_>) -> Vec<f32> {
+    let middle = still.scene().camera.target();
     let spread = |index: usize, step: u32| (index as u32).wrapping_mul(step) as f32 / u32::MAX as f32 * 4.0 - 2.0;
     let axis = |middle: f32, step: u32| (0..POINTS).map(move |index| middle + spread(index, step));
     let x = axis(middle.x, 0x9e37_79b9);
@@ -115,13 +126,12 @@ fn points_around(job: &Job) -> Vec<f32> {
 }
 
 /// Writes the distances of [`POINTS`] points.
-type Evaluation<'a> = Box<dyn FnMut(&mut [f32]) + 'a>;
+type Evaluation<'a> = Box<dyn FnMut(&[f32], &mut [f32]) + 'a>;
 
-/// Evaluation of these points.
-fn evaluation<'a>(still: &'a JobAtFrame<'_>, points: &'a [f32], simd: Simd) -> Result<Evaluation<'a>, RenderError> {
+fn evaluation<'a>(still: &'a JobAtFrame<'_>, simd: Simd) -> Result<Evaluation<'a>, RenderError> {
     if simd == Simd::Scalar {
         let program = Integrator::new(still);
-        return Ok(Box::new(move |distances| {
+        return Ok(Box::new(move |points, distances| {
             for (index, distance) in distances.iter_mut().enumerate() {
                 *distance = program.distance(vec3(points[index], points[POINTS + index], points[2 * POINTS + index]));
             }
@@ -130,26 +140,7 @@ fn evaluation<'a>(still: &'a JobAtFrame<'_>, points: &'a [f32], simd: Simd) -> R
     let tape = record_distance(still);
     let evaluator = Evaluator::new(&tape, simd)?;
     let (inputs, cancel, mut frame) = (evaluator.inputs(&tape), CancelFlag::new(), evaluator.frame());
-    Ok(Box::new(move |distances| {
+    Ok(Box::new(move |points, distances| {
         evaluator.run(DISTANCE, &mut frame, &inputs, cancel.flag(), points, distances);
     }))
-}
-
-/// Calls `evaluate`, which writes [`POINTS`] distances, for about this time.
-fn points_per_second(time: Duration, evaluate: &mut dyn FnMut(&mut [f32])) -> f64 {
-    const CALLS: usize = 64;
-    let mut distances = Aligned::new(&[0.0; POINTS]);
-    let distances = distances.slice();
-    let (mut done, start) = (0, Instant::now());
-    loop {
-        for _ in 0..CALLS {
-            evaluate(distances);
-            std::hint::black_box(&*distances);
-        }
-        done += CALLS * POINTS;
-        let elapsed = start.elapsed();
-        if elapsed >= time {
-            return done as f64 / elapsed.as_secs_f64();
-        }
-    }
 }

@@ -1,6 +1,6 @@
 //! C source of a tape: the same source for CUDA's compiler and for the host's; only the preamble differs
 //! (`cuda/kernel.cu`). Operations with a defined rounding are functions in the preamble. Straight source for packets
-//! (`bench/straight.cpp`) has another preamble, and a function that selects, because C++ has no operator for that to
+//! (`tests/lab/src/straight.cpp`) has another preamble, and a function that selects, because C++ has no operator for that to
 //! define.
 
 use scene::real::{INDEX_BITS, LENGTH_PLACE, STAND_IN};
@@ -24,7 +24,7 @@ impl Tape {
 
     /// Generates C source in which `float`, `bool` and `unsigned` may be packets, if the tape has no loops and
     /// branches.
-    pub(crate) fn to_packet_c(&self) -> Result<Source, InvalidTape> {
+    pub fn to_packet_c(&self) -> Result<Source, InvalidTape> {
         self.print(&Conditions::Packets)
     }
 }

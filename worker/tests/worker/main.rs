@@ -4,7 +4,6 @@ mod adaptive;
 mod agent;
 mod animation;
 mod batches;
-mod bench;
 mod bit_identical;
 mod blobs;
 mod cancel;

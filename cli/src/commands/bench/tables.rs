@@ -1,10 +1,10 @@
 //! The tables that `sdfarm bench` prints.
 
-use worker::bench::{BackEndReport, CompileReport, GpuReport, PointsReport, RenderReport, Spread, StraightError};
+use worker::bench::{BackEndReport, CompileReport, GpuReport, PointsReport, RenderReport};
 
 use super::Reports;
 use super::farm::FarmReport;
-use crate::terminal::{print_line, print_note};
+use crate::terminal::print_line;
 
 /// Farms.
 pub(super) fn farms(reports: &Reports) -> anyhow::Result<()> {
@@ -47,39 +47,14 @@ pub(super) fn gpu_frames(reports: &Reports) -> anyhow::Result<()> {
 /// Distances without marching.
 pub(super) fn points(reports: &Reports) -> anyhow::Result<()> {
     print_line("distances without marching, one thread")?;
-    print_line(&format!(
-        "{:<20} {:<8} {:>10} {:>13} {:>12} {:>7} {:>11}",
-        "job", "simd", "M points/s", "range", "straight C++", "ratio", "range"
-    ))?;
+    print_line(&format!("{:<20} {:<8} {:>10} {:>13}", "job", "simd", "M points/s", "range"))?;
     for report in &reports.points {
         let PointsReport { job, simd, least_points_per_second: least, greatest_points_per_second: greatest, .. } =
             report;
         let (median, range) = (report.points_per_second / 1e6, format!("{:.0}–{:.0}", least / 1e6, greatest / 1e6));
-        let straight = report.straight.as_ref().map_or_else(String::new, |straight| {
-            let Spread { least, median, greatest } = straight.ratio;
-            let range = format!("{least:.2}–{greatest:.2}");
-            format!(" {:>12.1} {median:>7.2} {range:>11}", straight.points_per_second / 1e6)
-        });
-        print_line(&format!("{job:<20} {simd:<8} {median:>10.1} {range:>13}{straight}"))?;
+        print_line(&format!("{job:<20} {simd:<8} {median:>10.1} {range:>13}"))?;
     }
-    no_yardstick(reports);
     Ok(())
-}
-
-/// Says which jobs have no yardstick, and why. No one expects one of a back end without vector instructions.
-fn no_yardstick(reports: &Reports) {
-    let mut told = Vec::new();
-    for PointsReport { job, straight_error, .. } in &reports.points {
-        let note = match straight_error {
-            None | Some(StraightError::NoVectors(_)) => continue,
-            Some(error @ StraightError::NoCompiler) => error.to_string(),
-            Some(error) => format!("{job}: {error}"),
-        };
-        if !told.contains(&note) {
-            print_note(&note);
-            told.push(note);
-        }
-    }
 }
 
 /// Frames on CPUs.

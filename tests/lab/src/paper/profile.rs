@@ -1,4 +1,4 @@
-//! Runs this program under NVIDIA's Nsight Compute (`ncu`) to measure a kernel's occupancy and divergence.
+//! Runs sdfarm under NVIDIA's Nsight Compute (`ncu`) to measure a kernel's occupancy and divergence.
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
@@ -6,7 +6,7 @@ use std::process::{Command, Stdio};
 use serde::Serialize;
 use worker::cuda::BlockDim;
 
-use crate::commands::serve::current_executable;
+use crate::program::Program;
 
 /// Name of the render kernel.
 const KERNEL: &str = "render";
@@ -26,10 +26,16 @@ pub(super) struct StepProfile {
 }
 
 /// Profiles the first launch of a frame, which follows the self-test's launches.
-pub(super) fn profile(job: &Path, device: &str, block: BlockDim, cache: Option<&Path>) -> Result<StepProfile, String> {
+pub(super) fn profile(
+    program: &Program,
+    job: &Path,
+    device: &str,
+    block: BlockDim,
+    cache: Option<&Path>,
+) -> Result<StepProfile, String> {
     let folder = job.parent().unwrap_or(Path::new("."));
     let (log, picture): (PathBuf, PathBuf) = (folder.join("ncu.csv"), folder.join("profiled.png"));
-    let program = current_executable().map_err(|error| format!("{error:#}"))?;
+    let program = program.file().map_err(|error| format!("{error:#}"))?;
     let mut command = Command::new("ncu");
     command.args(["--csv", "--print-units", "base", "--kernel-name", KERNEL]);
     command.args(["--metrics", &[OCCUPANCY, UNIFORM, LANES].join(",")]).arg("--log-file").arg(&log);

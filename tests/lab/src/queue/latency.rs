@@ -7,6 +7,7 @@ use proto::{Client, JobId};
 
 use super::fake_worker::FakeWorker;
 use super::{BenchFarm, Times};
+use crate::program::Program;
 
 /// Maximum number of timed cancels: each waits until its job has started.
 pub(super) const MAX_CANCELS: u32 = 50;
@@ -33,8 +34,8 @@ fn job(width: u32, samples: u32) -> Vec<u8> {
 }
 
 /// Measures the time from the 201 until the waiting worker has the job.
-pub(super) async fn start(runs: u32) -> anyhow::Result<Times> {
-    let farm = BenchFarm::start(0, None, None).await?;
+pub(super) async fn start(program: &Program, runs: u32) -> anyhow::Result<Times> {
+    let farm = BenchFarm::start(program, 0, None, None).await?;
     let worker = FakeWorker::register(farm.client.server(), None).await?;
     let mut times = Vec::new();
     for _ in 0..runs {
@@ -58,8 +59,8 @@ pub(super) async fn start(runs: u32) -> anyhow::Result<Times> {
 }
 
 /// Measures the time from the response to a cancel until the rendering worker starts the next job.
-pub(super) async fn cancel(runs: u32) -> anyhow::Result<Times> {
-    let farm = BenchFarm::start(1, None, None).await?;
+pub(super) async fn cancel(program: &Program, runs: u32) -> anyhow::Result<Times> {
+    let farm = BenchFarm::start(program, 1, None, None).await?;
     let mut times = Vec::new();
     for _ in 0..runs {
         let heavy = farm.client.submit(job(8192, 64), true).await?.id;

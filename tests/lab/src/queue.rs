@@ -1,13 +1,11 @@
-//! `sdfarm bench queue`: measures the throughput and response times of a server's queue.
+//! Measures the throughput and response times of a server's queue.
 //!
 //! The server is real and called over HTTP; its workers only simulate rendering, except the one that a cancel stops.
-//! With `--simulate`, only the queue is real: workers and time are simulated.
 
 mod fake_worker;
 mod latency;
 mod load;
 mod paced;
-mod simulate;
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -19,60 +17,40 @@ use serde::Serialize;
 use server::{ClusterSecret, Config, PostgresAddress, Server};
 use tokio_util::sync::CancellationToken;
 
-use crate::commands::serve::current_executable;
-use crate::commands::temporary_farm_folder;
-use crate::terminal::{print_line, print_note};
+use crate::program::{Program, temporary_farm_folder};
 
-/// Arguments of `bench queue`.
+/// Arguments of `queue`.
 #[derive(Debug, Args)]
 pub(crate) struct Arguments {
     /// Number of clients that submit jobs concurrently.
-    #[arg(long, value_name = "N", env = "SDFARM_CLIENTS", default_value_t = 64, value_parser = clap::value_parser!(u32).range(1..=1024))]
+    #[arg(long, value_name = "N", default_value_t = 64, value_parser = clap::value_parser!(u32).range(1..=1024))]
     clients: u32,
     /// Number of queued jobs of 100 tiles each while claims are measured.
-    #[arg(long, value_name = "N", env = "SDFARM_JOBS", default_value_t = 10_000, value_parser = clap::value_parser!(u32).range(1..=90_000))]
+    #[arg(long, value_name = "N", default_value_t = 10_000, value_parser = clap::value_parser!(u32).range(1..=90_000))]
     jobs: u32,
     /// Number of workers that simulate rendering.
-    #[arg(long, value_name = "N", env = "SDFARM_WORKERS", default_value_t = 8, value_parser = clap::value_parser!(u32).range(1..=256))]
+    #[arg(long, value_name = "N", default_value_t = 8, value_parser = clap::value_parser!(u32).range(1..=256))]
     workers: u32,
     /// Seconds to measure tiles and status reads.
-    #[arg(long, value_name = "SECONDS", env = "SDFARM_SECONDS", default_value_t = 10, value_parser = clap::value_parser!(u64).range(1..=600))]
+    #[arg(long, value_name = "SECONDS", default_value_t = 10, value_parser = clap::value_parser!(u64).range(1..=600))]
     seconds: u64,
     /// Number of jobs to measure each latency with.
-    #[arg(long, value_name = "N", env = "SDFARM_RUNS", default_value_t = 200, value_parser = clap::value_parser!(u32).range(1..=10_000))]
+    #[arg(long, value_name = "N", default_value_t = 200, value_parser = clap::value_parser!(u32).range(1..=10_000))]
     runs: u32,
     /// Empty database on a PostgreSQL server for the measured server [default: a file].
-    #[arg(
-        long,
-        value_name = "postgres://USER@HOST/NAME",
-        env = "SDFARM_DATABASE",
-        hide_env_values = true,
-        conflicts_with = "simulate"
-    )]
+    #[arg(long, value_name = "postgres://USER@HOST/NAME")]
     database: Option<PostgresAddress>,
     /// Measure the turns of this many workers instead, each of which holds a whole frame for a while, as a GPU does.
-    #[arg(long, value_name = "N", env = "SDFARM_PACED_WORKERS", conflicts_with = "simulate", value_parser = clap::value_parser!(u32).range(1..=10_000))]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=10_000))]
     paced_workers: Option<u32>,
     /// Seconds for which a paced worker holds a frame; it renews its leases every 10 s.
-    #[arg(long, value_name = "SECONDS", env = "SDFARM_FRAME_SECONDS", default_value_t = 10, requires = "paced_workers", value_parser = clap::value_parser!(u64).range(1..=600))]
+    #[arg(long, value_name = "SECONDS", default_value_t = 10, requires = "paced_workers", value_parser = clap::value_parser!(u64).range(1..=600))]
     frame_seconds: u64,
     /// Number of servers on the database that the paced workers call.
-    #[arg(long, value_name = "N", env = "SDFARM_SERVERS", default_value_t = 1, requires = "paced_workers", value_parser = clap::value_parser!(u32).range(1..=16))]
+    #[arg(long, value_name = "N", default_value_t = 1, requires = "paced_workers", value_parser = clap::value_parser!(u32).range(1..=16))]
     servers: u32,
-    /// Simulate farms in virtual time instead, with the real queue, and measure how well workers are used.
-    #[arg(long, env = "SDFARM_SIMULATE", value_parser = clap::builder::FalseyValueParser::new(), action = clap::ArgAction::SetTrue)]
-    simulate: bool,
-    /// Simulate only the scenarios whose names contain this text.
-    #[arg(long, value_name = "TEXT", env = "SDFARM_SCENARIO", default_value = "", requires = "simulate")]
-    scenario: String,
-    /// Number of workers of the simulated scenario `many-jobs`.
-    #[arg(long, value_name = "N", env = "SDFARM_SIMULATED_WORKERS", default_value_t = 1_000, value_parser = clap::value_parser!(u32).range(1..=10_000))]
-    simulated_workers: u32,
-    /// Seed of the simulated noise, failures and speeds.
-    #[arg(long, value_name = "N", env = "SDFARM_SEED", default_value_t = 1)]
-    seed: u64,
     /// Print the results as JSON.
-    #[arg(long, env = "SDFARM_JSON", value_parser = clap::builder::FalseyValueParser::new(), action = clap::ArgAction::SetTrue)]
+    #[arg(long)]
     json: bool,
 }
 
@@ -122,15 +100,17 @@ pub(super) struct BenchFarm {
 
 impl BenchFarm {
     pub(super) async fn start(
+        program: &Program,
         workers: u32,
         tile_px: Option<u32>,
         database: Option<PostgresAddress>,
     ) -> anyhow::Result<Self> {
-        Self::start_among(workers, tile_px, database, None).await
+        Self::start_among(program, workers, tile_px, database, None).await
     }
 
     /// Starts a server that may share the database with others of this secret.
     pub(super) async fn start_among(
+        program: &Program,
         workers: u32,
         tile_px: Option<u32>,
         database: Option<PostgresAddress>,
@@ -142,7 +122,7 @@ impl BenchFarm {
             listen: ([127, 0, 0, 1], 0).into(),
             data: data.path().to_owned(),
             database,
-            worker_program: current_executable()?,
+            worker_program: program.file()?,
             devices: vec!["cpu".to_owned()],
             workers: Some(workers),
             tile_edge_px: tile_px,
@@ -161,29 +141,26 @@ impl BenchFarm {
     }
 }
 
-/// Runs the measurements and prints them.
-pub(crate) async fn run(arguments: &Arguments) -> anyhow::Result<()> {
-    if arguments.simulate {
-        return simulate::run(arguments).await;
-    }
+/// Runs the measurements, and returns them as text.
+pub(crate) async fn run(arguments: &Arguments, program: &Program) -> anyhow::Result<String> {
     if let Some(workers) = arguments.paced_workers {
-        return paced::run(arguments, workers).await;
+        return paced::run(arguments, program, workers).await;
     }
     let seconds = Duration::from_secs(arguments.seconds);
-    let farm = Arc::new(BenchFarm::start(0, Some(load::TILE_PX), arguments.database.clone()).await?);
-    print_note(&format!("submitting {} jobs of 100 tiles", arguments.jobs));
+    let farm = Arc::new(BenchFarm::start(program, 0, Some(load::TILE_PX), arguments.database.clone()).await?);
+    eprintln!("submitting {} jobs of 100 tiles", arguments.jobs);
     let (submits_per_second, submit) = load::submit(&farm, arguments.clients, arguments.jobs).await?;
-    print_note("measuring claims among them");
+    eprintln!("measuring claims among them");
     let claim = load::claim(&farm).await?;
-    print_note("completing tiles while clients read jobs");
+    eprintln!("completing tiles while clients read jobs");
     let load::Throughput { tiles_per_second, status_per_second, status } =
         load::work(&farm, arguments.workers, seconds).await?;
     Arc::into_inner(farm).context("a client still uses the farm")?.stop().await?;
     let (mut start, mut cancel) = (None, None);
     if arguments.database.is_none() {
-        print_note("measuring starts and cancels");
-        start = Some(latency::start(arguments.runs).await?);
-        cancel = Some(latency::cancel(arguments.runs.min(latency::MAX_CANCELS)).await?);
+        eprintln!("measuring starts and cancels");
+        start = Some(latency::start(program, arguments.runs).await?);
+        cancel = Some(latency::cancel(program, arguments.runs.min(latency::MAX_CANCELS)).await?);
     }
     let (clients, jobs) = (arguments.clients, arguments.jobs);
     let report = QueueBenchReport {
@@ -198,32 +175,33 @@ pub(crate) async fn run(arguments: &Arguments) -> anyhow::Result<()> {
         start,
         cancel,
     };
-    if arguments.json { print_line(&serde_json::to_string_pretty(&report)?) } else { table(&report) }
+    if arguments.json { Ok(serde_json::to_string_pretty(&report)?) } else { Ok(table(&report)) }
 }
 
-fn heading() -> anyhow::Result<()> {
-    print_line(&format!("{:<52} {:>9} {:>10} {:>10} {:>10}", "", "per second", "median ms", "p99 ms", "longest"))
+fn heading() -> String {
+    format!("{:<52} {:>9} {:>10} {:>10} {:>10}", "", "per second", "median ms", "p99 ms", "longest")
 }
 
-fn row(what: &str, rate: Option<f64>, times: Option<Times>) -> anyhow::Result<()> {
+fn row(what: &str, rate: Option<f64>, times: Option<Times>) -> String {
     let rate = rate.map_or_else(String::new, |rate| format!("{rate:.0}"));
     let times = times.map_or_else(String::new, |times| {
         format!("{:>10.2} {:>10.2} {:>10.2}", times.median_ms, times.p99_ms, times.longest_ms)
     });
-    print_line(&format!("{what:<52} {rate:>9} {times}"))
+    format!("{what:<52} {rate:>9} {times}")
 }
 
-fn table(report: &QueueBenchReport) -> anyhow::Result<()> {
-    heading()?;
-    row(
-        &format!("jobs submitted by {} clients", report.clients),
-        Some(report.submits_per_second),
-        Some(report.submit),
-    )?;
-    row(&format!("claims with {} jobs of 100 tiles queued", report.jobs), None, Some(report.claim))?;
-    row("tiles claimed and completed", Some(report.tiles_per_second), None)?;
-    row("GET of a job meanwhile", Some(report.status_per_second), Some(report.status))?;
-    let Some((start, cancel)) = report.start.zip(report.cancel) else { return Ok(()) };
-    row("from a job's 201 to an idle worker's start", None, Some(start))?;
-    row("from a cancel's 200 to its worker's next job", None, Some(cancel))
+fn table(report: &QueueBenchReport) -> String {
+    let submitted = format!("jobs submitted by {} clients", report.clients);
+    let mut lines = vec![
+        heading(),
+        row(&submitted, Some(report.submits_per_second), Some(report.submit)),
+        row(&format!("claims with {} jobs of 100 tiles queued", report.jobs), None, Some(report.claim)),
+        row("tiles claimed and completed", Some(report.tiles_per_second), None),
+        row("GET of a job meanwhile", Some(report.status_per_second), Some(report.status)),
+    ];
+    if let Some((start, cancel)) = report.start.zip(report.cancel) {
+        lines.push(row("from a job's 201 to an idle worker's start", None, Some(start)));
+        lines.push(row("from a cancel's 200 to its worker's next job", None, Some(cancel)));
+    }
+    lines.join("\n")
 }

@@ -3,7 +3,7 @@
 use std::fs::File;
 use std::io::{BufRead, BufReader, Write};
 use std::path::Path;
-use std::process::{Child, ChildStderr, Command, Stdio};
+use std::process::{Child, ChildStderr, Stdio};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, mpsc};
 use std::time::{Duration, Instant};
@@ -12,7 +12,7 @@ use anyhow::Context;
 use proto::{Client, fail_point};
 
 use super::{probe, processes};
-use crate::commands::serve::current_executable;
+use crate::program::Program;
 
 /// Time limit for a server to become ready.
 const START_TIMEOUT: Duration = Duration::from_secs(30);
@@ -50,6 +50,8 @@ pub(super) struct ServerProcess {
 /// How to start a server.
 #[derive(Debug)]
 pub(super) struct Launch<'a> {
+    /// The program.
+    pub(super) program: &'a Program,
     /// Its data folder.
     pub(super) data: &'a Path,
     /// Port to listen on; 0 is any.
@@ -154,10 +156,7 @@ impl Drop for KillOnDrop {
 }
 
 fn spawn(launch: &Launch<'_>) -> anyhow::Result<Child> {
-    let mut command = Command::new(current_executable()?);
-    for (name, _) in std::env::vars_os().filter(|(name, _)| name.to_string_lossy().starts_with("SDFARM_")) {
-        command.env_remove(name);
-    }
+    let mut command = launch.program.command()?;
     command.args(["serve", "--listen", &format!("127.0.0.1:{}", launch.listen)]);
     command.args(["--device", "cpu", "--tile", "64", "--data"]).arg(launch.data);
     command.args(["--workers", &launch.workers.to_string()]).args(launch.flags);

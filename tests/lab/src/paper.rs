@@ -1,4 +1,4 @@
-//! `sdfarm bench paper`: measures the paper's Table 1 on this machine, next to the published figures.
+//! Measures the paper's Table 1 on this machine, next to the published figures.
 //!
 //! Robles, Lee, Yin and Dhar, "Procedural Rendering with Ray Marching", USC CSCI 580, 2022.
 
@@ -13,12 +13,10 @@ use clap::Args;
 use scene::Job;
 use serde::Serialize;
 use worker::bench::{GpuReport, RenderReport, render, render_on_gpu};
-use worker::cuda::BlockDim;
-use worker::{CpuRenderer, Simd};
+use worker::cuda::{BlockDim, CudaRenderer};
+use worker::{CpuRenderer, RenderError, Simd};
 
-use crate::arguments::{DeviceChoice, RendererArguments};
-use crate::shipped;
-use crate::terminal::{print_line, print_note};
+use crate::program::{Program, job_text};
 use profile::StepProfile;
 use published::{Published, published};
 
@@ -35,20 +33,43 @@ const BLOCKS: [BlockDim; 5] = [
     BlockDim { columns: 256, rows: 1 },
 ];
 
-/// Arguments of `bench paper`.
+/// Arguments of `paper`.
 #[derive(Debug, Args)]
 pub(crate) struct Arguments {
-    #[command(flatten)]
-    renderer: RendererArguments,
+    /// Measure no GPU.
+    #[arg(long)]
+    cpu: bool,
+    /// Number of the GPU to measure [default: the first, if there is one].
+    #[arg(long, value_name = "N", conflicts_with = "cpu")]
+    gpu: Option<usize>,
+    /// Block dimensions on the GPU, such as 16x8 [default: those of Table 1].
+    #[arg(long, value_name = "COLUMNSxROWS")]
+    block: Option<BlockDim>,
+    /// Folder for compiled GPU kernels [default: in the user's cache].
+    #[arg(long, value_name = "FOLDER")]
+    cache: Option<PathBuf>,
+    /// Threads that render on the CPU [default: one for each core].
+    #[arg(long, value_name = "N")]
+    threads: Option<usize>,
+    /// Vector instructions of the CPU.
+    #[arg(long, value_name = "LEVEL", default_value_t = Simd::Auto)]
+    simd: Simd,
     /// Edges of the square pictures, in pixels.
-    #[arg(long, value_name = "PIXELS", env = "SDFARM_RESOLUTIONS", value_delimiter = ',', default_value = "256,512,1024", value_parser = clap::value_parser!(u32).range(16..=8192))]
+    #[arg(long, value_name = "PIXELS", value_delimiter = ',', default_value = "256,512,1024", value_parser = clap::value_parser!(u32).range(16..=8192))]
     resolutions: Vec<u32>,
     /// Number of times to render each frame, except once on one thread.
-    #[arg(long, value_name = "N", env = "SDFARM_RUNS", default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..=1000))]
+    #[arg(long, value_name = "N", default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..=1000))]
     runs: u32,
     /// Print the results as JSON.
-    #[arg(long, env = "SDFARM_JSON", value_parser = clap::builder::FalseyValueParser::new(), action = clap::ArgAction::SetTrue)]
+    #[arg(long)]
     json: bool,
+}
+
+impl Arguments {
+    fn renderer(&self, ordinal: usize, block: Option<BlockDim>) -> Result<CudaRenderer, RenderError> {
+        let cache = self.cache.clone().or_else(worker::cuda::default_cache_folder);
+        CudaRenderer::new(ordinal, cache.as_deref(), block)
+    }
 }
 
 /// The whole table.
@@ -95,16 +116,15 @@ struct GpuRow {
     profile: StepProfile,
 }
 
-/// Measures and prints the table.
-pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
-    let mut gpu = Gpu::find(arguments)?;
-    let blocks = arguments.renderer.cuda.block().map_or(BLOCKS.to_vec(), |block| vec![block]);
+/// Measures the table, and returns it as text.
+pub(crate) fn run(arguments: &Arguments, program: &Program) -> anyhow::Result<String> {
+    let mut gpu = Gpu::find(arguments, program)?;
+    let blocks = arguments.block.map_or(BLOCKS.to_vec(), |block| vec![block]);
     let (mut rows, mut cpu) = (Vec::new(), None);
     for &resolution in &arguments.resolutions {
         let (text, job) = job(resolution)?;
         let serial = render(&job, Simd::Scalar, Some(1), 1)?;
-        let threads = arguments.renderer.threads.map(|threads| threads as usize);
-        let simd = render(&job, arguments.renderer.simd, threads, arguments.runs as usize)?;
+        let simd = render(&job, arguments.simd, arguments.threads, arguments.runs as usize)?;
         for &block in &blocks {
             let report = gpu.as_mut().map(|gpu| gpu.measure(&text, &job, block)).transpose()?;
             rows.push(Row::new(resolution, block, &serial, &simd, report));
@@ -114,13 +134,13 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let cpu = cpu.context("no resolution was given: give one, such as --resolutions 256")?;
     let gpu = gpu.map(|gpu| gpu.name);
     let table = Table { scene: SCENE, samples: SAMPLES, gpu, simd: cpu.simd, threads: cpu.threads, rows };
-    if arguments.json { print_line(&serde_json::to_string_pretty(&table)?) } else { table::say_all(&table) }
+    if arguments.json { Ok(serde_json::to_string_pretty(&table)?) } else { Ok(table::text(&table)) }
 }
 
 /// Returns the scene at this size, as text and parsed.
 fn job(resolution: u32) -> anyhow::Result<(String, Job)> {
     let damaged = || format!("the shipped scene {SCENE} is damaged");
-    let mut job: serde_json::Value = serde_json::from_slice(&shipped::job_file(SCENE)?).with_context(damaged)?;
+    let mut job: serde_json::Value = serde_json::from_slice(&job_text(SCENE)?).with_context(damaged)?;
     job["image"] = serde_json::json!({ "width": resolution, "height": resolution, "samples": SAMPLES });
     let text = job.to_string();
     let job = scene::parse(text.as_bytes()).with_context(damaged)?;
@@ -130,6 +150,7 @@ fn job(resolution: u32) -> anyhow::Result<(String, Job)> {
 /// The GPU to measure.
 struct Gpu<'a> {
     arguments: &'a Arguments,
+    program: &'a Program,
     ordinal: usize,
     name: String,
     /// Counts the operations of a frame.
@@ -140,30 +161,24 @@ struct Gpu<'a> {
 
 impl<'a> Gpu<'a> {
     /// Returns the requested GPU, or the first; prints a notice if there is none.
-    fn find(arguments: &'a Arguments) -> anyhow::Result<Option<Self>> {
-        let ordinal = match arguments.renderer.device {
-            DeviceChoice::Cpu => {
-                print_note("the GPU is skipped, as --device cpu asks for");
-                return Ok(None);
-            }
-            DeviceChoice::Cuda(ordinal) => ordinal,
-            DeviceChoice::Auto(ordinal) => {
-                if let Err(error) = worker::cuda::devices() {
-                    print_note(&format!("the GPU is skipped: {error}"));
-                    return Ok(None);
-                }
-                ordinal
-            }
-        };
-        let ordinal = ordinal.unwrap_or(0);
-        let name = arguments.renderer.cuda.renderer(ordinal)?.gpu().to_owned();
+    fn find(arguments: &'a Arguments, program: &'a Program) -> anyhow::Result<Option<Self>> {
+        if arguments.cpu {
+            eprintln!("the GPU is skipped, as --cpu asks for");
+            return Ok(None);
+        }
+        if let (None, Err(error)) = (arguments.gpu, worker::cuda::devices()) {
+            eprintln!("the GPU is skipped: {error}");
+            return Ok(None);
+        }
+        let ordinal = arguments.gpu.unwrap_or(0);
+        let name = arguments.renderer(ordinal, arguments.block)?.gpu().to_owned();
         let counter = CpuRenderer::new(None, Simd::Auto)?;
         let folder = tempfile::tempdir().context("could not create a folder for profiles: free some space there")?;
-        Ok(Some(Self { arguments, ordinal, name, counter, profiled: Some(folder) }))
+        Ok(Some(Self { arguments, program, ordinal, name, counter, profiled: Some(folder) }))
     }
 
     fn measure(&mut self, text: &str, job: &Job, block: BlockDim) -> anyhow::Result<(GpuReport, StepProfile)> {
-        let renderer = self.arguments.renderer.cuda.with_block(block).renderer(self.ordinal)?;
+        let renderer = self.arguments.renderer(self.ordinal, Some(block))?;
         let report = render_on_gpu(job, &renderer, &self.counter, self.arguments.runs as usize)?;
         drop(renderer);
         Ok((report, self.profile(text, block)?))
@@ -175,10 +190,10 @@ impl<'a> Gpu<'a> {
         let path: PathBuf = folder.path().join("job.json");
         std::fs::write(&path, text).with_context(|| format!("could not write {}", path.display()))?;
         let device = format!("cuda:{}", self.ordinal);
-        match profile::profile(&path, &device, block, self.arguments.renderer.cuda.cache()) {
+        match profile::profile(self.program, &path, &device, block, self.arguments.cache.as_deref()) {
             Ok(counted) => Ok(counted),
             Err(why) => {
-                print_note(&format!("achieved occupancy, branches and lanes are skipped: {why}"));
+                eprintln!("achieved occupancy, branches and lanes are skipped: {why}");
                 self.profiled = None;
                 Ok(StepProfile::default())
             }

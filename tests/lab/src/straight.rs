@@ -2,6 +2,8 @@
 //!
 //! It runs as a process of its own and takes turns with the evaluator that it is compared with.
 
+mod measure;
+
 use std::ffi::OsString;
 use std::fmt::Write as _;
 use std::io::{self, Read, Write};
@@ -10,12 +12,11 @@ use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
 use std::time::Duration;
 
 use serde::{Serialize, Serializer};
+use worker::Simd;
+use worker::bench::{DISTANCE, POINTS, Spread};
+use worker::tape::{InvalidTape, Tape};
 
-use super::Spread;
-use super::points::POINTS;
-use crate::Simd;
-use crate::picture_tape::DISTANCE;
-use crate::tape::{InvalidTape, Tape};
+pub(crate) use measure::{Arguments, run};
 
 const TEMPLATE: &str = include_str!("straight.cpp");
 /// Begin of the part for each number of packets, place of the distance in it, and its end.
@@ -25,18 +26,18 @@ const PACKETS: [usize; 3] = [1, 2, 4];
 
 /// Rate of straight C++, and the evaluator's relative to it.
 #[derive(Clone, Debug, Serialize)]
-pub struct StraightReport {
+struct StraightReport {
     /// Distances a second, on one thread, at the median.
-    pub points_per_second: f64,
+    points_per_second: f64,
     /// Packets of lanes that it evaluates at once: the fastest number.
-    pub packets: u32,
+    packets: u32,
     /// The evaluator's rate divided by this one, in the same round.
-    pub ratio: Spread,
+    ratio: Spread,
 }
 
 /// Why there is no yardstick.
 #[derive(Debug, thiserror::Error)]
-pub enum StraightError {
+enum StraightError {
     /// Other back ends than those of vector instructions.
     #[error("straight C++ is compiled for avx512 and avx2, not for {0}")]
     NoVectors(&'static str),
@@ -76,7 +77,7 @@ impl Serialize for StraightError {
 
 /// A running program of straight C++.
 #[derive(Debug)]
-pub(super) struct Straight {
+struct Straight {
     child: Child,
     input: Option<ChildStdin>,
     output: ChildStdout,
@@ -86,7 +87,7 @@ pub(super) struct Straight {
 
 impl Straight {
     /// Compiles and starts the distance of a tape, and compares its bits with these distances of these points.
-    pub(super) fn build(tape: &Tape, simd: Simd, points: &[f32], distances: &[f32]) -> Result<Self, StraightError> {
+    fn build(tape: &Tape, simd: Simd, points: &[f32], distances: &[f32]) -> Result<Self, StraightError> {
         let options: &[&str] = match simd {
             Simd::Avx512 => &["-mavx512f", "-mavx512dq", "-mavx512bw", "-mavx512vl", "-mprefer-vector-width=512"],
             Simd::Avx2 => &["-mavx2"],
@@ -121,13 +122,13 @@ impl Straight {
     }
 
     /// Evaluates the points again and again for about this time.
-    pub(super) fn points_per_second(&mut self, time: Duration) -> Result<f64, StraightError> {
+    fn points_per_second(&mut self, time: Duration) -> Result<f64, StraightError> {
         self.send(&time.as_secs_f64().to_ne_bytes())?;
         Ok(f64::from_ne_bytes(self.receive()?))
     }
 
     /// Compares its rates with the evaluator's, round by round.
-    pub(super) fn report(&self, rates: &[f64], straight_rates: &[f64]) -> StraightReport {
+    fn report(&self, rates: &[f64], straight_rates: &[f64]) -> StraightReport {
         StraightReport {
             points_per_second: Spread::new(straight_rates.to_vec()).median,
             packets: self.packets,
@@ -201,3 +202,6 @@ fn compile(text: &str, options: &[&str], folder: &Path) -> Result<PathBuf, Strai
         Err(error) => Err(StraightError::Compiler { compiler, message: error.to_string() }),
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -16,7 +16,7 @@ use super::report::SoakReport;
 use super::rng::SeededRng;
 use super::server::{Launch, POLL_INTERVAL, ServerLog, ServerProcess};
 use super::workload::ReferenceJob;
-use crate::terminal::print_note;
+use crate::program::Program;
 
 /// Time limit for a server to become ready.
 const READY_LIMIT: Duration = Duration::from_secs(2);
@@ -76,6 +76,7 @@ pub(super) struct SoakPlan {
 
 /// State of a running soak.
 struct Soak<'a> {
+    program: &'a Program,
     plan: &'a SoakPlan,
     reference_jobs: &'a [ReferenceJob],
     data: &'a Path,
@@ -120,8 +121,14 @@ impl Checks {
 }
 
 /// Submits jobs and kills processes until the plan is fulfilled, then waits for all jobs.
-pub(super) async fn soak(plan: &SoakPlan, tasks: &[ReferenceJob], data: &Path) -> anyhow::Result<SoakReport> {
+pub(super) async fn soak(
+    program: &Program,
+    plan: &SoakPlan,
+    tasks: &[ReferenceJob],
+    data: &Path,
+) -> anyhow::Result<SoakReport> {
     let mut soak = Soak {
+        program,
         plan,
         reference_jobs: tasks,
         data,
@@ -141,7 +148,7 @@ pub(super) async fn soak(plan: &SoakPlan, tasks: &[ReferenceJob], data: &Path) -
         let kills = soak.tally.all_server_kills();
         if kills >= reported + 10 {
             reported = kills;
-            print_note(&format!("{} workers and {kills} servers killed", soak.tally.all_worker_kills()));
+            eprintln!("{} workers and {kills} servers killed", soak.tally.all_worker_kills());
         }
     }
     soak.finish().await?;
@@ -273,6 +280,7 @@ impl Soak<'_> {
     /// Starts a server and checks the state left by the last one; `None` if a fail point killed it at its start.
     async fn start(&mut self, fail_points: &str) -> anyhow::Result<Option<ServerProcess>> {
         let launch = Launch {
+            program: self.program,
             data: self.data,
             listen: 0,
             database: self.plan.database.as_deref(),

@@ -4,7 +4,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::net::TcpListener;
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Stdio};
+use std::process::{Child, Stdio};
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
@@ -19,8 +19,7 @@ use super::report::SoakReport;
 use super::rng::SeededRng;
 use super::server::{KillOnDrop, Launch, POLL_INTERVAL, ServerLog, ServerProcess, listen_to};
 use super::workload::ReferenceJob;
-use crate::commands::serve::current_executable;
-use crate::terminal::print_note;
+use crate::program::Program;
 
 /// Target number of unfinished jobs in the queue.
 const TARGET_QUEUE: usize = 6;
@@ -40,6 +39,7 @@ type Followed = (JobId, Vec<String>);
 
 /// State of a running soak.
 struct ClusterSoak<'a> {
+    program: &'a Program,
     plan: &'a SoakPlan,
     reference_jobs: &'a [ReferenceJob],
     folder: &'a Path,
@@ -58,11 +58,17 @@ struct ClusterSoak<'a> {
 }
 
 /// Submits jobs and kills processes until the plan is fulfilled, then waits for all jobs.
-pub(super) async fn soak(plan: &SoakPlan, tasks: &[ReferenceJob], folder: &Path) -> anyhow::Result<SoakReport> {
+pub(super) async fn soak(
+    program: &Program,
+    plan: &SoakPlan,
+    tasks: &[ReferenceJob],
+    folder: &Path,
+) -> anyhow::Result<SoakReport> {
     let start = Instant::now();
     let ports = free_ports(plan.servers as usize)?;
     let clients: Result<Vec<Client>, _> = ports.iter().map(|port| Client::new(&address(*port))).collect();
     let mut soak = ClusterSoak {
+        program,
         plan,
         reference_jobs: tasks,
         folder,
@@ -94,12 +100,12 @@ pub(super) async fn soak(plan: &SoakPlan, tasks: &[ReferenceJob], folder: &Path)
         if kills >= checked + KILLS_A_CHECK {
             checked = kills;
             soak.check_database().await?;
-            print_note(&format!(
+            eprintln!(
                 "{} workers and {} servers killed, {} jobs succeeded",
                 soak.tally.all_worker_kills(),
                 soak.tally.all_server_kills(),
                 soak.tally.succeeded
-            ));
+            );
         }
     }
     soak.finish().await?;
@@ -163,6 +169,7 @@ impl ClusterSoak<'_> {
             }
             let store = self.plan.store.clone().context("several servers need a store: pass --store")?;
             let launch = Launch {
+                program: self.program,
                 data: &data,
                 listen: self.ports[slot],
                 database: self.plan.database.as_deref(),
@@ -182,7 +189,7 @@ impl ClusterSoak<'_> {
 
     fn spawn_worker(&self) -> anyhow::Result<KillOnDrop> {
         let addresses: Vec<String> = self.ports.iter().map(|port| address(*port)).collect();
-        let mut command = Command::new(current_executable()?);
+        let mut command = self.program.command()?;
         command.args(["worker", "--device", "cpu", "--threads", "1", "--server", &addresses.join(",")]);
         command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::piped());
         let mut child: Child = command.spawn().context("could not start a worker")?;

@@ -8,7 +8,7 @@ use serde_json::{Value, json};
 use worker::frame::render_frame;
 use worker::{CancelFlag, CpuRenderer, Simd};
 
-use crate::shipped;
+use crate::program::job_text;
 
 /// Shipped scenes that render quickly, and the samples of their jobs. With more than 4 Mi rays, a worker
 /// without a measured speed gets one tile, so those of many samples are stitched.
@@ -61,7 +61,7 @@ fn render(
 
 /// Makes a shipped scene a small job of two to four frames, PNG and EXR in turn.
 fn job(scene: &str, seed: u64, number: u64, samples: u32) -> anyhow::Result<Vec<u8>> {
-    let mut job: Value = serde_json::from_slice(&shipped::job_file(scene)?).context("a shipped scene is not JSON")?;
+    let mut job: Value = serde_json::from_slice(&job_text(scene)?).context("a shipped scene is not JSON")?;
     let image = if number.is_multiple_of(2) {
         json!({ "format": "png" })
     } else {

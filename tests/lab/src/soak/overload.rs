@@ -15,7 +15,7 @@ use super::probe;
 use super::processes::resident_bytes;
 use super::server::{Launch, ServerLog, ServerProcess};
 use super::workload::ReferenceJob;
-use crate::terminal::print_note;
+use crate::program::Program;
 
 /// Clients that submit jobs regardless of the responses.
 const CLIENTS: usize = 32;
@@ -75,12 +75,17 @@ impl OverloadReport {
 }
 
 /// Overloads a temporary farm for some time.
-pub(super) async fn overload(tasks: &[ReferenceJob], data: &Path, time: Duration) -> anyhow::Result<OverloadReport> {
+pub(super) async fn overload(
+    program: &Program,
+    tasks: &[ReferenceJob],
+    data: &Path,
+    time: Duration,
+) -> anyhow::Result<OverloadReport> {
     let said = Arc::<ServerLog>::default();
     let flags = ["--max-queued-jobs", MAX_QUEUED_JOBS];
-    let launch = Launch { data, listen: 0, database: None, workers: 1, flags: &flags, fail_points: "" };
+    let launch = Launch { program, data, listen: 0, database: None, workers: 1, flags: &flags, fail_points: "" };
     let server = ServerProcess::start(&launch, &said).await?.context("the server exited right after its start")?;
-    print_note(&format!("{CLIENTS} clients submit jobs for {time:?}"));
+    eprintln!("{CLIENTS} clients submit jobs for {time:?}");
     let counts = Arc::<Counts>::default();
     let task = tasks.first().context("there are tasks")?;
     let clients: Vec<_> = (0..CLIENTS)

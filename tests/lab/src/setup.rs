@@ -1,4 +1,4 @@
-//! `sdfarm bench setup`: measures how long a job takes to read, and an animated one to evaluate at a frame.
+//! Measures how long a job takes to read, and an animated one to evaluate at a frame.
 
 use std::fmt::Write as _;
 use std::hint::black_box;
@@ -9,7 +9,7 @@ use clap::Args;
 use scene::{Integrator, Job};
 use serde::Serialize;
 
-use crate::terminal::print_line;
+use crate::program::job_text;
 
 /// Number of frames of the job.
 const FRAMES: u32 = 240;
@@ -18,20 +18,20 @@ const ANIMATED_ONE_IN: usize = 8;
 /// Number of shapes per object.
 const SHAPES_PER_OBJECT: usize = 16;
 
-/// Arguments of `bench setup`.
+/// Arguments of `setup`.
 #[derive(Debug, Args)]
 pub(crate) struct Arguments {
     /// Job file, or name of a shipped scene [default: a generated animated job].
     #[arg(value_name = "JOB", conflicts_with = "kib")]
     job: Option<String>,
     /// Size of the generated job, in KiB.
-    #[arg(long, value_name = "KIB", env = "SDFARM_KIB", default_value_t = 30, value_parser = clap::value_parser!(u32).range(1..=1024))]
+    #[arg(long, value_name = "KIB", default_value_t = 30, value_parser = clap::value_parser!(u32).range(1..=1024))]
     kib: u32,
     /// Number of times to set up each frame.
-    #[arg(long, value_name = "N", env = "SDFARM_RUNS", default_value_t = 20, value_parser = clap::value_parser!(u32).range(1..=1000))]
+    #[arg(long, value_name = "N", default_value_t = 20, value_parser = clap::value_parser!(u32).range(1..=1000))]
     runs: u32,
     /// Print the results as JSON.
-    #[arg(long, env = "SDFARM_JSON", value_parser = clap::builder::FalseyValueParser::new(), action = clap::ArgAction::SetTrue)]
+    #[arg(long)]
     json: bool,
 }
 
@@ -75,10 +75,10 @@ impl Spread {
     }
 }
 
-/// Runs the measurements and prints them.
-pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
+/// Runs the measurements, and returns them as text.
+pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<String> {
     let text = match &arguments.job {
-        Some(name) => super::text(name)?,
+        Some(name) => job_text(name)?,
         None => job_file(arguments.kib as usize * 1024).into_bytes(),
     };
     let parse = || scene::parse(&text).context("the measured job is invalid");
@@ -99,13 +99,16 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
         }),
     };
     if arguments.json {
-        return print_line(&serde_json::to_string_pretty(&report)?);
+        return Ok(serde_json::to_string_pretty(&report)?);
     }
-    print_line(&format!("a job of {} bytes and {} nodes, {} frames", report.size_bytes, report.nodes, report.frames))?;
-    print_line(&report.parse_us.line("read and checked"))?;
-    print_line(&report.at_us.line("a frame"))?;
-    print_line(&report.program_us.line("a frame, prepared"))?;
-    print_line(&report.key_us.line("a frame's cache key"))
+    let lines = [
+        format!("a job of {} bytes and {} nodes, {} frames", report.size_bytes, report.nodes, report.frames),
+        report.parse_us.line("read and checked"),
+        report.at_us.line("a frame"),
+        report.program_us.line("a frame, prepared"),
+        report.key_us.line("a frame's cache key"),
+    ];
+    Ok(lines.join("\n"))
 }
 
 fn each_frame(job: &Job, runs: u32, mut set_up: impl FnMut(u32)) -> Spread {

@@ -8,7 +8,7 @@ use tokio::task::JoinSet;
 
 use super::fake_worker::FakeWorker;
 use super::{Arguments, BenchFarm, Times, heading, load, row};
-use crate::terminal::{print_line, print_note};
+use crate::program::Program;
 
 /// Time after which a worker renews its leases: a third of a lease's.
 const RENEWAL: Duration = Duration::from_secs(10);
@@ -17,12 +17,12 @@ const RAYS_PER_SECOND: f64 = 1e9;
 /// Secret of these servers, which listen on loopback only.
 const SECRET: &str = "the secret of the servers of a benchmark";
 
-/// Runs the measurement and prints it.
-pub(super) async fn run(arguments: &Arguments, workers: u32) -> anyhow::Result<()> {
+/// Runs the measurement, and returns it as text.
+pub(super) async fn run(arguments: &Arguments, program: &Program, workers: u32) -> anyhow::Result<String> {
     let mut farms = Vec::new();
     for _ in 0..arguments.servers {
         let secret = arguments.database.as_ref().map(|_| SECRET.parse()).transpose()?;
-        let farm = BenchFarm::start_among(0, Some(load::TILE_PX), arguments.database.clone(), secret).await;
+        let farm = BenchFarm::start_among(program, 0, Some(load::TILE_PX), arguments.database.clone(), secret).await;
         farms.push(farm.context("several servers need an empty database: pass --database")?);
     }
     let frame = Duration::from_secs(arguments.frame_seconds);
@@ -30,9 +30,9 @@ pub(super) async fn run(arguments: &Arguments, workers: u32) -> anyhow::Result<(
     // Each worker takes one frame at its start, and one after each.
     let jobs = workers * (2 + (time.as_secs() / frame.as_secs()) as u32);
     let first = Arc::new(farms.remove(0));
-    print_note(&format!("submitting {jobs} jobs of 100 tiles"));
+    eprintln!("submitting {jobs} jobs of 100 tiles");
     load::submit(&first, arguments.clients, jobs).await?;
-    print_note(&format!("{workers} workers call {} servers for {time:?}", arguments.servers));
+    eprintln!("{workers} workers call {} servers for {time:?}", arguments.servers);
     let addresses: Vec<String> = std::iter::once(first.client.server())
         .chain(farms.iter().map(|farm| farm.client.server()))
         .map(str::to_owned)
@@ -51,16 +51,17 @@ pub(super) async fn run(arguments: &Arguments, workers: u32) -> anyhow::Result<(
     let times = load::gather(turns).await?;
     let rate = times.len() as f64 / time.as_secs_f64();
     let times = Times::new(times);
-    if arguments.json {
-        print_line(&serde_json::to_string_pretty(&times)?)?;
+    let result = if arguments.json {
+        serde_json::to_string_pretty(&times)?
     } else {
-        heading()?;
-        row(&format!("turns of {workers} workers on {} servers", addresses.len()), Some(rate), Some(times))?;
-    }
+        let turns = format!("turns of {workers} workers on {} servers", addresses.len());
+        format!("{}\n{}", heading(), row(&turns, Some(rate), Some(times)))
+    };
     for farm in farms {
         farm.stop().await?;
     }
-    Arc::into_inner(first).context("a client still uses the farm")?.stop().await
+    Arc::into_inner(first).context("a client still uses the farm")?.stop().await?;
+    Ok(result)
 }
 
 /// Works until the time is over; returns the durations of the turns that are counted.
