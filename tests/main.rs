@@ -27,6 +27,7 @@ mod jobs;
 mod kills;
 mod layers;
 mod live_previews;
+mod module_circles;
 mod openjd;
 mod operating;
 mod pages;

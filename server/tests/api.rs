@@ -30,7 +30,6 @@ mod api {
     mod links;
     mod load;
     mod metrics;
-    mod module_circles;
     mod nodes;
     mod permissions;
     mod pool;

@@ -9,7 +9,7 @@ use scene::cells::{
 };
 use scene::real::{Real, Table, Vec3, Words, vec3};
 
-use crate::cpu::{Evaluator, Frame, Inputs};
+use crate::evaluator::{Evaluator, Frame, Inputs};
 use crate::portable::Instructions;
 use crate::recent::{self, Recent};
 use crate::tape::{Expr, record};

@@ -1,7 +1,6 @@
 //! The CPU renderer: rayon over small blocks of a tile, one packet of pixels at a time.
 
 mod blocks;
-mod evaluator;
 mod kernels;
 mod packets;
 
@@ -14,14 +13,13 @@ use scene::visits::Visited;
 use scene::{Exposure, Integrator, Job};
 
 use crate::cells::FastBuilder;
+use crate::evaluator::Evaluator;
 use crate::picture_tape::{EVALUATIONS, record_evaluations};
 use crate::rounds::Rounds;
 use crate::simd::Simd;
 use crate::{CancelFlag, RenderError, Renderer, TilePixels, TileRequest};
 use kernels::{Kernel, KernelCache};
 use packets::{Band, Progress, SAMPLES_PER_RUN, block};
-
-pub(crate) use evaluator::{Evaluator, Frame, Inputs};
 
 /// Renders on the cores of this machine.
 #[derive(Clone, Debug)]

@@ -12,6 +12,7 @@ pub mod cells;
 pub mod cpu;
 pub mod cuda;
 mod denoise;
+mod evaluator;
 mod finish;
 mod fireflies;
 pub mod frame;

@@ -6,7 +6,7 @@ use scene::film::DisplayTransform;
 use scene::sampling::thresholds;
 
 use crate::CancelFlag;
-use crate::cpu::{Evaluator, Frame, Inputs};
+use crate::evaluator::{Evaluator, Frame, Inputs};
 use crate::tape::{InvalidTape, Tape, record};
 
 const ENCODE: &str = "encode";

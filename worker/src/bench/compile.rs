@@ -7,7 +7,7 @@ use serde::Serialize;
 
 use super::Spread;
 use crate::cells::FastBuilder;
-use crate::cpu::Evaluator;
+use crate::evaluator::Evaluator;
 use crate::picture_tape::record_picture;
 use crate::{RenderError, Simd};
 

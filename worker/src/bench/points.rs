@@ -7,7 +7,7 @@ use scene::{Integrator, Job, JobAtFrame};
 use serde::Serialize;
 
 use super::Spread;
-use crate::cpu::Evaluator;
+use crate::evaluator::Evaluator;
 use crate::picture_tape::{DISTANCE, record_distance};
 use crate::{CancelFlag, RenderError, Simd};
 

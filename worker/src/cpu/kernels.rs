@@ -8,8 +8,8 @@ use scene::real::Table;
 use scene::visits::Visits;
 use scene::{Exposure, Image, Integrator, JobAtFrame};
 
-use super::evaluator::{Evaluator, Frame, Inputs};
 use crate::cells::{FastBuilder, KnownCells};
+use crate::evaluator::{Evaluator, Frame, Inputs};
 use crate::picture_tape::{ACCUMULATE, LAYERS, MEAN, layer_channels, record_entries, record_picture};
 use crate::recent::{self, Recent};
 use crate::tape::Tape;

@@ -8,7 +8,7 @@ use scene::real::{Real, vec3};
 
 use super::scalar::evaluate;
 use super::{Fold, Function, Instruction, Operation, Statement, Tape, ValueId, ValueType, record};
-use crate::cpu::Evaluator;
+use crate::evaluator::Evaluator;
 use crate::picture_tape::record_distance;
 use crate::random_formula::{Generator, fold, random_formula};
 use crate::tape::{Expr, LinearTape};

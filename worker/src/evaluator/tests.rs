@@ -7,7 +7,7 @@ use crate::random_formula::{Generator, TABLE, fold, index_of, random_formula};
 use crate::tape::{Expr, record};
 
 mod c_text;
-pub(in crate::cpu) mod cells;
+pub(crate) mod cells;
 
 pub(super) const ENTRY: &str = "entry";
 

@@ -24,7 +24,7 @@ fn formula_of(name: &str, cells: &'static Cells<'static>) -> Formula {
 }
 
 /// A job of one smooth union of many balls and boxes, some of them painted.
-pub(in crate::cpu) fn many(count: u32) -> String {
+pub(crate) fn many(count: u32) -> String {
     let shape = |index: u32| {
         let place = |salt: u32| (index * salt % 1009) as f32 / 252.0 - 2.0;
         let solid = if index.is_multiple_of(3) {
