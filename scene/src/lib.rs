@@ -1,77 +1,52 @@
-//! The job and scene language, and the exact arithmetic that turns a scene into pixels.
+//! A job's text becomes pixels: the crates of `scene/` behind one door, and what needs more than one of them.
 //!
 //! Pure math: no input or output, no threads, no `unsafe`, no GPU. Every formula is generic over [`real::Real`] and
 //! gives bit-identical results in each arithmetic.
+//!
+//! ```
+//! let text = r#"{
+//!     "scene": {
+//!         "camera": { "position": [0, 0, 4], "look_at": [0, 0, 0] },
+//!         "objects": [{ "name": "ball", "shape": { "sphere": { "radius": 1 } } }]
+//!     },
+//!     "image": { "width": 32, "height": 32 }
+//! }"#;
+//! let job = scene::parse(text.as_bytes())?;
+//! assert!(scene::warnings(&job).is_empty());
+//!
+//! // What is seen in the middle of the first frame, and where the file has it.
+//! let seen = scene::pick(text, &job, 0, [0.5, 0.5])?.expect("the ball");
+//! assert_eq!((seen.name.as_deref(), &*seen.pointer), (Some("ball"), "/scene/objects/0"));
+//!
+//! // Equal scenes have equal keys, whatever their names.
+//! let renamed = scene::parse(text.replace("ball", "globe").as_bytes())?;
+//! assert_eq!(job.cache_key(0), renamed.cache_key(0));
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
-#[cfg(test)]
-mod added;
-pub mod ambient_occlusion;
-mod animation;
-pub mod backgrounds;
-pub mod bounds;
-mod cache_key;
-pub mod camera;
-pub mod cells;
-pub mod changes;
-pub mod color;
-mod document;
-pub mod effects;
-mod error;
-pub mod film;
-pub mod fog;
-mod format;
-mod groups;
-pub mod integrator;
-pub mod job;
-mod json_scan;
-pub mod json_text;
-pub mod kinds;
-pub mod light_groups;
-pub mod lights;
-pub mod limits;
-pub mod march;
-pub mod materials;
-pub mod mattes;
-pub mod names;
-pub mod nodes;
-pub mod noise;
-mod parse;
 mod pick;
-pub mod profiles;
-mod provenance;
-pub mod ray;
-pub mod real;
-pub mod sample_count;
-pub mod sampling;
-pub mod scene;
-pub mod schema;
-mod seek;
-mod shapes;
-pub mod transport;
-pub mod values;
-mod visible;
-pub mod visits;
 mod warnings;
-pub mod written;
 
-pub use animation::{Exposure, FrameError, JobAtFrame};
-pub use backgrounds::Background;
-pub use cache_key::PICTURE_VERSION;
-pub use changes::reached;
-pub use error::{ParseError, ValidationError};
-pub use film::{Bits, Crop, Format, Frames, Image, Layer, Precision, Region, ToneMap};
-pub use format::format;
-pub use integrator::{Integrator, compiled_nodes, frame_compiled_nodes};
-pub use job::Job;
-pub use parse::{error_in_frame, parse, plain_json, set_value};
+pub use language::{
+    ParseError, ValidationError, editor_schema, error_in_frame, format, parse, plain_json, schema, set_value,
+};
+pub use math::{bounds, color, ray, real, sampling};
+pub use picture::animation::{Exposure, FrameError, JobAtFrame};
+pub use picture::backgrounds::Background;
+pub use picture::cache_key::PICTURE_VERSION;
+pub use picture::film::{Bits, Crop, Format, Frames, Image, Layer, Precision, Region, ToneMap};
+pub use picture::job::Job;
+pub use picture::provenance::Provenance;
+pub use picture::sample_count::{AdaptiveSamples, SampleCount};
+pub use picture::scene::Scene;
+pub use picture::values::formula::{FUNCTIONS, Function, NAMES as FORMULA_NAMES};
+pub use picture::{
+    ambient_occlusion, animation, backgrounds, camera, effects, film, fog, job, kinds, light_groups, lights, limits,
+    materials, mattes, nodes, noise, profiles, sample_count, scene, transport, values,
+};
+pub use trace::changes::reached;
+pub use trace::integrator::{Integrator, compiled_nodes, frame_compiled_nodes};
+pub use trace::{cells, changes, integrator, march, visits};
+
 pub use pick::{Pick, pick};
-pub use provenance::Provenance;
-pub use sample_count::{AdaptiveSamples, SampleCount};
-pub use scene::Scene;
-pub use schema::{editor_schema, schema};
-pub use values::formula::{FUNCTIONS, Function, NAMES as FORMULA_NAMES};
 pub use warnings::of as warnings;
-
-// Some tests of the public interface also run inside the crate, and refer to it by this name.
-#[cfg(test)]
-use {crate as subject, added::is_tested};

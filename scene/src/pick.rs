@@ -1,12 +1,12 @@
 //! Finds the surface that is seen at a point of a picture, and where the job file has it.
 
-use crate::animation::FrameError;
-use crate::integrator::Integrator;
-use crate::job::Job;
-use crate::json_scan;
-use crate::json_text;
-use crate::parse::plain_json;
-use crate::real::Vec3;
+use language::json_scan;
+use language::plain_json;
+use math::real::Vec3;
+use picture::animation::FrameError;
+use picture::job::Job;
+use picture::json_text;
+use trace::integrator::Integrator;
 
 /// Surface at a point of a picture.
 #[derive(Clone, Debug, PartialEq)]
@@ -61,7 +61,7 @@ mod tests {
         let text = format!(
             "{{ // A comment.\n \"scene\": {{ {VIEW}, {scene} }}, \"image\": {{ \"width\": 100, \"height\": 100 }} }}"
         );
-        let job = crate::parse(text.as_bytes()).unwrap_or_else(|error| panic!("{error}"));
+        let job = language::parse(text.as_bytes()).unwrap_or_else(|error| panic!("{error}"));
         let pick = pick(&text, &job, 0, at).expect("a frame");
         for pointer in pick.iter().flat_map(|pick| [Some(&pick.pointer), pick.material_pointer.as_ref()]).flatten() {
             assert!(json_scan::locate_value(&plain_json(&text), pointer).is_some(), "{pointer} is not in {text}");
@@ -130,7 +130,7 @@ mod tests {
                 continue;
             }
             let text = std::fs::read_to_string(entry.path()).expect("a scene");
-            let job = crate::parse(text.as_bytes()).expect("a valid scene");
+            let job = language::parse(text.as_bytes()).expect("a valid scene");
             for at in [[0.5, 0.5], [0.3, 0.8]] {
                 let Some(pick) = pick(&text, &job, 0, at).expect("a frame") else { continue };
                 let (path, plain) = (entry.path(), plain_json(&text));

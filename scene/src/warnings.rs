@@ -11,11 +11,11 @@ mod samples;
 mod scene;
 mod view;
 
-use crate::animation::JobAtFrame;
-use crate::camera::Project;
-use crate::film::Layer;
-use crate::job::Job;
-use crate::scene::Scene;
+use picture::animation::JobAtFrame;
+use picture::camera::Project;
+use picture::film::Layer;
+use picture::job::Job;
+use picture::scene::Scene;
 
 /// Subject of a warning: a job gets at most one warning of each kind.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

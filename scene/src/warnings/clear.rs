@@ -1,11 +1,11 @@
 //! Warnings about glass and metal: coinciding surfaces, and reflections of an empty background.
 
 use super::objects;
-use crate::bounds::Bounds;
-use crate::materials::{Material, Shade, ShadingPoint};
-use crate::nodes::Node;
-use crate::real::{MaskValue, Vec3, vec3};
-use crate::scene::Scene;
+use math::bounds::Bounds;
+use math::real::{MaskValue, Vec3, vec3};
+use picture::materials::{Material, Shade, ShadingPoint};
+use picture::nodes::Node;
+use picture::scene::Scene;
 
 /// Points tested on each pair of transparent objects.
 const GRID_POINTS: usize = 400;

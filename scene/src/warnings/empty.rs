@@ -1,10 +1,10 @@
 //! Warnings about differences that are empty.
 
-use crate::animation::JobAtFrame;
-use crate::kinds::Exactness;
-use crate::nodes::Node;
-use crate::real::{Vec3, vec3};
-use crate::scene::child_pointers;
+use math::real::{Vec3, vec3};
+use picture::animation::JobAtFrame;
+use picture::kinds::Exactness;
+use picture::nodes::Node;
+use picture::scene::child_pointers;
 
 /// Maximum number of boxes tested in one difference.
 const MAX_BOXES: usize = 512;

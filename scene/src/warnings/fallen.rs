@@ -1,8 +1,8 @@
 //! Warnings about scattered copies that missed what they should be on.
 
-use crate::animation::JobAtFrame;
-use crate::nodes::Node;
-use crate::scene::child_pointers;
+use picture::animation::JobAtFrame;
+use picture::nodes::Node;
+use picture::scene::child_pointers;
 
 /// A scatter of which some copies are far below most others.
 pub(super) fn copies(still: &JobAtFrame<'_>) -> Option<String> {

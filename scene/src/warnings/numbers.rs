@@ -2,10 +2,10 @@
 
 use serde_json::Value;
 
-use crate::animation::JobAtFrame;
-use crate::materials::Shade;
-use crate::nodes::Node;
-use crate::scene::{Scene, child_pointers};
+use picture::animation::JobAtFrame;
+use picture::materials::Shade;
+use picture::nodes::Node;
+use picture::scene::{Scene, child_pointers};
 
 /// Names of colors that are reflectances, which cannot be much above 1.
 const REFLECTANCES: [&str; 7] = ["albedo", "base_color", "colors", "ka", "kd", "ks", "ramp"];

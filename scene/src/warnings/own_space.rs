@@ -1,9 +1,9 @@
 //! Warnings about textures that do not follow their animated object.
 
-use crate::animation::JobAtFrame;
-use crate::materials::Shade;
-use crate::nodes::Node;
-use crate::scene::child_pointers;
+use picture::animation::JobAtFrame;
+use picture::materials::Shade;
+use picture::nodes::Node;
+use picture::scene::child_pointers;
 
 /// Animated shapes whose texture is fixed in another space.
 pub(super) fn swims(still: &JobAtFrame<'_>) -> Option<String> {

@@ -2,12 +2,12 @@
 
 use serde_json::Value;
 
-use crate::film::{Bits, Format, Image};
-use crate::job::Job;
-use crate::lights::Light;
-use crate::materials::Shade;
-use crate::sample_count::SampleCount;
-use crate::scene::Scene;
+use picture::film::{Bits, Format, Image};
+use picture::job::Job;
+use picture::lights::Light;
+use picture::materials::Shade;
+use picture::sample_count::SampleCount;
+use picture::scene::Scene;
 
 /// Rays per pixel with which edges are accurate to a level of 8 bits.
 const MIN_SAMPLES: u32 = 256;

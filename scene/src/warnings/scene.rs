@@ -1,17 +1,17 @@
 //! Warnings about shapes, materials and lights that do not fit together.
 
 use super::objects;
-use crate::animation::JobAtFrame;
-use crate::backgrounds::Backdrop;
-use crate::job::Job;
-use crate::lights::{LightSource, PlacedLight, default_lights};
-use crate::limits::MAX_MEDIUM_STEPS;
-use crate::materials::{Material, Shade};
-use crate::nodes::Node;
-use crate::real::vec3;
-use crate::scene::{Scene, child_pointers};
-use crate::transport::Transport;
-use crate::visible::RayKind;
+use math::real::vec3;
+use picture::animation::JobAtFrame;
+use picture::backgrounds::Backdrop;
+use picture::job::Job;
+use picture::lights::{LightSource, PlacedLight, default_lights};
+use picture::limits::MAX_MEDIUM_STEPS;
+use picture::materials::{Material, Shade};
+use picture::nodes::Node;
+use picture::scene::{Scene, child_pointers};
+use picture::transport::Transport;
+use picture::visible::RayKind;
 
 /// Lipschitz factor above which a shape gets a warning.
 const STEEPEST: f32 = 20.0;

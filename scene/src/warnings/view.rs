@@ -1,14 +1,14 @@
 //! Warnings about the camera position and about what its rays hit.
 
 use super::{Warning, WarningKind, objects};
-use crate::animation::JobAtFrame;
-use crate::camera::{Project, View};
-use crate::film::Image;
-use crate::integrator::Integrator;
-use crate::materials::{MaterialRef, Shade};
-use crate::nodes::Node;
-use crate::real::Vec3;
-use crate::scene::Scene;
+use math::real::Vec3;
+use picture::animation::JobAtFrame;
+use picture::camera::{Project, View};
+use picture::film::Image;
+use picture::materials::{MaterialRef, Shade};
+use picture::nodes::Node;
+use picture::scene::Scene;
+use trace::integrator::Integrator;
 
 /// Maximum fraction of rays that may run out of steps.
 const MAX_OUT_OF_STEPS: f32 = 0.01;

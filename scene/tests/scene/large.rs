@@ -152,3 +152,21 @@ fn read_one(index: usize) {
     let is_in_time = time <= limit || std::env::var_os("SDFARM_CHECK_TIMES").is_none();
     assert!(is_in_time && memory <= MAX_MEMORY, "{name}: {seconds} s, {memory} times its size");
 }
+
+#[test]
+fn nodes_are_counted_in_every_tree_at_every_depth() {
+    let text = br#"{
+        "scene": {
+            "camera": { "position": [0, 0, 5], "look_at": [0, 0, 0] },
+            "objects": [
+                { "shape": { "sphere": { "radius": 1 } } },
+                { "shape": { "union": { "of": [
+                    { "sphere": { "radius": 1 } },
+                    { "translate": { "by": [1, 0, 0], "child": { "sphere": { "radius": 1 } } } }
+                ] } } }
+            ]
+        },
+        "image": { "width": 8, "height": 8 }
+    }"#;
+    assert_eq!(scene::parse(text).expect("a valid job").nodes(), 5);
+}

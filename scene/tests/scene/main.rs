@@ -2,6 +2,8 @@
 //! warnings.
 
 mod animation;
+mod cache_key;
+mod carried;
 mod cells;
 mod contract;
 mod copies;
@@ -9,6 +11,7 @@ mod extremes;
 mod forms;
 mod formulas;
 mod fractals;
+mod frames;
 mod kinds;
 mod large;
 mod lens;
@@ -34,7 +37,7 @@ mod warnings;
 mod witness;
 mod wrong_uses;
 
-// Some of these tests also run inside the crate, and refer to it by this name.
+// Some of these tests also run with one more kind of each family, and refer to the crate by this name.
 use scene as subject;
 
 /// Whether the contract tests check a node of this kind here: all of them.

@@ -1,4 +1,4 @@
-// Divides the cells that a render asked for: scene/src/cells/tree.rs and prune.rs, with the same operations on numbers
+// Divides the cells that a render asked for: scene/trace/src/cells/tree.rs and prune.rs, with the same operations on numbers
 // in the same order, so that every device has the same cells and lists. A thread finds the list of one cell of a block.
 // Where the lists are in the table depends on the order of threads, and changes no picture. No formula of a scene is
 // here, so this program is compiled once for all scenes whose lists are about as deep.

@@ -1,0 +1,151 @@
+//! A formula whose names have been replaced.
+
+use std::sync::Arc;
+
+use super::functions::{FUNCTIONS, Function, find};
+use super::grammar::Syntax;
+use super::program::Step;
+use super::{FormulaError, MAX_FORMULA_STEPS, NAMES, Names, slips};
+use crate::values::track::Track;
+
+/// A formula whose names have been replaced. What does not depend on time is a number.
+#[derive(Debug)]
+pub enum Expr {
+    /// A number.
+    Number(f32),
+    /// Seconds from frame 0.
+    Seconds,
+    /// Number of the frame.
+    Frame,
+    /// A number over time.
+    Track(Arc<Track>),
+    /// A function or an operator and its operands, of which one or more depend on time; and the number of operations.
+    Call(&'static Function, Vec<Arc<Expr>>, u32),
+}
+
+impl Expr {
+    /// Its number, if it does not depend on time.
+    pub fn constant(&self) -> Option<f32> {
+        match self {
+            Self::Number(number) => Some(*number),
+            Self::Seconds | Self::Frame | Self::Track(_) | Self::Call(..) => None,
+        }
+    }
+
+    fn steps(&self) -> u32 {
+        match self {
+            Self::Call(_, _, steps) => *steps,
+            Self::Number(_) | Self::Seconds | Self::Frame | Self::Track(_) => 1,
+        }
+    }
+
+    /// The steps of a [`Formula`](super::Formula) with the same value at all times.
+    pub fn to_steps(&self) -> Vec<Step> {
+        let mut steps = Vec::new();
+        self.push_steps(&mut steps);
+        steps
+    }
+
+    fn push_steps(&self, steps: &mut Vec<Step>) {
+        let step = match self {
+            Self::Number(number) => Step::Number(*number),
+            Self::Seconds => Step::Seconds,
+            Self::Frame => Step::Frame,
+            Self::Track(track) => Step::Track(Arc::clone(track)),
+            Self::Call(function, operands, _) => {
+                for operand in operands {
+                    operand.push_steps(steps);
+                }
+                Step::Call(function, operands.len())
+            }
+        };
+        steps.push(step);
+    }
+}
+
+/// Replaces the names of a formula.
+pub fn resolve(syntax: &Syntax, names: &mut impl Names) -> Result<Arc<Expr>, FormulaError> {
+    match syntax {
+        Syntax::Number(number, _) => Ok(Arc::new(Expr::Number(*number))),
+        Syntax::Name(name, at) => match name.as_str() {
+            "t" => Ok(Arc::new(Expr::Seconds)),
+            "frame" => Ok(Arc::new(Expr::Frame)),
+            "pi" => Ok(Arc::new(Expr::Number(std::f32::consts::PI))),
+            _ => names.get(name).ok_or_else(|| unknown(name, *at, names)),
+        },
+        Syntax::Call(name, arguments, at) => {
+            let operands = arguments.iter().map(|argument| resolve(argument, names));
+            let operands = operands.collect::<Result<Vec<_>, _>>()?;
+            call(name, operands, *at)
+        }
+    }
+}
+
+fn call(name: &str, operands: Vec<Arc<Expr>>, at: usize) -> Result<Arc<Expr>, FormulaError> {
+    let Some(function) = find(name) else {
+        return Err(unknown_function(name, at));
+    };
+    if !function.arity.contains(&operands.len()) {
+        let Function { name, parameters, .. } = function;
+        let message = format!("{name} has {} arguments: write {name}({parameters})", operands.len());
+        return Err(FormulaError::new(at, message));
+    }
+    let numbers: Vec<f32> = operands.iter().filter_map(|operand| operand.constant()).collect();
+    if numbers.len() == operands.len() {
+        let value = (function.apply)(&numbers);
+        if !value.is_finite() {
+            let cure = slips::cure(name, &numbers);
+            let operation = match numbers.as_slice() {
+                [left, right] if function.parameters.is_empty() && *left < 0.0 => format!("({left}) {name} {right}"),
+                [left, right] if function.parameters.is_empty() => format!("{left} {name} {right}"),
+                numbers => {
+                    let numbers: Vec<String> = numbers.iter().map(ToString::to_string).collect();
+                    format!("{name}({})", numbers.join(", "))
+                }
+            };
+            return Err(FormulaError::new(at, format!("{operation} has no finite value: {cure}")));
+        }
+        return Ok(Arc::new(Expr::Number(value)));
+    }
+    let steps = operands.iter().fold(1_u32, |steps, operand| steps.saturating_add(operand.steps()));
+    if steps > MAX_FORMULA_STEPS {
+        let message = format!("has more than {MAX_FORMULA_STEPS} operations, counting those of its names: simplify it");
+        return Err(FormulaError::new(at, message));
+    }
+    Ok(Arc::new(Expr::Call(function, operands, steps)))
+}
+
+fn unknown(name: &str, at: usize, names: &impl Names) -> FormulaError {
+    let message = if name == "i" || name == "n" {
+        let cure = if names.is_copied() {
+            "use it in \"at\", because all copies are of one shape"
+        } else {
+            "use it in the \"at\" of copies that have a count"
+        };
+        format!("{name} counts copies, and has no value here: {cure}")
+    } else if FUNCTIONS.iter().any(|function| function.name == name) {
+        format!("{name} is a function: write {name}(…)")
+    } else {
+        let known = names.all();
+        let known = known.iter().map(String::as_str).chain(NAMES.map(|(name, _)| name));
+        let meant = slips::synonym(name).filter(|meant| NAMES.iter().any(|(name, _)| name == meant));
+        let meant = meant.or_else(|| nearest(name, known));
+        let meant = meant.map(|meant| format!("; did you mean {meant}?")).unwrap_or_default();
+        format!("{name} is not defined: add it to {}{meant}", names.place())
+    };
+    FormulaError::new(at, message)
+}
+
+fn unknown_function(name: &str, at: usize) -> FormulaError {
+    let known = FUNCTIONS.iter().map(|function| function.name);
+    let meant = slips::synonym(name).filter(|meant| known.clone().any(|known| known == *meant));
+    let meant = meant.or_else(|| nearest(name, known.clone())).map(|meant| format!("did you mean {meant}?"));
+    let all = || format!("choose one of {}", known.collect::<Vec<_>>().join(", "));
+    FormulaError::new(at, format!("{name} is no function: {}", meant.unwrap_or_else(all)))
+}
+
+/// The name that was probably meant.
+fn nearest<'n>(name: &str, known: impl Iterator<Item = &'n str>) -> Option<&'n str> {
+    let known: Vec<&str> = known.take(2_000).collect();
+    crate::names::nearest_name(name, &known)
+}
