@@ -126,6 +126,40 @@ fn every_link_within_the_project_has_a_target() {
 }
 
 #[test]
+fn pictures_of_pages_are_small_and_each_is_on_a_page() {
+    /// README's, which are as large as it shows them.
+    const LARGE: [&str; 3] =
+        ["docs/pictures/fjord.png", "docs/pictures/page/jobs.jpg", "docs/pictures/page/studio-light.jpg"];
+    const MAX_BYTES: u64 = 25 << 10;
+    let linked = |(path, page): (PathBuf, String)| -> Vec<PathBuf> {
+        let folder = root().join(path.parent().unwrap_or(Path::new("")));
+        links(&page).into_iter().filter_map(|(_, target)| fs::canonicalize(folder.join(target)).ok()).collect()
+    };
+    let linked: BTreeSet<PathBuf> = pages().into_iter().flat_map(linked).collect();
+    let mut folders = vec![root().join("docs/pictures")];
+    let (mut count, mut faults) = (0, Vec::new());
+    while let Some(folder) = folders.pop() {
+        for entry in fs::read_dir(&folder).expect("the tree is readable").flatten() {
+            let path = entry.path();
+            let name = path.strip_prefix(root()).expect("under the root").display().to_string();
+            if path.is_dir() {
+                folders.push(path);
+            } else if name != "docs/pictures/hashes.txt" {
+                count += 1;
+                let bytes = entry.metadata().expect("a file has a size").len();
+                if bytes > MAX_BYTES && !LARGE.contains(&&*name) {
+                    faults.push(format!("{name} has {bytes} bytes"));
+                }
+                if !linked.contains(&fs::canonicalize(&path).expect("it is there")) {
+                    faults.push(format!("{name} is on no page"));
+                }
+            }
+        }
+    }
+    assert!(count > 400 && faults.is_empty(), "{count} pictures: {faults:#?}");
+}
+
+#[test]
 fn broken_tables_and_links_are_found() {
     let table = "| a | b |\n|---|---|\n| 1 | 2 |\n| 1 |\n| 1 | 2\n3 |\n\n```text\n| x |\n| y | z |\n```\n| `p\\|q` | 2 |\n|---|---|\n";
     let faults = faults_of_tables(table);

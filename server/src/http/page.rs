@@ -42,7 +42,7 @@ const KINDS: [(&str, &str, bool); 7] = [
     (".css", "text/css; charset=utf-8", true),
     (".svg", "image/svg+xml", true),
     (".txt", "text/plain; charset=utf-8", true),
-    (".png", "image/png", false),
+    (".webp", "image/webp", false),
     (".json", "application/json", true),
 ];
 

@@ -1,9 +1,13 @@
 //! Checks that the generated pages and pictures (nodes, materials, lights, camera and sky, and the gallery)
 //! match the code and the scenes. If a page is stale, `SDFARM_WRITE_DOCS=1 cargo test -p worker --test worker
 //! docs` rewrites it.
+//!
+//! What a picture is exactly is a line of hashes; its file is small, and is replaced only if it looks different.
 
 mod camera_and_sky;
+mod flip;
 mod gallery;
+mod hashes;
 mod hover;
 mod light;
 mod lights;
@@ -11,9 +15,12 @@ mod materials;
 mod nodes;
 mod picture;
 mod schema;
+mod small;
 
+use std::collections::BTreeSet;
 use std::path::Path;
 
+use hashes::Exact;
 use scene::Job;
 
 /// Text of a page, with its pictures.
@@ -43,7 +50,7 @@ impl Picture {
 /// How a page's pictures are compared.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Compared {
-    /// By the provenance in them.
+    /// By what they show.
     Provenance,
     /// By every pixel.
     Pixels,
@@ -56,24 +63,29 @@ fn assert_fresh(page: &Page, compared: Compared) {
         write(page, &docs);
     }
     let read = |name: &str| std::fs::read(docs.join(name)).unwrap_or_default();
+    let hashes = hashes::read();
     let mut stale = Vec::new();
     if read(page.name) != page.text.as_bytes() {
         stale.push(page.name);
     }
     for Picture { file, job, frame } in &page.pictures {
-        let got = read(file);
-        let is_fresh = match compared {
-            Compared::Provenance => picture::says_it_shows(&got, job, *frame),
-            Compared::Pixels => picture::shows(&got, job, *frame),
-        };
-        if !is_fresh {
+        let is_fresh = hashes.get(file).is_some_and(|exact| {
+            exact.shown == picture::shown_hash(job, *frame)
+                && (compared == Compared::Provenance
+                    || exact.pixels == picture::pixels_hash(&picture::pixels(job, *frame)))
+        });
+        let bytes = read(file);
+        if !is_fresh
+            || bytes.len() > small::MAX_BYTES
+            || small::size(&bytes) != Some([job.image.width, job.image.height])
+        {
             stale.push(file);
         }
     }
     assert!(stale.is_empty(), "{stale:?} are stale: SDFARM_WRITE_DOCS=1 cargo test -p worker --test worker docs");
 }
 
-/// Writes a page, and those of its pictures that look different.
+/// Writes a page, the hashes of its pictures, and those of its pictures that look different.
 fn write(page: &Page, docs: &Path) {
     let write = |name: &str, bytes: &[u8]| {
         let path = docs.join(name);
@@ -82,17 +94,33 @@ fn write(page: &Page, docs: &Path) {
     };
     write(page.name, page.text.as_bytes());
     for Picture { file, job, frame } in &page.pictures {
-        if !picture::shows(&std::fs::read(docs.join(file)).unwrap_or_default(), job, *frame) {
-            write(file, &picture::render(job, *frame));
+        let pixels = picture::pixels(job, *frame);
+        if small::looks_different(&std::fs::read(docs.join(file)).unwrap_or_default(), &pixels) {
+            write(file, &small::encode(&pixels));
         }
+        let exact = Exact { pixels: picture::pixels_hash(&pixels), shown: picture::shown_hash(job, *frame) };
+        hashes::change(|hashes| drop(hashes.insert(file.clone(), exact)));
     }
+}
+
+/// All generated pages.
+fn all_pages() -> [Page; 7] {
+    [
+        nodes::page(),
+        materials::page(),
+        lights::page(),
+        light::page(),
+        camera_and_sky::page(),
+        gallery::page(),
+        hover::page(),
+    ]
 }
 
 /// Path of a picture, by the name of its subject and its index among the examples.
 fn file(folder: &str, name: &str, number: usize) -> String {
     match number {
-        0 => format!("pictures/{folder}/{name}.png"),
-        number => format!("pictures/{folder}/{name}-{}.png", number + 1),
+        0 => format!("pictures/{folder}/{name}.webp"),
+        number => format!("pictures/{folder}/{name}-{}.webp", number + 1),
     }
 }
 
@@ -130,6 +158,20 @@ fn the_page_of_camera_and_sky_is_current() {
 #[test]
 fn the_gallery_is_current() {
     assert_fresh(&gallery::page(), Compared::Provenance);
+}
+
+#[test]
+fn every_line_of_hashes_is_of_a_documented_picture() {
+    let pictured: Vec<String> =
+        all_pages().into_iter().flat_map(|page| page.pictures).map(|shown| shown.file).collect();
+    let files: BTreeSet<&String> = pictured.iter().collect();
+    assert_eq!(files.len(), pictured.len(), "two pictures have one file");
+    let hashes = hashes::read();
+    if std::env::var_os("SDFARM_WRITE_DOCS").is_some() {
+        hashes::change(|hashes| hashes.retain(|file, _| files.contains(file)));
+    } else {
+        assert!(hashes.keys().eq(files), "docs/pictures/hashes.txt has lines of no picture");
+    }
 }
 
 #[test]

@@ -34,7 +34,8 @@ impl Shipped {
     /// The job as a PNG of 8 bits, in this size.
     pub(crate) fn png(&self, width: u32, samples: u32) -> Job {
         let job = self.job();
-        let image = Image { format: Format::Png, bits: Bits::Eight, layers: Vec::new(), ..job.image.clone() };
+        let mut image = Image { format: Format::Png, bits: Bits::Eight, ..job.image.clone() };
+        image.clear_layers();
         sized(job.with_image(image), width, samples)
     }
 

@@ -194,7 +194,7 @@ impl<'a> Writer<'a> {
             is_choice: false,
             value,
             example,
-            picture: has_picture.then(|| format!("/ui/pictures/{}-{name}.png", family.name())),
+            picture: has_picture.then(|| format!("/ui/pictures/{}-{name}.webp", family.name())),
         }
     }
 

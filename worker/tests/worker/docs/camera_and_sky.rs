@@ -25,7 +25,7 @@ const LENSES: &str = "
 
 The `lens` of a camera. The pictures show a ball, columns and lamps far behind them. This is what a pinhole sees:
 
-![without a lens](pictures/lenses/none.png)
+![without a lens](pictures/lenses/none.webp)
 ";
 
 const BACKGROUNDS: &str = "
@@ -40,7 +40,7 @@ const EFFECTS: &str = "
 
 Keys of a scene that may be absent. This is the scene of the pictures without any of them:
 
-![without effects](pictures/effects/none.png)
+![without effects](pictures/effects/none.webp)
 ";
 
 /// Two rows of columns on a checkered floor, with a ball between them.
@@ -123,8 +123,8 @@ pub(crate) fn page() -> Page {
     let mut page = Page { name: "camera-and-sky.md", text: HEAD.to_owned(), pictures: Vec::new() };
     page.text += &part(&schema, "Camera");
     page.text += &part(&schema, "Turntable");
-    let none = Picture::of_a_still("pictures/effects/none.png".to_owned(), with(""));
-    let pinhole = Picture::of_a_still("pictures/lenses/none.png".to_owned(), through(""));
+    let none = Picture::of_a_still("pictures/effects/none.webp".to_owned(), with(""));
+    let pinhole = Picture::of_a_still("pictures/lenses/none.webp".to_owned(), through(""));
     let behind = |lens: &str| through(&format!(r#", "lens": {lens}"#));
     let families = [
         (PROJECTIONS, "projections", "Projection", Projection::examples(), columns as fn(&str) -> Job),

@@ -44,8 +44,8 @@ pub(crate) fn page() -> Page {
     for page in [nodes::page(), materials::page(), lights::page(), camera_and_sky::page()] {
         for Picture { file, job, .. } in page.pictures {
             let shown = FOLDERS.iter().find_map(|(family, folder)| {
-                let name = file.strip_prefix(&format!("pictures/{folder}/"))?.strip_suffix(".png")?;
-                Some(format!("/ui/pictures/{}-{name}.png", family.name()))
+                let name = file.strip_prefix(&format!("pictures/{folder}/"))?.strip_suffix(".webp")?;
+                Some(format!("/ui/pictures/{}-{name}.webp", family.name()))
             });
             large.extend(shown.map(|shown| (shown, job)));
         }
@@ -53,7 +53,7 @@ pub(crate) fn page() -> Page {
     for (_, json) in Profile::examples().into_iter().rev() {
         let value: serde_json::Value = serde_json::from_str(&json).expect("an example is JSON");
         let name = value.as_object().and_then(|object| object.keys().next()).expect("a kind is keyed by its name");
-        large.push((format!("/ui/pictures/profile-{name}.png"), extruded(&json)));
+        large.push((format!("/ui/pictures/profile-{name}.webp"), extruded(&json)));
     }
     let mut page = Page { name: "../web/pictures/README.md", text: HEAD.to_owned(), pictures: Vec::new() };
     for path in node_table().kinds.into_iter().filter_map(|kind| kind.picture) {

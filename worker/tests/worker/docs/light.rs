@@ -154,7 +154,7 @@ pub(crate) fn page() -> Page {
     for pair in PAIRS {
         let Pair { name, title, text, scene, captions: [before, after], .. } = pair;
         let (_, file) = scene.rsplit_once('/').expect("a file in a folder");
-        let files = ["before", "after"].map(|which| format!("pictures/light/{name}-{which}.png"));
+        let files = ["before", "after"].map(|which| format!("pictures/light/{name}-{which}.webp"));
         write!(
             page.text,
             "\n## {title}\n\n{text}\n\n| {before} | {after} |\n|---|---|\n| ![{title}, before]({}) | ![{title}, after]({}) |\n\nScene: \

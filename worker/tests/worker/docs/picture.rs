@@ -28,7 +28,7 @@ pub(crate) fn stage(keys: &str, [width, height]: [u32; 2]) -> Job {
 }
 
 /// A PNG of a frame of a job.
-pub(crate) fn render(job: &Job, frame: u32) -> Vec<u8> {
+fn render(job: &Job, frame: u32) -> Vec<u8> {
     let renderer = CpuRenderer::new(None, Simd::Auto).expect("this CPU renders");
     let mut file = Cursor::new(Vec::new());
     let scratch = std::env::temp_dir();
@@ -37,30 +37,50 @@ pub(crate) fn render(job: &Job, frame: u32) -> Vec<u8> {
     file.into_inner()
 }
 
-/// Whether a PNG's provenance names this frame of a job, and its size. The picture version is left out, because most
-/// pictures are the same in the next.
-pub(crate) fn says_it_shows(png: &[u8], job: &Job, frame: u32) -> bool {
-    let Ok(reader) = png::Decoder::new(Cursor::new(png)).read_info() else { return false };
-    let info = reader.info();
-    let of_any_version = |text: &str| {
-        let mut said: serde_json::Value = serde_json::from_str(text).ok()?;
-        said.as_object_mut()?.remove("picture_version");
-        Some(said)
+/// Pixels of a picture.
+#[derive(Clone)]
+pub(crate) struct Pixels {
+    pub(crate) width: u32,
+    pub(crate) height: u32,
+    /// 8-bit sRGB and coverage, row by row.
+    pub(crate) rgba: Vec<u8>,
+}
+
+/// Pixels of a frame of a job; its file says what it shows.
+pub(crate) fn pixels(job: &Job, frame: u32) -> Pixels {
+    let file = render(job, frame);
+    let mut reader = png::Decoder::new(Cursor::new(file)).read_info().expect("a PNG");
+    let said: Vec<_> = reader.info().utf8_text.iter().filter_map(|chunk| chunk.get_text().ok()).collect();
+    assert!(said.contains(&provenance(job, frame).json()), "{said:?} does not say what it shows");
+    let mut bytes = vec![0; reader.output_buffer_size().expect("a small picture")];
+    let info = reader.next_frame(&mut bytes).expect("a whole PNG");
+    let rgba = match (info.color_type, info.bit_depth) {
+        (png::ColorType::Rgba, png::BitDepth::Eight) => bytes,
+        (png::ColorType::Rgb, png::BitDepth::Eight) => {
+            bytes.chunks_exact(3).flat_map(|color| [color[0], color[1], color[2], 255]).collect()
+        }
+        other => panic!("{other:?} is no documented picture"),
     };
-    let wanted = of_any_version(&Provenance::new(&job.at(frame).expect("an example is valid in all frames")).json());
-    let said =
-        info.utf8_text.iter().filter_map(|chunk| chunk.get_text().ok()).any(|text| of_any_version(&text) == wanted);
-    said && (info.width, info.height) == (job.image.width, job.image.height)
+    Pixels { width: info.width, height: info.height, rgba }
 }
 
-/// Whether a PNG shows what this frame of a job looks like: has the same bytes but for the picture version.
-pub(crate) fn shows(png: &[u8], job: &Job, frame: u32) -> bool {
-    says_it_shows(png, job, frame) && pixels(png) == pixels(&render(job, frame))
+fn provenance(job: &Job, frame: u32) -> Provenance {
+    Provenance::new(&job.at(frame).expect("an example is valid in all frames"))
 }
 
-fn pixels(png: &[u8]) -> Vec<u8> {
-    let mut reader = png::Decoder::new(Cursor::new(png)).read_info().expect("a PNG");
-    let mut pixels = vec![0; reader.output_buffer_size().expect("a small picture")];
-    reader.next_frame(&mut pixels).expect("a whole PNG");
-    pixels
+/// Hash of what a picture shows: a frame of a job, and its size. The picture version is left out, because most pictures
+/// are the same in the next.
+pub(crate) fn shown_hash(job: &Job, frame: u32) -> String {
+    let said = Provenance { picture_version: 0, ..provenance(job, frame) }.json();
+    hash(format!("{said} {}x{}", job.image.width, job.image.height).as_bytes())
+}
+
+/// Hash of every pixel, and of the size.
+pub(crate) fn pixels_hash(Pixels { width, height, rgba }: &Pixels) -> String {
+    hash(&[&width.to_le_bytes(), &height.to_le_bytes(), rgba.as_slice()].concat())
+}
+
+/// The first half of a BLAKE3, in hex.
+fn hash(bytes: &[u8]) -> String {
+    blake3::hash(bytes).to_hex()[..32].to_owned()
 }

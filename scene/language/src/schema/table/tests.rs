@@ -124,7 +124,7 @@ fn keys_have_the_values_of_the_schema() {
     let sphere = find(&table, Family::Node, "sphere");
     assert_eq!(
         (&*sphere.title, sphere.picture.as_deref()),
-        ("A ball around the origin.", Some("/ui/pictures/node-sphere.png"))
+        ("A ball around the origin.", Some("/ui/pictures/node-sphere.webp"))
     );
     let radius = key(sphere, "radius");
     assert_eq!((&*radius.shape.kind, radius.required, radius.unit.as_deref()), ("number", true, Some("scene units")));
