@@ -12,7 +12,6 @@ mod scene;
 mod view;
 
 use picture::animation::JobAtFrame;
-use picture::camera::Project;
 use picture::film::Layer;
 use picture::job::Job;
 use picture::scene::Scene;

@@ -66,7 +66,7 @@ fn nodes(attacker: &Attacker<'_>) {
     let jobs: Vec<Value> = Node::examples()
         .iter()
         .map(|example| {
-            let copies: Vec<_> = (0..COPIES).map(|number| translated(&value(&example.node), number)).collect();
+            let copies: Vec<_> = (0..COPIES).map(|number| translated(&value(&example.json), number)).collect();
             heavy(json!([{ "shape": { "union": { "of": copies } }, "material": { "diffuse": {} } }]))
         })
         .collect();
@@ -87,7 +87,7 @@ fn iterations(attacker: &Attacker<'_>) {
     // The limits differ by node, so each number is tried: those beyond a limit are refused.
     let jobs: Vec<Value> = Node::examples()
         .iter()
-        .flat_map(|example| [8, 12, 16, 32, 64, 256].map(|to| (value(&example.node), to)))
+        .flat_map(|example| [8, 12, 16, 32, 64, 256].map(|to| (value(&example.json), to)))
         .map(|(mut node, to)| {
             raise(&mut node, to);
             heavy(json!([{ "shape": node, "material": { "diffuse": {} } }]))

@@ -3,7 +3,6 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::kinds::HasExamples;
 use crate::real::{Real, Vec3, vec3};
 use crate::seek::Seek;
 use crate::values::{Fraction, Length};
@@ -25,10 +24,6 @@ pub struct AmbientOcclusion {
     pub strength: Fraction,
 }
 
-impl HasExamples for AmbientOcclusion {
-    const EXAMPLE: &'static str = r#"{ "distance": 0.8 }"#;
-}
-
 /// Centers of the balls along a cone, as fractions of the reach of the last ball, and their weights.
 const BALLS: [(f32, f32); 3] = [(0.1, 0.4), (0.3, 0.35), (0.73, 0.25)];
 /// Sine and cosine of the angle between the normal and the cones around it: 60 degrees. Seen from the cone's tip, a
@@ -38,6 +33,11 @@ const ASIDE: (f32, f32) = (0.866_025_4, 0.5);
 const ALONG: f32 = 0.2;
 
 impl AmbientOcclusion {
+    /// Small valid values, as a user would write them, for pictures in the docs and for tests.
+    pub(crate) fn examples() -> Vec<String> {
+        [r#"{ "distance": 0.8 }"#].map(str::to_owned).into()
+    }
+
     /// Distance evaluations of one call of `visibility`.
     pub const SAMPLES: f32 = 15.0;
 

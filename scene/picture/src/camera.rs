@@ -13,13 +13,12 @@ use serde::{Deserialize, Serialize};
 pub use lens::Lens;
 pub use look_at::{Ahead, LookAt};
 pub use matrices::Matrix;
-pub use projections::{
-    CameraAxes, Example, Extent, HasExamples, Orthographic, Panorama, Perspective, Project, Projection,
-};
+pub use projections::{CameraAxes, Extent, Orthographic, Panorama, Perspective, Project, Projection};
 
 use self::lens::Aperture;
 use crate::bounds::Bounds;
 use crate::film::Frames;
+pub use crate::kinds::Example;
 use crate::ray::{Ray, Tolerance};
 use crate::real::{Real, Vec3, vec3};
 use crate::seek::Seek;

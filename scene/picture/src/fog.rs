@@ -3,7 +3,6 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::kinds::HasExamples;
 use crate::ray::Ray;
 use crate::real::{Real, Vec3, vec3};
 use crate::seek::Seek;
@@ -26,13 +25,18 @@ pub struct Fog {
     pub color: Option<Color>,
 }
 
-impl HasExamples for Fog {
-    const EXAMPLE: &'static str = r##"{ "density": 0.12, "color": "#c3ccd6" }"##;
-    const MORE_EXAMPLES: &'static [&'static str] =
-        &[r##"{ "density": 0.07, "falloff": 2, "color": "#e6e2da" }"##, r#"{ "density": 0.09 }"#];
-}
-
 impl Fog {
+    /// Small valid values, as a user would write them, for pictures in the docs and for tests.
+    pub(crate) fn examples() -> Vec<String> {
+        [
+            r##"{ "density": 0.12, "color": "#c3ccd6" }"##,
+            r##"{ "density": 0.07, "falloff": 2, "color": "#e6e2da" }"##,
+            r#"{ "density": 0.09 }"#,
+        ]
+        .map(str::to_owned)
+        .into()
+    }
+
     /// Direction in which the background is evaluated for fog without a color of its own.
     pub fn direction_of_color<R: Real>(direction: Vec3<R>) -> Vec3<R> {
         let level = vec3(direction.x, direction.y.at_least(0.0), direction.z);

@@ -1,8 +1,8 @@
-//! Registry of lights, and the trait that each light implements.
+//! The family of lights, and the trait that each light implements.
 //!
-//! A light is one documented struct in a file under `lights/`, one `impl` of [`LightSource`] and of [`HasExamples`],
-//! and one entry in the list. A matte white surface that faces a light reflects the light's color: the color is its
-//! irradiance over π. Area lights are sampled: each pixel sample takes one point on the light.
+//! A light is one documented struct in a file under `lights/`, one `impl` of [`LightSource`], and one entry in the list.
+//! A matte white surface that faces a light reflects the light's color: the color is its irradiance over π. Area lights
+//! are sampled: each pixel sample takes one point on the light.
 
 #[cfg(feature = "added")]
 mod added;
@@ -14,9 +14,6 @@ mod placed;
 mod point;
 mod sky_light;
 mod sun;
-
-use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
 
 #[cfg(feature = "added")]
 pub use added::AddedLight;
@@ -30,13 +27,11 @@ pub use sky_light::SkyLight;
 pub use sun::Sun;
 
 use crate::backgrounds::{Background, Day};
-pub use crate::kinds::{Example, HasExamples};
-use crate::kinds::{NodeError, snake_case};
+use crate::kinds::{NodeError, family};
 use crate::light_groups::LightGroup;
 pub use crate::materials::LightSample;
 use crate::materials::microfacet::orthonormal_basis;
 use crate::real::{Real, Vec3};
-use crate::seek::Seek;
 use crate::values::{Color, FullAngle, Point, Strength};
 
 /// Ambient light: from all directions at once.
@@ -48,155 +43,69 @@ pub struct AmbientLight<'a> {
     pub strength: f32,
 }
 
-/// Behavior of a light.
-pub trait LightSource {
-    /// Light that arrives at `p` unoccluded, and its distance, which is `farthest` for distant lights. For an area
-    /// light, the pair of numbers from 0 to 1 chooses the point on the light. `None` for ambient light, and for a sun
-    /// if the background is not a day.
-    fn sample<R: Real>(
-        &self,
-        p: Vec3<R>,
-        farthest: R,
-        day: Option<&Day>,
-        pair: impl FnOnce() -> (R, R),
-    ) -> Option<(LightSample<R>, R)>;
-
-    /// The ambient light of this light in front of the background, if it is one.
-    fn ambient<'a>(&'a self, background: &'a Background) -> Option<AmbientLight<'a>> {
-        let _ = background;
-        None
+family! {
+    /// A light: an object whose member is the light's name.
+    pub enum Light {
+        Directional(Directional),
+        Point(PointLight),
+        Spot(SpotLight),
+        Sphere(SphereLight),
+        Rectangle(RectangleLight),
+        Disc(DiscLight),
+        Sun(Sun),
+        Sky(SkyLight),
+        #[cfg(feature = "added")]
+        Added(AddedLight),
     }
 
-    /// Its light group, if it has one.
-    fn group(&self) -> Option<&LightGroup>;
+    /// Behavior of a light.
+    pub trait LightSource {
+        /// Light that arrives at `p` unoccluded, and its distance, which is `farthest` for distant lights. For an area
+        /// light, the pair of numbers from 0 to 1 chooses the point on the light. `None` for ambient light, and for a sun
+        /// if the background is not a day.
+        fn sample<R: Real>(
+            &self,
+            p: Vec3<R>,
+            farthest: R,
+            day: Option<&Day>,
+            pair: impl FnOnce() -> (R, R),
+        ) -> Option<(LightSample<R>, R)>;
 
-    /// Whether objects cast shadows in this light.
-    fn casts_shadows(&self) -> bool;
+        /// Its light group, if it has one.
+        fn group(&self) -> Option<&LightGroup>;
 
-    /// Center and radius of a ball around it, if it has a place.
-    fn place(&self) -> Option<(Vec3<f32>, f32)> {
-        None
+        /// Whether objects cast shadows in this light.
+        fn casts_shadows(&self) -> bool;
+
+        /// Center and radius of a ball around it, if it has a place.
+        fn place(&self) -> Option<(Vec3<f32>, f32)> = None;
+
+        /// Its shape and radiance, if it is seen.
+        fn body(&self) -> Option<LightBody> = None;
+
+        /// About how much light arrives at `p` unoccluded, never 0 where some does: a light is chosen by it.
+        fn strength<R: Real>(&self, p: Vec3<R>, day: Option<&Day>) -> R;
+
+        /// Whether it is light of the environment, which has no place of its own.
+        fn is_of_environment(&self) -> bool = false;
+
+        /// Whether the light is black in every frame. If all lights are, the scene gets a warning.
+        fn is_dark(&self) -> bool;
+
+        /// Error in the light's parameters with this background, if there is one.
+        fn validate(&self, background: &Background) -> Option<NodeError> = None;
+
+        /// Precomputes values that all points use.
+        fn precompute(&mut self) = ();
     }
-
-    /// Its shape and radiance, if it is seen.
-    fn body(&self) -> Option<LightBody> {
-        None
-    }
-
-    /// About how much light arrives at `p` unoccluded, never 0 where some does: a light is chosen by it.
-    fn strength<R: Real>(&self, p: Vec3<R>, day: Option<&Day>) -> R;
-
-    /// Whether it is light of the environment, which has no place of its own.
-    fn is_of_environment(&self) -> bool {
-        false
-    }
-
-    /// Whether the light is black in every frame. If all lights are, the scene gets a warning.
-    fn is_dark(&self) -> bool;
-
-    /// Error in the light's parameters with this background, if there is one.
-    fn validate(&self, background: &Background) -> Option<NodeError> {
-        let _ = background;
-        None
-    }
-
-    /// Precomputes values that all points use.
-    fn precompute(&mut self) {}
 }
 
-/// The list: each light's name, and its struct.
-macro_rules! lights {
-    ($($(#[$attribute:meta])* $Kind:ident: $Struct:ident),* $(,)?) => {
-        /// A light: an object whose member is the light's name.
-        #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
-        #[serde(rename_all = "snake_case")]
-        pub enum Light {
-            $($(#[$attribute])* #[doc = concat!("See [`", stringify!($Struct), "`].")] $Kind($Struct)),*
-        }
-
-        impl LightSource for Light {
-            fn sample<R: Real>(
-                &self,
-                p: Vec3<R>,
-                farthest: R,
-                day: Option<&Day>,
-                pair: impl FnOnce() -> (R, R),
-            ) -> Option<(LightSample<R>, R)> {
-                match self { $($(#[$attribute])* Self::$Kind(light) => light.sample(p, farthest, day, pair)),* }
-            }
-
-            fn ambient<'a>(&'a self, background: &'a Background) -> Option<AmbientLight<'a>> {
-                match self { $($(#[$attribute])* Self::$Kind(light) => light.ambient(background)),* }
-            }
-
-            fn group(&self) -> Option<&LightGroup> {
-                match self { $($(#[$attribute])* Self::$Kind(light) => light.group()),* }
-            }
-
-            fn casts_shadows(&self) -> bool {
-                match self { $($(#[$attribute])* Self::$Kind(light) => light.casts_shadows()),* }
-            }
-
-            fn place(&self) -> Option<(Vec3<f32>, f32)> {
-                match self { $($(#[$attribute])* Self::$Kind(light) => light.place()),* }
-            }
-
-            fn body(&self) -> Option<LightBody> {
-                match self { $($(#[$attribute])* Self::$Kind(light) => light.body()),* }
-            }
-
-            fn strength<R: Real>(&self, p: Vec3<R>, day: Option<&Day>) -> R {
-                match self { $($(#[$attribute])* Self::$Kind(light) => light.strength(p, day)),* }
-            }
-
-            fn is_of_environment(&self) -> bool {
-                match self { $($(#[$attribute])* Self::$Kind(light) => light.is_of_environment()),* }
-            }
-
-            fn is_dark(&self) -> bool {
-                match self { $($(#[$attribute])* Self::$Kind(light) => light.is_dark()),* }
-            }
-
-            /// Same error, with its pointer in the light's JSON.
-            fn validate(&self, background: &Background) -> Option<NodeError> {
-                match self {
-                    $($(#[$attribute])* Self::$Kind(light) => {
-                        light.validate(background).map(|validate| validate.inside(&snake_case(stringify!($Kind))))
-                    })*
-                }
-            }
-
-            fn precompute(&mut self) {
-                match self { $($(#[$attribute])* Self::$Kind(light) => light.precompute()),* }
-            }
-        }
-
-        impl Light {
-            /// Each kind's examples, as a user would write the light.
-            pub fn examples() -> Vec<Example> {
-                let mut examples = Vec::new();
-                $(
-                    $(#[$attribute])*
-                    examples.extend(Example::keyed::<$Struct>(stringify!($Struct), stringify!($Kind)));
-                )*
-                examples
-            }
-        }
-    };
+impl Light {
+    /// Error in the light's parameters with this background, with its pointer in the light's JSON.
+    pub(crate) fn fault(&self, background: &Background) -> Option<NodeError> {
+        self.validate(background).map(|error| error.inside(self.name()))
+    }
 }
-
-lights![
-    Directional: Directional,
-    Point: PointLight,
-    Spot: SpotLight,
-    Sphere: SphereLight,
-    Rectangle: RectangleLight,
-    Disc: DiscLight,
-    Sun: Sun,
-    Sky: SkyLight,
-    #[cfg(feature = "added")]
-    Added: AddedLight,
-];
 
 /// Direction inside a cone of this full angle, with uniform probability.
 fn sample_cone<R: Real>(like: R, axis: Vec3<f32>, angle: &FullAngle, pair: impl FnOnce() -> (R, R)) -> Vec3<R> {

@@ -15,9 +15,6 @@ pub mod texture;
 mod unlit;
 mod volume;
 
-use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
-
 #[cfg(feature = "added")]
 pub use added::AddedMaterial;
 pub use diffuse::Diffuse;
@@ -31,11 +28,11 @@ pub use unlit::{Flat, Normals};
 pub use volume::MediumScattering;
 pub use volume::{Clouds, MediumMaterial, Volume};
 
-pub use crate::kinds::{Example, HasExamples};
+pub use crate::kinds::Example;
+use crate::kinds::family;
 use bsdf::{Bsdf, Lobes};
 
 use crate::real::{MaskValue, Real, Vec3, bundle};
-use crate::seek::Seek;
 
 /// Shading point: the input of a material at a hit.
 #[derive(Clone, Copy, Debug)]
@@ -112,208 +109,82 @@ pub struct SpecularBsdf<R> {
 
 bundle!(SpecularBsdf { f0, roughness, transmission, ior });
 
-/// A material.
-pub trait Shade {
-    /// Radiance toward the viewer, linear RGB.
-    fn shade<R: Real>(&self, place: &ShadingPoint<R>, light: &IncidentLight<R>) -> Vec3<R>;
-
-    /// Albedo: the surface's own color, without light.
-    fn albedo<R: Real>(&self, place: &ShadingPoint<R>) -> Vec3<R>;
-
-    /// Scattering and emission, for paths of light.
-    fn bsdf<R: Real>(&self, place: &ShadingPoint<R>) -> Bsdf<R>;
-
-    /// Terms of `bsdf` that it may have besides the diffuse one.
-    fn lobes(&self) -> Lobes {
-        Lobes::default()
+family! {
+    /// Reflection and emission of a surface: an object whose member is the material's name.
+    pub enum Material {
+        Flat(Flat),
+        Normals(Normals),
+        Diffuse(Diffuse),
+        Surface(Surface),
+        ShadowCatcher(ShadowCatcher),
+        Clouds(Clouds),
+        Volume(Volume),
+        #[cfg(feature = "added")]
+        AddedMaterial(AddedMaterial),
     }
 
-    /// Emitted radiance, if it is the same in all directions and everywhere on the surface, and not always black.
-    fn uniform_emission(&self) -> Option<Vec3<f32>> {
-        None
+    /// A material.
+    pub trait Shade {
+        /// Radiance toward the viewer, linear RGB.
+        fn shade<R: Real>(&self, place: &ShadingPoint<R>, light: &IncidentLight<R>) -> Vec3<R>;
+
+        /// Albedo: the surface's own color, without light.
+        fn albedo<R: Real>(&self, place: &ShadingPoint<R>) -> Vec3<R>;
+
+        /// Scattering and emission, for paths of light.
+        fn bsdf<R: Real>(&self, place: &ShadingPoint<R>) -> Bsdf<R>;
+
+        /// Terms of `bsdf` that it may have besides the diffuse one.
+        fn lobes(&self) -> Lobes = Lobes::default();
+
+        /// Emitted radiance, if it is the same in all directions and everywhere on the surface, and not always black.
+        fn uniform_emission(&self) -> Option<Vec3<f32>> = None;
+
+        /// Whether `shade` or `transparency` uses the lights.
+        fn is_lit(&self) -> bool;
+
+        /// Whether it uses the lights, on its surface or inside. If no material does, a scene with lights gets a warning.
+        fn uses_lights(&self) -> bool = self.is_lit();
+
+        /// Whether it says something about ambient light, which paths of light do not have.
+        fn has_own_ambient(&self) -> bool = false;
+
+        /// Whether it is black or nearly so without lights. If all materials are, a scene without lights gets a warning.
+        fn is_black_without_light(&self) -> bool = self.is_lit();
+
+        /// Specular BSDF at a shading point; `None` if it never reflects or transmits rays.
+        fn specular<R: Real>(&self, place: &ShadingPoint<R>) -> Option<SpecularBsdf<R>> = None;
+
+        /// Whether `specular` ever reflects or transmits a ray.
+        fn is_specular(&self) -> bool = false;
+
+        /// Whether a ray may enter the shape.
+        fn is_transmissive(&self) -> bool = false;
+
+        /// The medium inside an object, if it is one.
+        fn as_medium(&self) -> Option<MediumMaterial<'_>> = None;
+
+        /// Textures of its parameters.
+        fn textures(&self) -> Vec<&Texture> = Vec::new();
+
+        /// Whether it uses `ShadingPoint::local_point`.
+        fn is_textured(&self) -> bool = !self.textures().is_empty();
     }
+}
 
-    /// Whether `shade` or `transparency` uses the lights.
-    fn is_lit(&self) -> bool;
-
-    /// Whether it uses the lights, on its surface or inside. If no material does, a scene with lights gets a warning.
-    fn uses_lights(&self) -> bool {
-        self.is_lit()
-    }
-
-    /// Whether it says something about ambient light, which paths of light do not have.
-    fn has_own_ambient(&self) -> bool {
-        false
-    }
-
-    /// Whether it is black or nearly so without lights. If all materials are, a scene without lights gets a warning.
-    fn is_black_without_light(&self) -> bool {
-        self.is_lit()
-    }
-
-    /// Specular BSDF at a shading point; `None` if it never reflects or transmits rays.
-    fn specular<R: Real>(&self, place: &ShadingPoint<R>) -> Option<SpecularBsdf<R>> {
-        let _ = place;
-        None
-    }
-
-    /// Whether `specular` ever reflects or transmits a ray.
-    fn is_specular(&self) -> bool {
-        false
-    }
-
-    /// Whether a ray may enter the shape.
-    fn is_transmissive(&self) -> bool {
-        false
-    }
-
+impl Material {
     /// Whether it is a medium inside an object instead of covering its surface.
-    fn is_medium(&self) -> bool {
+    pub fn is_medium(&self) -> bool {
         self.as_medium().is_some()
     }
 
-    /// Whether it shows the shadows on it and nothing else.
-    fn is_shadow_catcher(&self) -> bool {
-        false
-    }
-
-    /// Fraction of the background that is seen through a shadow catcher; `None` for other materials.
-    fn transparency<R: Real>(&self, light: &IncidentLight<R>) -> Option<R> {
-        let _ = light;
-        None
-    }
-
-    /// The medium inside an object, if it is one.
-    fn as_medium(&self) -> Option<MediumMaterial<'_>> {
-        None
-    }
-
-    /// Textures of its parameters.
-    fn textures(&self) -> Vec<&Texture> {
-        Vec::new()
-    }
-
-    /// Whether it uses `ShadingPoint::local_point`.
-    fn is_textured(&self) -> bool {
-        !self.textures().is_empty()
-    }
-
     /// Whether it uses `ShadingPoint::footprint`.
-    fn needs_footprint(&self) -> bool {
+    pub fn needs_footprint(&self) -> bool {
         self.textures().into_iter().any(Texture::needs_footprint)
     }
 
     /// Whether it uses `ShadingPoint::local_normal`, which is expensive.
-    fn needs_local_normal(&self) -> bool {
+    pub fn needs_local_normal(&self) -> bool {
         self.textures().into_iter().any(Texture::needs_own_normal)
     }
 }
-
-macro_rules! materials {
-    ($($(#[$attribute:meta])* $Kind:ident),* $(,)?) => {
-        /// Reflection and emission of a surface: an object whose member is the material's name.
-        #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
-        #[serde(rename_all = "snake_case")]
-        pub enum Material {
-            $($(#[$attribute])* #[doc = concat!("See [`", stringify!($Kind), "`].")] $Kind($Kind)),*
-        }
-
-        impl Shade for Material {
-            fn shade<R: Real>(&self, place: &ShadingPoint<R>, light: &IncidentLight<R>) -> Vec3<R> {
-                match self { $($(#[$attribute])* Self::$Kind(material) => material.shade(place, light)),* }
-            }
-
-            fn albedo<R: Real>(&self, place: &ShadingPoint<R>) -> Vec3<R> {
-                match self { $($(#[$attribute])* Self::$Kind(material) => material.albedo(place)),* }
-            }
-
-            fn bsdf<R: Real>(&self, place: &ShadingPoint<R>) -> Bsdf<R> {
-                match self { $($(#[$attribute])* Self::$Kind(material) => material.bsdf(place)),* }
-            }
-
-            fn lobes(&self) -> Lobes {
-                match self { $($(#[$attribute])* Self::$Kind(material) => material.lobes()),* }
-            }
-
-            fn uniform_emission(&self) -> Option<Vec3<f32>> {
-                match self { $($(#[$attribute])* Self::$Kind(material) => material.uniform_emission()),* }
-            }
-
-            fn is_lit(&self) -> bool {
-                match self { $($(#[$attribute])* Self::$Kind(material) => material.is_lit()),* }
-            }
-
-            fn specular<R: Real>(&self, place: &ShadingPoint<R>) -> Option<SpecularBsdf<R>> {
-                match self { $($(#[$attribute])* Self::$Kind(material) => material.specular(place)),* }
-            }
-
-            fn is_specular(&self) -> bool {
-                match self { $($(#[$attribute])* Self::$Kind(material) => material.is_specular()),* }
-            }
-
-            fn is_transmissive(&self) -> bool {
-                match self { $($(#[$attribute])* Self::$Kind(material) => material.is_transmissive()),* }
-            }
-
-            fn uses_lights(&self) -> bool {
-                match self { $($(#[$attribute])* Self::$Kind(material) => material.uses_lights()),* }
-            }
-
-            fn has_own_ambient(&self) -> bool {
-                match self { $($(#[$attribute])* Self::$Kind(material) => material.has_own_ambient()),* }
-            }
-
-            fn is_black_without_light(&self) -> bool {
-                match self { $($(#[$attribute])* Self::$Kind(material) => material.is_black_without_light()),* }
-            }
-
-            fn is_shadow_catcher(&self) -> bool {
-                match self { $($(#[$attribute])* Self::$Kind(material) => material.is_shadow_catcher()),* }
-            }
-
-            fn transparency<R: Real>(&self, light: &IncidentLight<R>) -> Option<R> {
-                match self { $($(#[$attribute])* Self::$Kind(material) => material.transparency(light)),* }
-            }
-
-            fn as_medium(&self) -> Option<MediumMaterial<'_>> {
-                match self { $($(#[$attribute])* Self::$Kind(material) => material.as_medium()),* }
-            }
-
-            fn textures(&self) -> Vec<&Texture> {
-                match self { $($(#[$attribute])* Self::$Kind(material) => material.textures()),* }
-            }
-
-            fn is_textured(&self) -> bool {
-                match self { $($(#[$attribute])* Self::$Kind(material) => material.is_textured()),* }
-            }
-
-            fn needs_local_normal(&self) -> bool {
-                match self { $($(#[$attribute])* Self::$Kind(material) => material.needs_local_normal()),* }
-            }
-        }
-
-        impl Material {
-            /// Each kind's examples, as a user would write the material.
-            pub fn examples() -> Vec<Example> {
-                let mut examples = Vec::new();
-                $(
-                    $(#[$attribute])*
-                    examples.extend(Example::keyed::<$Kind>(stringify!($Kind), stringify!($Kind)));
-                )*
-                examples
-            }
-        }
-    };
-}
-
-materials![
-    Flat,
-    Normals,
-    Diffuse,
-    Surface,
-    ShadowCatcher,
-    Clouds,
-    Volume,
-    #[cfg(feature = "added")]
-    AddedMaterial,
-];

@@ -29,7 +29,7 @@ pub use strokes::{Arc, Bezier};
 pub use text::Text;
 pub use text_outline::{TextOutline, TextOutlineError};
 
-use crate::kinds::{Exactness, NodeError, snake_case};
+use crate::kinds::{Exactness, NodeError, family};
 use crate::real::Real;
 use crate::seek::Seek;
 use crate::values::{Coordinate, LengthOrZero};
@@ -79,134 +79,49 @@ impl Bounds2 {
     }
 }
 
-/// A profile. Its value has a Lipschitz factor of 1.
-pub trait ProfileSdf {
-    /// A small valid value, as a user would write it.
-    const EXAMPLE: &'static str;
-
-    /// Further values that exercise other branches of the formula.
-    const MORE_EXAMPLES: &'static [&'static str] = &[];
-
-    /// Whether it is its own mirror image about the y axis.
-    const IS_SYMMETRIC: bool = false;
-
-    /// The signed distance from (`x`, `y`) to the outline, negative inside.
-    fn distance<R: Real>(&self, x: R, y: R) -> R;
-
-    /// Rectangle that contains every point whose distance is at most `isolevel`, which is at least 0.
-    fn extent(&self, isolevel: f32) -> Bounds2;
-
-    /// Relation of its value to the true distance.
-    fn exactness(&self) -> Exactness {
-        Exactness::Exact
+family! {
+    /// A flat shape in the plane of x and y: an object whose member is the profile's name.
+    pub enum Profile {
+        Circle(Circle),
+        Ellipse(Ellipse),
+        Rectangle(Rectangle),
+        RegularPolygon(RegularPolygon),
+        Star(Star),
+        Polygon(Polygon),
+        Arc(Arc),
+        Bezier(Bezier),
+        Text(Text),
+        #[cfg(feature = "added")]
+        AddedProfile(AddedProfile),
     }
 
-    /// Error in its numbers taken together, if any; each number alone is in range.
-    fn validate(&self) -> Option<NodeError> {
-        None
-    }
+    /// A profile. Its value has a Lipschitz factor of 1.
+    pub trait ProfileSdf {
 
-    /// Its size in simple nodes.
-    fn size_in_nodes(&self) -> u32 {
-        1
+        /// Whether it is its own mirror image about the y axis.
+        fn is_symmetric(&self) -> bool = false;
+
+        /// The signed distance from (`x`, `y`) to the outline, negative inside.
+        fn distance<R: Real>(&self, x: R, y: R) -> R;
+
+        /// Rectangle that contains every point whose distance is at most `isolevel`, which is at least 0.
+        fn extent(&self, isolevel: f32) -> Bounds2;
+
+        /// Relation of its value to the true distance.
+        fn exactness(&self) -> Exactness = Exactness::Exact;
+
+        /// Error in its numbers taken together, if any; each number alone is in range.
+        fn validate(&self) -> Option<NodeError> = None;
+
+        /// Its size in simple nodes.
+        fn size_in_nodes(&self) -> u32 = 1;
     }
 }
-
-macro_rules! profiles {
-    ($($(#[$attribute:meta])* $Kind:ident),* $(,)?) => {
-        /// A flat shape in the plane of x and y: an object whose member is the profile's name.
-        #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
-        #[serde(rename_all = "snake_case")]
-        pub enum Profile {
-            $($(#[$attribute])* #[doc = concat!("See [`", stringify!($Kind), "`].")] $Kind($Kind)),*
-        }
-
-        impl Profile {
-            /// The signed distance from (`x`, `y`) to the outline, negative inside.
-            pub fn distance<R: Real>(&self, x: R, y: R) -> R {
-                x.labeled(
-                    self.kind(),
-                    || match self {
-                        $($(#[$attribute])* Self::$Kind(profile) => profile.distance(x, y)),*
-                    },
-                )
-            }
-
-            /// Its type.
-            fn kind(&self) -> &'static str {
-                match self {
-                    $($(#[$attribute])* Self::$Kind(_) => stringify!($Kind)),*
-                }
-            }
-
-            /// Whether it is its own mirror image about the y axis.
-            pub fn is_mirrored(&self) -> bool {
-                match self {
-                    $($(#[$attribute])* Self::$Kind(_) => $Kind::IS_SYMMETRIC),*
-                }
-            }
-
-            /// Rectangle that contains every point whose distance is at most `isolevel`, which is at least 0.
-            pub fn extent(&self, isolevel: f32) -> Bounds2 {
-                match self {
-                    $($(#[$attribute])* Self::$Kind(profile) => profile.extent(isolevel)),*
-                }
-            }
-
-            /// Relation of its value to the true distance.
-            pub fn exactness(&self) -> Exactness {
-                match self {
-                    $($(#[$attribute])* Self::$Kind(profile) => profile.exactness()),*
-                }
-            }
-
-            /// Error in its numbers taken together, if any.
-            pub fn fault(&self) -> Option<NodeError> {
-                match self {
-                    $($(#[$attribute])* Self::$Kind(profile) => profile.validate()),*
-                }
-            }
-
-            /// Its size in simple nodes.
-            pub fn weight(&self) -> u32 {
-                match self {
-                    $($(#[$attribute])* Self::$Kind(profile) => profile.size_in_nodes()),*
-                }
-            }
-
-            /// Each kind's examples: its type, and the profile as a user would write it.
-            pub fn examples() -> Vec<(&'static str, String)> {
-                let mut examples = Vec::new();
-                $(
-                    $(#[$attribute])*
-                    examples.extend(std::iter::once(&$Kind::EXAMPLE).chain($Kind::MORE_EXAMPLES).map(|value| {
-                        (stringify!($Kind), format!("{{ \"{}\": {value} }}", snake_case(stringify!($Kind))))
-                    }));
-                )*
-                examples
-            }
-        }
-    };
-}
-
-profiles![
-    Circle,
-    Ellipse,
-    Rectangle,
-    RegularPolygon,
-    Star,
-    Polygon,
-    Arc,
-    Bezier,
-    Text,
-    #[cfg(feature = "added")]
-    AddedProfile,
-];
 
 impl Profile {
-    /// Its name in JSON.
-    pub fn name(&self) -> String {
-        snake_case(self.kind())
+    /// The signed distance from (`x`, `y`) to the outline, under the profile's name.
+    pub(crate) fn sample<R: Real>(&self, x: R, y: R) -> R {
+        x.labeled(self.type_name(), || self.distance(x, y))
     }
 }
 

@@ -8,14 +8,14 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Deserializer, Serialize};
 
 use crate::ambient_occlusion::AmbientOcclusion;
-use crate::backgrounds::{Backdrop, Background};
+use crate::backgrounds::Background;
 use crate::camera::Camera;
 use crate::fog::Fog;
 use crate::kinds::NodeError;
 use crate::light_groups::LightGroup;
-use crate::lights::{AmbientLight, LightSource, PlacedLight};
+use crate::lights::{AmbientLight, PlacedLight};
 use crate::limits::{MAX_BOUNCES, MAX_STEPS};
-use crate::materials::{Material, MaterialRef, Shade};
+use crate::materials::{Material, MaterialRef};
 use crate::nodes::{Node, material_pointer};
 use crate::real::{Real, Vec3};
 use crate::seek::Seek;
@@ -167,18 +167,18 @@ impl Scene {
     pub fn prepare(&mut self, moves: bool) {
         self.objects.iter_mut().for_each(|object| object.shape.precompute(moves));
         self.background.precompute();
-        self.environment.iter_mut().for_each(Backdrop::precompute);
+        self.environment.iter_mut().for_each(Background::precompute);
         self.lights.iter_mut().for_each(PlacedLight::precompute);
     }
 
     /// Errors from the combination of lights, sky and materials: JSON pointers in the scene, and messages.
     pub fn validation_errors(&self) -> Vec<(String, String)> {
         let mut faults = Vec::new();
-        if let Some(NodeError { pointer: place, message }) = self.background.validate() {
+        if let Some(NodeError { pointer: place, message }) = self.background.fault() {
             faults.push((format!("/background/{place}"), message));
         }
         if let Some(environment) = &self.environment {
-            if let Some(NodeError { pointer: place, message }) = environment.validate() {
+            if let Some(NodeError { pointer: place, message }) = environment.fault() {
                 faults.push((format!("/environment/{place}"), message));
             }
             if environment.is_transparent() {
@@ -187,7 +187,7 @@ impl Scene {
             }
         }
         for (index, light) in self.lights.iter().enumerate() {
-            if let Some(NodeError { pointer: place, message }) = light.validate(self.environment()) {
+            if let Some(NodeError { pointer: place, message }) = light.fault(self.environment()) {
                 faults.push((format!("/lights/{index}/{place}"), message));
             }
         }
@@ -200,7 +200,7 @@ impl Scene {
     /// Finds `paint` nodes whose material is a medium, which only a whole object can have.
     fn medium_paint_errors(&self, node: &Node, pointer: &mut String, faults: &mut Vec<(String, String)>) {
         for (placement, material) in node.materials() {
-            if self.materials.get(material.slot() as usize).is_some_and(Shade::is_medium) {
+            if self.materials.get(material.slot() as usize).is_some_and(Material::is_medium) {
                 let message =
                     "fills a whole object and cannot be painted on part of one: make the part an object of its own";
                 faults.push((format!("{pointer}/{}{}", node.name(), material_pointer(placement)), message.to_owned()));

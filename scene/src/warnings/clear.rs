@@ -3,7 +3,7 @@
 use super::objects;
 use math::bounds::Bounds;
 use math::real::{MaskValue, Vec3, vec3};
-use picture::materials::{Material, Shade, ShadingPoint};
+use picture::materials::{Material, ShadingPoint};
 use picture::nodes::Node;
 use picture::scene::Scene;
 

@@ -44,7 +44,7 @@ fn empty_difference(node: &Node, pointer: &mut String, boxes_left: &mut usize) -
 /// factor, is more than half its diagonal. Other boxes are halved.
 fn is_empty(node: &Node, boxes_left: &mut usize) -> bool {
     let bounds = node.bounds(0.0);
-    let stretch = node.stretch();
+    let stretch = node.lipschitz();
     if !bounds.is_finite()
         || node.exactness() == Exactness::Estimate
         || node.evaluation_cost() > MAX_EVALUATIONS

@@ -3,7 +3,6 @@
 use serde_json::Value;
 
 use picture::animation::JobAtFrame;
-use picture::materials::Shade;
 use picture::nodes::Node;
 use picture::scene::{Scene, child_pointers};
 

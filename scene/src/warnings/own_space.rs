@@ -1,7 +1,6 @@
 //! Warnings about textures that do not follow their animated object.
 
 use picture::animation::JobAtFrame;
-use picture::materials::Shade;
 use picture::nodes::Node;
 use picture::scene::child_pointers;
 

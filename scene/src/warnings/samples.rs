@@ -5,7 +5,6 @@ use serde_json::Value;
 use picture::film::{Bits, Format, Image};
 use picture::job::Job;
 use picture::lights::Light;
-use picture::materials::Shade;
 use picture::sample_count::SampleCount;
 use picture::scene::Scene;
 

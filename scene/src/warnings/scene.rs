@@ -3,11 +3,10 @@
 use super::objects;
 use math::real::vec3;
 use picture::animation::JobAtFrame;
-use picture::backgrounds::Backdrop;
 use picture::job::Job;
-use picture::lights::{LightSource, PlacedLight, default_lights};
+use picture::lights::{PlacedLight, default_lights};
 use picture::limits::MAX_MEDIUM_STEPS;
-use picture::materials::{Material, Shade};
+use picture::materials::Material;
 use picture::nodes::Node;
 use picture::scene::{Scene, child_pointers};
 use picture::transport::Transport;
@@ -38,7 +37,7 @@ pub(super) fn high_cost(scene: &Scene) -> Option<String> {
 /// Objects whose Lipschitz factor makes steps tiny.
 pub(super) fn high_lipschitz(still: &JobAtFrame<'_>) -> Option<String> {
     let scene = still.scene();
-    let stretches: Vec<f32> = scene.objects.iter().map(|object| object.shape.stretch()).collect();
+    let stretches: Vec<f32> = scene.objects.iter().map(|object| object.shape.lipschitz()).collect();
     let steep: Vec<usize> = (0..stretches.len()).filter(|&index| stretches[index] > STEEPEST).collect();
     let steepest = steep.iter().copied().reduce(|a, b| if stretches[b] > stretches[a] { b } else { a })?;
     let mut pointer = format!("/scene/objects/{steepest}/shape");
@@ -52,10 +51,10 @@ pub(super) fn high_lipschitz(still: &JobAtFrame<'_>) -> Option<String> {
 
 /// The node that causes most of an object's Lipschitz factor, and its JSON pointer.
 fn main_cause<'a>(node: &'a Node, pointer: &mut String) -> &'a Node {
-    let own = node.stretch();
+    let own = node.lipschitz();
     let children = node.children().iter().zip(child_pointers(node));
-    match children.reduce(|a, b| if b.0.stretch() > a.0.stretch() { b } else { a }) {
-        Some((child, step)) if child.stretch() > 0.5 * own => {
+    match children.reduce(|a, b| if b.0.lipschitz() > a.0.lipschitz() { b } else { a }) {
+        Some((child, step)) if child.lipschitz() > 0.5 * own => {
             step.push_to(pointer);
             main_cause(child, pointer)
         }
@@ -76,7 +75,7 @@ fn is_default(lights: &[PlacedLight]) -> bool {
 /// Lights without effect, and materials without light.
 pub(super) fn light(scene: &Scene) -> Option<String> {
     let used = scene.used_materials();
-    if !scene.lights.is_empty() && !is_default(&scene.lights) && !used.iter().any(Shade::uses_lights) {
+    if !scene.lights.is_empty() && !is_default(&scene.lights) && !used.iter().any(Material::uses_lights) {
         return Some(
             "the lights have no effect, because no material in use depends on light: choose diffuse or surface, or remove lights"
                 .to_owned(),
@@ -84,7 +83,7 @@ pub(super) fn light(scene: &Scene) -> Option<String> {
     }
     let shines = scene.lights.iter().any(|light| !light.is_dark())
         || (scene.integrator.is_path() && (shines_itself(scene) || is_sky_bright(scene)));
-    if !shines && used.iter().any(Shade::is_black_without_light) {
+    if !shines && used.iter().any(Material::is_black_without_light) {
         let lack = if scene.lights.is_empty() { "there is no light" } else { "all lights are black" };
         return Some(format!(
             "{lack}, and the materials need light: add a light to scene.lights, or remove lights for the default lights"

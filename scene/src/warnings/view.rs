@@ -3,9 +3,9 @@
 use super::{Warning, WarningKind, objects};
 use math::real::Vec3;
 use picture::animation::JobAtFrame;
-use picture::camera::{Project, View};
+use picture::camera::View;
 use picture::film::Image;
-use picture::materials::{MaterialRef, Shade};
+use picture::materials::MaterialRef;
 use picture::nodes::Node;
 use picture::scene::Scene;
 use trace::integrator::Integrator;

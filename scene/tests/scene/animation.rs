@@ -1,6 +1,6 @@
 //! Properties of every number of every node's example when it is animated. No test names a node.
 
-use scene::nodes::{Node, NodeExample};
+use scene::nodes::{Example, Node};
 use scene::real::vec3;
 use serde_json::{Value, json};
 
@@ -20,7 +20,7 @@ fn numbers(value: &Value, pointer: &str, found: &mut Vec<String>) {
 
 /// Calls `check` with each node, a number of it, and a function that replaces that number by something else.
 fn each_number(mut check: impl FnMut(&str, &Node, f64, &dyn Fn(Value) -> Result<Node, serde_json::Error>)) {
-    for NodeExample { kind, index: number, node } in Node::examples() {
+    for Example { kind, index: number, json: node, .. } in Node::examples() {
         let value: Value = serde_json::from_str(&node).unwrap();
         let still: Node = serde_json::from_str(&node).unwrap();
         let mut found = Vec::new();
@@ -71,7 +71,7 @@ fn a_number_animated_through_0_gives_finite_distances() {
             let distance = moving.distance(p);
             assert!(distance.is_finite(), "{name}: {distance} at {p:?}");
         }
-        let (bounds, stretch) = (moving.bounds(0.0), moving.stretch());
+        let (bounds, stretch) = (moving.bounds(0.0), moving.lipschitz());
         assert!(
             stretch.is_finite() && !bounds.min.x.is_nan() && !bounds.max.x.is_nan(),
             "{name}: {stretch}, {bounds:?}"

@@ -74,7 +74,7 @@ fn surface_points(shape: &Node) -> Vec<Vec3<f32>> {
         let start = vec3(wave(2.4), wave(1.7) * 0.7, Real::cos(index * 2.4)) * 4.0;
         let target = vec3(wave(0.9), wave(0.6) * 0.3, wave(1.3) * 0.7);
         let direction = (target - start).normalize();
-        let (mut t, scale) = (0.0, 1.0 / shape.stretch());
+        let (mut t, scale) = (0.0, 1.0 / shape.lipschitz());
         for _ in 0..2000 {
             let p = start + direction * t;
             let distance = shape.distance(p);

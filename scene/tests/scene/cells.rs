@@ -4,7 +4,6 @@ use std::fs;
 
 use scene::bounds::Bounds;
 use scene::cells::{Cells, Program, ScalarBuilder};
-use scene::materials::Shade;
 use scene::nodes::{DistanceWithMaterials, MaterialWeight, SdfValue};
 use scene::real::{Vec3, vec3};
 use scene::{Job, Scene, parse};

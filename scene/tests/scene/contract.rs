@@ -1,7 +1,7 @@
 //! Contract tests that every node must pass, run on each node's own examples. No test names a node.
 
 use crate::subject as scene;
-use scene::nodes::{Exactness, Node, NodeExample};
+use scene::nodes::{Exactness, Example, Node};
 use scene::real::{Interval, Real, Tribool, Vec3, vec3};
 
 /// Pseudorandom numbers from a fixed seed, so that failures repeat.
@@ -29,7 +29,7 @@ impl Random {
 }
 
 fn each_node(mut check: impl FnMut(&str, &Node)) {
-    for NodeExample { kind, index: number, node } in
+    for Example { kind, index: number, json: node, .. } in
         Node::examples().into_iter().filter(|example| crate::is_tested(example.kind))
     {
         check(&format!("{kind} {number}"), &serde_json::from_str(&node).expect("an example is a node"));
@@ -47,7 +47,7 @@ fn a_node_survives_a_json_round_trip() {
 #[test]
 fn the_schema_describes_every_node_and_each_of_its_keys() {
     let schema = scene::schema();
-    for NodeExample { kind, node, .. } in Node::examples() {
+    for Example { kind, json: node, .. } in Node::examples() {
         let definition = &schema["$defs"][kind];
         assert!(definition["description"].is_string(), "{kind} has no description");
         assert_eq!(definition["additionalProperties"], false, "{kind} takes unknown keys");
@@ -98,7 +98,7 @@ fn no_step_passes_a_surface() {
         let mut steps = 0;
         while steps < 20_000 {
             let p = random.point(3.0);
-            let step = node.distance(p) / node.stretch();
+            let step = node.distance(p) / node.lipschitz();
             if step <= 0.0 {
                 continue;
             }
@@ -135,7 +135,7 @@ fn check_lipschitz_factors(points: u32) {
             let (dp, dq) = (node.distance(p), node.distance(q));
             let apart = vec3(p.x - q.x, p.y - q.y, p.z - q.z).length();
             let rounding = 8.0 * f32::EPSILON * 4.0;
-            assert!((dp - dq).abs() <= node.stretch() * apart + rounding, "{kind}: {dp} at {p:?}, {dq} at {q:?}");
+            assert!((dp - dq).abs() <= node.lipschitz() * apart + rounding, "{kind}: {dp} at {p:?}, {dq} at {q:?}");
         }
     });
 }
@@ -174,7 +174,7 @@ fn check_exact_distances(points: u32) {
         if node.exactness() != Exactness::Exact {
             return;
         }
-        assert!(node.stretch() <= 1.0, "{kind} is exact: a distance has a Lipschitz factor of 1");
+        assert!(node.lipschitz() <= 1.0, "{kind} is exact: a distance has a Lipschitz factor of 1");
         let mut random = Random(5);
         for _ in 0..points {
             let p = random.point(2.0);

@@ -112,7 +112,7 @@ fn copies_are_the_union_of_the_copies_written_out_to_the_bit() {
                 assert_same(&copies, &union, &format!("{count} {smooth} {with:?}"));
                 assert_eq!(copies.scene.used_materials(), union.scene.used_materials());
                 let (a, b) = (&copies.scene.objects[0].shape, &union.scene.objects[0].shape);
-                assert_eq!(a.stretch().to_bits(), b.stretch().to_bits());
+                assert_eq!(a.lipschitz().to_bits(), b.lipschitz().to_bits());
                 let (of_copies, of_union) = (a.bounds(0.1), b.bounds(0.1).expanded(1e-4));
                 assert!(of_union.union(of_copies) == of_union, "{of_copies:?} are not in {of_union:?}");
                 for (a, b) in [(of_copies.min, of_union.min), (of_copies.max, of_union.max)] {

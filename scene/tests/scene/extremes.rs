@@ -3,7 +3,7 @@
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
 use scene::ParseError;
-use scene::nodes::{Node, NodeExample};
+use scene::nodes::{Example, Node};
 use scene::real::{Vec3, vec3};
 use serde_json::{Number, Value, json};
 
@@ -104,8 +104,8 @@ fn wrong_with(node: &Value) -> Option<String> {
             return stray.map(|fault| format!("is rejected without a fix: {fault}"));
         }
     };
-    if !(shape.stretch().is_finite() && shape.stretch() > 0.0) {
-        return Some(format!("has a Lipschitz factor of {}", shape.stretch()));
+    if !(shape.lipschitz().is_finite() && shape.lipschitz() > 0.0) {
+        return Some(format!("has a Lipschitz factor of {}", shape.lipschitz()));
     }
     let bounds = shape.bounds(0.5);
     let sides: [[f32; 3]; 2] = [bounds.min.into(), bounds.max.into()];
@@ -142,7 +142,7 @@ fn places_of(example: &Value) -> Vec<Place> {
 
 fn each_example(mut check: impl FnMut(&Value, &[Place]) -> Vec<String>) {
     let mut wrong = Vec::new();
-    for NodeExample { kind, index: number, node } in Node::examples() {
+    for Example { kind, index: number, json: node, .. } in Node::examples() {
         let example: Value = serde_json::from_str(&node).expect("an example is JSON");
         let found = check(&example, &places_of(&example));
         wrong.extend(found.into_iter().map(|reason| format!("{kind} {number} {reason}")));

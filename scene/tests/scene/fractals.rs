@@ -1,7 +1,7 @@
 //! Contract tests of estimates, run on each such node's own examples: on no ray does a step of value/lipschitz pass a
 //! piece of the fractal that small steps find.
 
-use scene::nodes::{Exactness, Node, NodeExample};
+use scene::nodes::{Exactness, Example, Node};
 use scene::real::{Vec3, vec3};
 
 /// Pseudorandom numbers from a fixed seed, so that failures repeat.
@@ -46,7 +46,7 @@ fn ray(random: &mut Random) -> impl Fn(f32) -> Vec3<f32> + use<> {
 }
 
 fn each_estimate(mut check: impl FnMut(&str, &Node)) {
-    for NodeExample { kind, index: number, node } in Node::examples() {
+    for Example { kind, index: number, json: node, .. } in Node::examples() {
         let node: Node = serde_json::from_str(&node).expect("an example is a node");
         if node.exactness() == Exactness::Estimate {
             check(&format!("{kind} {number}"), &node);
@@ -79,9 +79,9 @@ fn no_value_exceeds_the_distance_found_by_small_steps() {
                 let left = (free - step) as f32 * STEP;
                 let place = at(step as f32 * STEP);
                 assert!(
-                    value / node.stretch() <= left + STEP,
+                    value / node.lipschitz() <= left + STEP,
                     "{name} claims {value} at {place:?}, but a piece is {left} away and the stretch is {}",
-                    node.stretch()
+                    node.lipschitz()
                 );
             }
         }
@@ -96,7 +96,7 @@ fn no_march_jumps_over_a_piece_that_small_steps_find() {
             let at = ray(&mut random);
             let mut t = 0.0_f32;
             while t < STEPS as f32 * STEP {
-                let step = node.distance(at(t)) / node.stretch();
+                let step = node.distance(at(t)) / node.lipschitz();
                 if step < tolerance(t) {
                     break;
                 }

@@ -3,7 +3,7 @@
 
 use crate::subject as scene;
 use scene::lights::LightSample;
-use scene::materials::{Example, IncidentLight, Material, Shade, ShadingPoint, Texture};
+use scene::materials::{Example, IncidentLight, Material, ShadingPoint, Texture};
 use scene::real::{MaskValue, Vec3, vec3};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
@@ -117,7 +117,7 @@ fn textures_are_finite_and_never_negative() {
         for reach in [0.0, 1e-6, 1.0, 10.0, 1e3, 1e6] {
             for _ in 0..2_000 {
                 let place = random.place(reach);
-                assert_finite(kind, texture.at(&place), &place);
+                assert_finite(kind, texture.color(&place), &place);
             }
         }
     });
@@ -169,7 +169,7 @@ fn only_materials_that_need_the_local_normal_use_it() {
         (place, ShadingPoint { local_normal: random.direction(), ..place })
     };
     each_texture(|kind, texture| {
-        let differs = (0..500).map(|_| pairs()).any(|(one, other)| texture.at(&one) != texture.at(&other));
+        let differs = (0..500).map(|_| pairs()).any(|(one, other)| texture.color(&one) != texture.color(&other));
         assert_eq!(differs, texture.needs_own_normal(), "{kind}");
     });
     each_material(|kind, material| {

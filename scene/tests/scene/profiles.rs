@@ -1,5 +1,6 @@
 //! Profiles: contract tests in the plane, and errors of polygons.
 
+use scene::kinds::Example;
 use scene::nodes::Exactness;
 use scene::profiles::Profile;
 
@@ -16,7 +17,7 @@ fn places(count: u32) -> impl Iterator<Item = (f32, f32)> {
 #[test]
 fn the_schema_describes_every_profile_and_each_of_its_keys() {
     let schema = scene::schema();
-    for (kind, json) in Profile::examples() {
+    for Example { kind, json, .. } in Profile::examples() {
         let definition = &schema["$defs"][kind];
         assert!(definition["description"].is_string(), "{kind} has no description");
         assert_eq!(definition["additionalProperties"], false, "{kind} takes unknown keys");
@@ -31,7 +32,7 @@ fn the_schema_describes_every_profile_and_each_of_its_keys() {
 #[test]
 fn a_circle_of_the_exact_distance_touches_the_outline() {
     const TURNS: u16 = 1_000;
-    for (kind, json) in Profile::examples() {
+    for Example { kind, json, .. } in Profile::examples() {
         let profile = profile(&json);
         if profile.exactness() != Exactness::Exact {
             continue;
@@ -52,10 +53,10 @@ fn a_circle_of_the_exact_distance_touches_the_outline() {
 
 #[test]
 fn a_mirrored_profile_is_its_own_mirror_image() {
-    for (kind, json) in Profile::examples() {
+    for Example { kind, json, .. } in Profile::examples() {
         let profile = profile(&json);
         let is_same = places(500).all(|(x, y)| profile.distance(x, y) == profile.distance(-x, y));
-        assert!(is_same || !profile.is_mirrored(), "{kind} {json}");
+        assert!(is_same || !profile.is_symmetric(), "{kind} {json}");
     }
 }
 

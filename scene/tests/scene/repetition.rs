@@ -201,16 +201,16 @@ fn a_list_of_invalid_length_is_reported_with_its_number() {
 fn factors_multiply_through_nested_modifiers() {
     let twisted = format!(r#"{{ "twist": {{ "degrees_per_unit": 60, "child": {SPHERE} }} }}"#);
     let twice = format!(r#"{{ "twist": {{ "degrees_per_unit": 60, "child": {twisted} }} }}"#);
-    let around = |name: &str, child: &str| node(&format!(r#"{{ "{name}": {child} }}"#)).stretch();
+    let around = |name: &str, child: &str| node(&format!(r#"{{ "{name}": {child} }}"#)).lipschitz();
     // A box around the sphere has a radius of √2: k·r = √2·π/3.
     let shear = std::f32::consts::SQRT_2 * std::f32::consts::FRAC_PI_3;
     let factor = 0.5 * (shear + (shear * shear + 4.0).sqrt());
-    assert!((node(&twisted).stretch() - factor).abs() < 1e-5);
+    assert!((node(&twisted).lipschitz() - factor).abs() < 1e-5);
     let wider = 2.0 * std::f32::consts::FRAC_PI_3;
     let wider = 0.5 * (wider + (wider * wider + 4.0).sqrt());
-    assert!((node(&twice).stretch() - factor * wider).abs() < 1e-4);
+    assert!((node(&twice).lipschitz() - factor * wider).abs() < 1e-4);
     for (name, rest) in [("round", r#""radius": 0.1"#), ("stretch", r#""by": [1, 2, 3]"#), ("scale", r#""by": 2"#)] {
-        assert_eq!(around(name, &format!(r#"{{ {rest}, "child": {twice} }}"#)), node(&twice).stretch(), "{name}");
+        assert_eq!(around(name, &format!(r#"{{ {rest}, "child": {twice} }}"#)), node(&twice).lipschitz(), "{name}");
     }
     let half = around("chamfer", &format!(r#"{{ "kind": "union", "size": 0.1, "of": [{twisted}, {SPHERE}] }}"#));
     assert!((half - factor.max((factor + 1.0) * std::f32::consts::FRAC_1_SQRT_2)).abs() < 1e-5);
@@ -261,7 +261,7 @@ fn minimum_and_maximum_numbers_give_finite_distances() {
     ];
     for text in texts {
         let node = node(&format!("{{ {text} }}"));
-        assert!(node.stretch().is_finite(), "{text}");
+        assert!(node.lipschitz().is_finite(), "{text}");
         for reach in [0.0, 1e-6, 1e-3, 1.0, 1e3, 1e6] {
             each_point(reach, |p| assert!(node.distance(p).is_finite(), "{text} at {p:?}"));
         }

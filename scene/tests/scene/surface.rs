@@ -8,7 +8,7 @@ use std::f64::consts::{PI, TAU};
 
 use scene::lights::LightSample;
 use scene::materials::microfacet::{alpha_from_roughness, orthonormal_basis, sample_visible_normal, smith_g2_over_g1};
-use scene::materials::{IncidentLight, Material, Shade, ShadingPoint};
+use scene::materials::{IncidentLight, Material, ShadingPoint};
 use scene::real::{MaskValue, Vec3, vec3};
 
 type V = [f64; 3];

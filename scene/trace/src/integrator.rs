@@ -28,14 +28,13 @@ mod straight_shadows;
 use std::ops::{Add, Range};
 
 use crate::animation::JobAtFrame;
-use crate::backgrounds::Backdrop;
 use crate::bounds::Bounds;
 use crate::camera::View;
 use crate::cells::Cells;
 use crate::film::BRIGHTNESS_LEVELS;
 use crate::limits::MAX_SAMPLES;
 use crate::march::{MAX_PAST, MAX_PAST_FRACTALS};
-use crate::materials::{Material, Shade, ShadingPoint};
+use crate::materials::{Material, ShadingPoint};
 use crate::ray::{Ray, Tolerance};
 use crate::real::{MaskValue, Real, Vec3, bundle, vec3};
 use crate::sample_count::{BATCH, within_batches};
@@ -231,14 +230,14 @@ impl<'a> Integrator<'a> {
         let view = scene.camera.view(full_width, full_height);
         let clothes = MaterialTable::new(scene);
         let is_worn = |of: fn(&Material) -> bool| clothes.slots().any(|slot| of(&scene.used_materials()[slot]));
-        let (sends_on, lets_through) = (is_worn(Shade::is_specular), is_worn(Shade::is_transmissive));
+        let (sends_on, lets_through) = (is_worn(Material::is_specular), is_worn(Material::is_transmissive));
         let surfaces: Vec<usize> = surfaces_of(scene).filter(|&index| scene.objects[index].visible.to(rays)).collect();
         let boxes: Vec<Option<Bounds>> =
             scene.objects.iter().map(|object| object.shape.culling_bounds(moves)).collect();
         let shapes = surfaces.iter().map(|&index| scene.objects[index].shape.bounds(0.0));
         let bounds = shapes.reduce(Bounds::union).unwrap_or(Bounds::EMPTY);
         let step_scales: Vec<Option<f32>> =
-            scene.objects.iter().map(|object| shrink(object.shape.stretch(), moves)).collect();
+            scene.objects.iter().map(|object| shrink(object.shape.lipschitz(), moves)).collect();
         let bounds = view.with_margin(bounds);
         let has_fractal = surfaces.iter().any(|&index| scene.objects[index].shape.has_fractal());
         let ray_boxes = RayBoxes::new(scene, &surfaces, &boxes, view.resolution().floor);

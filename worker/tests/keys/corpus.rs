@@ -69,7 +69,7 @@ fn written<T: Serialize + DeserializeOwned>(json: &str) -> Value {
 pub(crate) fn jobs() -> Vec<Value> {
     let mut scenes = surroundings();
     let nodes = Node::examples();
-    scenes.extend(nodes.iter().map(|node| scene(&written::<Node>(&node.node), &gray(), &sun(), &gradient())));
+    scenes.extend(nodes.iter().map(|node| scene(&written::<Node>(&node.json), &gray(), &sun(), &gradient())));
     let examples = Material::examples();
     scenes.extend(examples.iter().map(|one| scene(&ball(), &written::<Material>(&one.json), &sun(), &gradient())));
     scenes.extend(Texture::examples().iter().map(|texture| {

@@ -5,7 +5,7 @@ use proto::Rect;
 use scene::backgrounds::Background;
 use scene::camera::{Lens, Projection};
 use scene::lights::Light;
-use scene::nodes::{Node, NodeExample};
+use scene::nodes::{Example, Node};
 use scene::{Job, effects};
 use serde_json::{Value, json};
 use worker::cuda::KernelSource;
@@ -59,7 +59,7 @@ fn moving(scene: &Value) -> Value {
 
 #[test]
 fn all_frames_of_a_job_share_one_kernel_source() {
-    for NodeExample { kind, index: number, node } in Node::examples() {
+    for Example { kind, index: number, json: node, .. } in Node::examples() {
         let shape: Value = serde_json::from_str(&node).unwrap();
         let job = job(&moving(&scene_of(&shape)), 3);
         assert!(job.is_animated(), "{kind} {number} has numbers");

@@ -8,7 +8,7 @@ use scene::camera::{Lens, Projection};
 use scene::integrator::Ranks;
 use scene::kinds::Example;
 use scene::lights::Light;
-use scene::materials::{Material, Shade, Texture};
+use scene::materials::{Material, Texture};
 use scene::nodes::Node;
 use scene::transport::{PathSettings, Transport};
 use scene::{Image, Integrator, Job, Layer, effects};
@@ -113,7 +113,7 @@ fn compare_with_paths(name: &str, job: &Job) {
 #[test]
 fn every_width_gives_the_reference_bits_for_every_node() {
     for example in Node::examples() {
-        let mut job = job(&example.node);
+        let mut job = job(&example.json);
         (job.image.width, job.image.height) = (21, 17);
         compare(example.kind, &job);
     }
@@ -123,7 +123,7 @@ fn every_width_gives_the_reference_bits_for_every_node() {
 #[ignore = "long: three times as many pixels; 40 s"]
 fn every_width_gives_the_reference_bits_for_every_node_at_many_pixels() {
     for example in Node::examples() {
-        compare(example.kind, &job(&example.node));
+        compare(example.kind, &job(&example.json));
     }
 }
 
@@ -242,12 +242,12 @@ fn every_width_gives_the_reference_bits_for_every_effect() {
 #[test]
 fn a_tile_equals_its_part_of_the_picture() {
     let example = Node::examples().swap_remove(0);
-    tiles_equal_the_whole(&job(&example.node));
+    tiles_equal_the_whole(&job(&example.json));
 }
 
 #[test]
 fn a_tile_of_a_lens_equals_its_part_of_the_picture() {
-    let mut job = job(&Node::examples().swap_remove(0).node);
+    let mut job = job(&Node::examples().swap_remove(0).json);
     job.scene.camera.lens = Some(serde_json::from_value(json!({ "aperture": 0.6, "focus": 2, "blades": 5 })).unwrap());
     tiles_equal_the_whole(&job);
 }
@@ -271,7 +271,7 @@ fn tiles_equal_the_whole(job: &Job) {
 
 #[test]
 fn a_set_cancel_flag_stops_a_render() {
-    let job = job(&Node::examples().swap_remove(0).node);
+    let job = job(&Node::examples().swap_remove(0).json);
     let renderer = CpuRenderer::new(Some(1), Simd::Auto).unwrap();
     let cancel = CancelFlag::new();
     cancel.cancel();

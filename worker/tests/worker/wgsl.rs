@@ -2,7 +2,7 @@
 
 use naga::valid::{Capabilities, ValidationFlags, Validator};
 use rayon::prelude::*;
-use scene::nodes::{Node, NodeExample};
+use scene::nodes::{Example, Node};
 use serde_json::{Value, json};
 use worker::wgsl::{Shader, ShaderError};
 
@@ -41,7 +41,7 @@ fn naga_validates_the_program_of_every_scene() {
 fn naga_validates_the_program_of_every_node() {
     let examples = Node::examples();
     assert!(examples.len() > 40);
-    examples.par_iter().for_each(|NodeExample { kind: name, node, .. }| {
+    examples.par_iter().for_each(|Example { kind: name, json: node, .. }| {
         let shape: Value = serde_json::from_str(node).expect("an example is JSON");
         let scene =
             json!({ "camera": { "position": [1.5, 1.4, 3.2], "look_at": [0, 0, 0] }, "objects": [{ "shape": shape }] });

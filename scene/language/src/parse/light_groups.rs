@@ -5,7 +5,6 @@ use std::collections::BTreeSet;
 use super::SemanticErrors;
 use crate::film::{Format, Image};
 use crate::light_groups::LightGroup;
-use crate::lights::LightSource;
 use crate::limits::{MAX_LIGHT_GROUP_RUNS, MAX_LIGHT_GROUPS};
 use crate::scene::{LightGroups, Scene};
 

@@ -275,7 +275,7 @@ impl Expansion<'_, '_> {
         if !are_children_sound || !self.can_evaluate(node) || !self.can_place(node, in_base) {
             return false;
         }
-        match node.fault() {
+        match node.validate() {
             Some(NodeError { pointer: place, message }) => {
                 self.faults.push((format!("{pointer}/{name}/{place}"), message));
                 false

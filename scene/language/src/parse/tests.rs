@@ -88,7 +88,7 @@ fn syntax_error(value: &serde_json::Value, visit: &mut impl FnMut(&str, &serde_j
 
 #[test]
 fn an_invalid_value_does_not_hide_other_errors() {
-    let shapes = Node::examples().into_iter().map(|example| (example.node, true));
+    let shapes = Node::examples().into_iter().map(|example| (example.json, true));
     let materials = Material::examples().into_iter().map(|example| (example.json, false));
     let mut wrong = Vec::new();
     for (json, is_shape) in shapes.chain(materials) {
@@ -126,7 +126,7 @@ fn the_first_hundred_errors_are_reported() {
 #[test]
 fn examples_of_every_node_have_no_errors() {
     for example in Node::examples() {
-        assert_eq!(faults(&around(&format!(r#"{{ "shape": {} }}"#, example.node))), [], "{}", example.node);
+        assert_eq!(faults(&around(&format!(r#"{{ "shape": {} }}"#, example.json))), [], "{}", example.json);
     }
 }
 

@@ -10,7 +10,7 @@ use crate::camera::Projection;
 use crate::effects;
 use crate::lights::Light;
 use crate::materials::{Material, Texture};
-use crate::nodes::{Node, NodeExample};
+use crate::nodes::Node;
 use crate::profiles::Profile;
 
 /// A small job, as a user would write it.
@@ -39,9 +39,9 @@ pub(super) fn show(definitions: &mut Map<String, Value>) {
 /// Examples, each with the name of its definition.
 fn of_definitions() -> Vec<(String, Value)> {
     let mut all: Vec<(&str, String)> = vec![("", JOB.to_owned())];
-    all.extend(Node::examples().into_iter().map(|NodeExample { node, .. }| ("Node", node)));
-    all.extend(Profile::examples().into_iter().map(|(_, json)| ("Profile", json)));
     let families = [
+        ("Node", Node::examples()),
+        ("Profile", Profile::examples()),
         ("Material", Material::examples()),
         ("Texture", Texture::examples()),
         ("Light", Light::examples()),

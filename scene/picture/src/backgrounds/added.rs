@@ -3,7 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{Backdrop, HasExamples};
+use super::Backdrop;
 use crate::real::{Real, Vec3};
 use crate::seek::Seek;
 use crate::values::Color;
@@ -16,11 +16,9 @@ pub struct AddedBackground {
     pub color: Color,
 }
 
-impl HasExamples for AddedBackground {
-    const EXAMPLE: &str = r#"{ "color": [0.3, 0.6, 0.9] }"#;
-}
-
 impl Backdrop for AddedBackground {
+    const EXAMPLE: &str = r#"{ "color": [0.3, 0.6, 0.9] }"#;
+
     fn radiance<R: Real>(&self, direction: Vec3<R>) -> Vec3<R> {
         Vec3::uniform(direction.x, self.color.get()) * direction.z.abs()
     }

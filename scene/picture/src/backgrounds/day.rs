@@ -3,7 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{Backdrop, HasExamples};
+use super::{Backdrop, Background};
 use crate::kinds::NodeError;
 use crate::real::{Real, Vec3, vec3};
 use crate::seek::{Invalidate, Seek, SeekError};
@@ -71,13 +71,18 @@ impl Day {
     }
 }
 
-impl HasExamples for Day {
-    const EXAMPLE: &'static str = r#"{ "sun": [0.8, 0.5, 0.4] }"#;
-    const MORE_EXAMPLES: &'static [&'static str] =
-        &[r#"{ "sun": [-0.6, 0.06, -0.8], "turbidity": 5, "ground": [0.3, 0.25, 0.2], "strength": 3 }"#];
+impl Background {
+    /// The background's `day`, if it is one.
+    pub fn day(&self) -> Option<&Day> {
+        if let Self::Day(day) = self { Some(day) } else { None }
+    }
 }
 
 impl Backdrop for Day {
+    const EXAMPLE: &'static str = r#"{ "sun": [0.8, 0.5, 0.4] }"#;
+    const MORE_EXAMPLES: &'static [&'static str] =
+        &[r#"{ "sun": [-0.6, 0.06, -0.8], "turbidity": 5, "ground": [0.3, 0.25, 0.2], "strength": 3 }"#];
+
     fn radiance<R: Real>(&self, direction: Vec3<R>) -> Vec3<R> {
         let like = direction.x;
         let cosine = direction.dot_uniform(self.sun.unit());
@@ -103,10 +108,6 @@ impl Backdrop for Day {
         let ground = Vec3::uniform(like, vec3(red, green, blue));
         let below = (-direction.y * 12.0).at_least(0.0).at_most(1.0);
         (ground - sky).mul_add(below, sky)
-    }
-
-    fn day(&self) -> Option<&Day> {
-        Some(self)
     }
 
     fn validate(&self) -> Option<NodeError> {

@@ -3,7 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{Backdrop, HasExamples};
+use super::{Backdrop, Background};
 use crate::real::{Real, Vec3, vec3};
 use crate::seek::Seek;
 use crate::values::Color;
@@ -26,11 +26,9 @@ pub struct SkyGradient {
 #[derive(Clone, Copy, Debug)]
 pub struct Transparent;
 
-impl HasExamples for SolidColor {
-    const EXAMPLE: &'static str = r##""#8fb3c9""##;
-}
-
 impl Backdrop for SolidColor {
+    const EXAMPLE: &'static str = r##""#8fb3c9""##;
+
     fn radiance<R: Real>(&self, direction: Vec3<R>) -> Vec3<R> {
         Vec3::uniform(direction.x, self.0.get())
     }
@@ -40,11 +38,9 @@ impl Backdrop for SolidColor {
     }
 }
 
-impl HasExamples for SkyGradient {
-    const EXAMPLE: &'static str = r##"{ "bottom": "#f2c9a0", "top": "#35507f" }"##;
-}
-
 impl Backdrop for SkyGradient {
+    const EXAMPLE: &'static str = r##"{ "bottom": "#f2c9a0", "top": "#35507f" }"##;
+
     fn radiance<R: Real>(&self, direction: Vec3<R>) -> Vec3<R> {
         gradient_at(&self.bottom, &self.top, direction.y, 0.5)
     }
@@ -55,7 +51,16 @@ impl Backdrop for SkyGradient {
     }
 }
 
+impl Background {
+    /// Whether the background is empty, so that alpha is 0.
+    pub fn is_transparent(&self) -> bool {
+        matches!(self, Self::Transparent)
+    }
+}
+
 impl Backdrop for Transparent {
+    const EXAMPLE: &'static str = r#""transparent""#;
+
     fn radiance<R: Real>(&self, direction: Vec3<R>) -> Vec3<R> {
         let zero = direction.x.constant(0.0);
         vec3(zero, zero, zero)
@@ -63,10 +68,6 @@ impl Backdrop for Transparent {
 
     fn cosine_mean<R: Real>(&self, normal: Vec3<R>) -> Option<Vec3<R>> {
         Some(self.radiance(normal))
-    }
-
-    fn is_transparent(&self) -> bool {
-        true
     }
 }
 
@@ -80,7 +81,7 @@ fn gradient_at<R: Real>(bottom: &Color, top: &Color, height: R, share: f32) -> V
 
 #[cfg(test)]
 mod tests {
-    use crate::backgrounds::{Backdrop, Background};
+    use crate::backgrounds::Background;
     use crate::real::{Real, vec3};
 
     #[test]

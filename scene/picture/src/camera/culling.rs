@@ -1,6 +1,6 @@
 //! View culling: tests by bounding boxes whether the picture can show an object.
 
-use super::{Project, View};
+use super::View;
 use crate::bounds::Bounds;
 use crate::real::{Vec3, vec3};
 

@@ -11,7 +11,8 @@ mod tests;
 use schemars::JsonSchema;
 use serde::{Deserialize, Deserializer, Serialize};
 
-use super::{Example, HasExamples};
+use super::Example;
+use crate::kinds::Kind;
 use crate::limits::MIN_LENGTH;
 use crate::ray::Ray;
 use crate::real::{Real, Vec3};
@@ -57,18 +58,21 @@ pub struct Lens {
     pub turn: Degrees,
 }
 
-impl HasExamples for Lens {
-    const EXAMPLE: &'static str = r#"{ "aperture": 0.4, "focus": [0.1, -0.7, 2.4] }"#;
-    const MORE_EXAMPLES: &'static [&'static str] = &[
-        r#"{ "f_stop": 1.4, "focal_length": 0.6, "focus": 3.9, "blades": 6, "turn": 10 }"#,
-        r#"{ "aperture": 0.4, "focus": 12 }"#,
-    ];
-}
-
 impl Lens {
+    /// Small valid values, as a user would write them, for pictures in the docs and for tests.
+    pub(crate) fn values() -> Vec<String> {
+        [
+            r#"{ "aperture": 0.4, "focus": [0.1, -0.7, 2.4] }"#,
+            r#"{ "f_stop": 1.4, "focal_length": 0.6, "focus": 3.9, "blades": 6, "turn": 10 }"#,
+            r#"{ "aperture": 0.4, "focus": 12 }"#,
+        ]
+        .map(str::to_owned)
+        .into()
+    }
+
     /// Examples of lenses, as a user would write them.
     pub fn examples() -> Vec<Example> {
-        Example::plain::<Self>("Lens")
+        Kind::new("Lens", "Lens", Self::values).plain_examples().collect()
     }
 
     /// The lens without what has no effect; `None` if it is a pinhole in all frames.

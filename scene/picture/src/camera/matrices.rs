@@ -3,7 +3,7 @@
 //! Both multiply row vectors, `p · M`, and store rows one after another, as OpenEXR does:
 //! OpenEXR, "Standard Attributes", <https://openexr.com/en/latest/StandardAttributes.html>.
 
-use super::{Project, View};
+use super::View;
 use crate::real::Vec3;
 
 /// Rows one after another; a point is the row vector (x, y, z, 1).

@@ -2,7 +2,7 @@
 //!
 //! Both points are computed by the same formula, so that what does not move has a way of exactly 0.
 
-use super::{CameraAxes, Project, View};
+use super::{CameraAxes, View};
 use crate::real::{Real, Vec3};
 
 impl View {

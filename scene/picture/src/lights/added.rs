@@ -3,7 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{HasExamples, LightSample, LightSource};
+use super::{LightSample, LightSource};
 use crate::backgrounds::Day;
 use crate::light_groups::LightGroup;
 use crate::real::{Real, Vec3};
@@ -23,11 +23,9 @@ pub struct AddedLight {
     pub group: Option<LightGroup>,
 }
 
-impl HasExamples for AddedLight {
-    const EXAMPLE: &str = r#"{ "direction": [0.2, 0.3, 1], "color": [0.5, 0.9, 0.4] }"#;
-}
-
 impl LightSource for AddedLight {
+    const EXAMPLE: &str = r#"{ "direction": [0.2, 0.3, 1], "color": [0.5, 0.9, 0.4] }"#;
+
     fn sample<R: Real>(
         &self,
         p: Vec3<R>,

@@ -3,7 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{HasExamples, LightSample, LightSource, default_angle, default_color, default_shadow, sample_cone};
+use super::{LightSample, LightSource, default_angle, default_color, default_shadow, sample_cone};
 use crate::backgrounds::Day;
 use crate::light_groups::LightGroup;
 use crate::real::{Real, Vec3};
@@ -30,13 +30,11 @@ pub struct Directional {
     pub group: Option<LightGroup>,
 }
 
-impl HasExamples for Directional {
+impl LightSource for Directional {
     const EXAMPLE: &'static str = r#"{ "direction": [-0.5, 0.8, 0.6] }"#;
     const MORE_EXAMPLES: &'static [&'static str] =
         &[r#"{ "direction": [-0.9, 0.5, 0.3], "color": [1, 0.72, 0.42], "angle": 12 }"#];
-}
 
-impl LightSource for Directional {
     fn sample<R: Real>(
         &self,
         p: Vec3<R>,

@@ -4,7 +4,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::body::{LightBody, LightShape, Outline, PointOfLight};
-use super::{HasExamples, LightSample, LightSource, default_color, default_shadow, strength_of_point};
+use super::{LightSample, LightSource, default_color, default_shadow, strength_of_point};
 use crate::backgrounds::Day;
 use crate::light_groups::LightGroup;
 use crate::materials::microfacet::orthonormal_basis;
@@ -124,25 +124,12 @@ impl DiscLight {
     }
 }
 
-impl HasExamples for RectangleLight {
-    const EXAMPLE: &'static str = r#"{ "position": [-1.3, 1.7, 1.5], "direction": [1.3, -1.7, -1.5], "width": 1.6, "height": 0.8,
-              "color": [4.6, 4.2, 3.6] }"#;
-    const MORE_EXAMPLES: &'static [&'static str] =
-        &[r#"{ "position": [-1.3, 1.7, -1.2], "direction": [1.3, -1.4, 1.4],
-              "up": [1, 1, 0], "width": 1.2, "height": 0.4, "color": [4.6, 4.2, 3.6], "visible": true }"#];
-}
-
-impl HasExamples for DiscLight {
-    const EXAMPLE: &'static str =
-        r#"{ "position": [-1.3, 1.7, 1.5], "direction": [1.3, -1.7, -1.5], "radius": 0.7, "color": [4.6, 4.2, 3.6] }"#;
-    const MORE_EXAMPLES: &'static [&'static str] =
-        &[r#"{ "position": [-1.3, 1.7, -1.2], "direction": [1.3, -1.4, 1.4],
-              "radius": 0.4, "color": [4.6, 4.2, 3.6], "visible": true }"#];
-}
-
 macro_rules! flat_light {
-    ($Light:ident) => {
+    ($Light:ident, $example:literal, $another:literal) => {
         impl LightSource for $Light {
+            const EXAMPLE: &'static str = $example;
+            const MORE_EXAMPLES: &'static [&'static str] = &[$another];
+
             fn sample<R: Real>(
                 &self,
                 p: Vec3<R>,
@@ -180,5 +167,16 @@ macro_rules! flat_light {
     };
 }
 
-flat_light!(RectangleLight);
-flat_light!(DiscLight);
+flat_light!(
+    RectangleLight,
+    r#"{ "position": [-1.3, 1.7, 1.5], "direction": [1.3, -1.7, -1.5], "width": 1.6, "height": 0.8,
+              "color": [4.6, 4.2, 3.6] }"#,
+    r#"{ "position": [-1.3, 1.7, -1.2], "direction": [1.3, -1.4, 1.4],
+              "up": [1, 1, 0], "width": 1.2, "height": 0.4, "color": [4.6, 4.2, 3.6], "visible": true }"#
+);
+flat_light!(
+    DiscLight,
+    r#"{ "position": [-1.3, 1.7, 1.5], "direction": [1.3, -1.7, -1.5], "radius": 0.7, "color": [4.6, 4.2, 3.6] }"#,
+    r#"{ "position": [-1.3, 1.7, -1.2], "direction": [1.3, -1.4, 1.4],
+              "radius": 0.4, "color": [4.6, 4.2, 3.6], "visible": true }"#
+);

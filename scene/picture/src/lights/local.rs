@@ -4,7 +4,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::body::{LightBody, LightShape, PointOfLight};
-use super::{HasExamples, LightSample, LightSource, default_color, default_shadow, strength_of_point};
+use super::{LightSample, LightSource, default_color, default_shadow, strength_of_point};
 use crate::backgrounds::Day;
 use crate::light_groups::LightGroup;
 use crate::real::{Real, Vec3};
@@ -59,15 +59,13 @@ pub struct SphereLight {
     pub group: Option<LightGroup>,
 }
 
-impl HasExamples for SpotLight {
+impl LightSource for SpotLight {
     const EXAMPLE: &'static str =
         r#"{ "position": [-1.6, 3.2, 2.6], "direction": [1.7, -4.4, -2.5], "angle": 30, "color": [26, 24, 21] }"#;
     const MORE_EXAMPLES: &'static [&'static str] = &[
         r#"{ "position": [-1.6, 3.2, 2.6], "direction": [1.7, -4.4, -2.5], "angle": 40, "softness": 1, "color": [26, 24, 21] }"#,
     ];
-}
 
-impl LightSource for SpotLight {
     fn sample<R: Real>(
         &self,
         p: Vec3<R>,
@@ -113,13 +111,11 @@ impl LightSource for SpotLight {
     }
 }
 
-impl HasExamples for SphereLight {
+impl LightSource for SphereLight {
     const EXAMPLE: &'static str = r#"{ "position": [-1.3, 1.5, 1.5], "radius": 0.5, "color": [4.6, 4.2, 3.6] }"#;
     const MORE_EXAMPLES: &'static [&'static str] =
         &[r#"{ "position": [-1.3, 1.5, 1.5], "radius": 0.5, "color": [4.6, 4.2, 3.6], "visible": true }"#];
-}
 
-impl LightSource for SphereLight {
     fn sample<R: Real>(
         &self,
         p: Vec3<R>,

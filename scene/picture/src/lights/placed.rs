@@ -4,7 +4,7 @@ use std::ops::Deref;
 
 use serde::{Serialize, Serializer};
 
-use super::{Light, LightBody, LightSample, LightShape, LightSource};
+use super::{Light, LightBody, LightSample, LightShape};
 use crate::backgrounds::Day;
 use crate::real::{Real, Vec3};
 use crate::seek::{FrameTime, Seek, SeekError};

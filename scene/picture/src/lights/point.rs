@@ -3,7 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{HasExamples, LightSample, LightSource, default_color, default_shadow, strength_of_point};
+use super::{LightSample, LightSource, default_color, default_shadow, strength_of_point};
 use crate::backgrounds::Day;
 use crate::light_groups::LightGroup;
 use crate::real::{Real, Vec3};
@@ -27,11 +27,9 @@ pub struct PointLight {
     pub group: Option<LightGroup>,
 }
 
-impl HasExamples for PointLight {
-    const EXAMPLE: &'static str = r#"{ "position": [-1.1, 0.9, 1.5], "color": [2.6, 2.3, 1.9] }"#;
-}
-
 impl LightSource for PointLight {
+    const EXAMPLE: &'static str = r#"{ "position": [-1.1, 0.9, 1.5], "color": [2.6, 2.3, 1.9] }"#;
+
     fn sample<R: Real>(
         &self,
         p: Vec3<R>,

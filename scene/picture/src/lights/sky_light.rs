@@ -3,8 +3,8 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{AmbientLight, HasExamples, LightSample, LightSource, default_shadow, default_strength};
-use crate::backgrounds::{Backdrop, Background, Day};
+use super::{AmbientLight, Light, LightSample, LightSource, default_shadow, default_strength};
+use crate::backgrounds::{Background, Day};
 use crate::kinds::NodeError;
 use crate::light_groups::LightGroup;
 use crate::real::{Real, Vec3};
@@ -32,15 +32,21 @@ pub struct SkyLight {
     pub group: Option<LightGroup>,
 }
 
-impl HasExamples for SkyLight {
+impl Light {
+    /// The ambient light of this light in front of the background, if it is one.
+    pub fn ambient<'a>(&'a self, background: &'a Background) -> Option<AmbientLight<'a>> {
+        let Self::Sky(sky) = self else { return None };
+        Some(AmbientLight { from: sky.from.as_ref().unwrap_or(background), strength: sky.strength.get() })
+    }
+}
+
+impl LightSource for SkyLight {
     const EXAMPLE: &'static str = r#"{ "strength": 2 }"#;
     const MORE_EXAMPLES: &'static [&'static str] = &[
         r#"{ "strength": 2, "shadow": false }"#,
         r##"{ "from": { "gradient": { "bottom": "#e0863c", "top": "#b8d4ff" } } }"##,
     ];
-}
 
-impl LightSource for SkyLight {
     fn sample<R: Real>(
         &self,
         _: Vec3<R>,
@@ -49,10 +55,6 @@ impl LightSource for SkyLight {
         _: impl FnOnce() -> (R, R),
     ) -> Option<(LightSample<R>, R)> {
         None
-    }
-
-    fn ambient<'a>(&'a self, background: &'a Background) -> Option<AmbientLight<'a>> {
-        Some(AmbientLight { from: self.from.as_ref().unwrap_or(background), strength: self.strength.get() })
     }
 
     fn group(&self) -> Option<&LightGroup> {
@@ -87,11 +89,11 @@ impl LightSource for SkyLight {
             Some(from) if from.is_transparent() => {
                 Some(NodeError::new("from", "emits no light: choose a color, a gradient or a day"))
             }
-            Some(from) => from.validate().map(|fault| fault.inside("from")),
+            Some(from) => from.fault().map(|fault| fault.inside("from")),
         }
     }
 
     fn precompute(&mut self) {
-        self.from.iter_mut().for_each(Backdrop::precompute);
+        self.from.iter_mut().for_each(Background::precompute);
     }
 }

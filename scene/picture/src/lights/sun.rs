@@ -3,8 +3,8 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{HasExamples, LightSample, LightSource, default_shadow, default_strength, sample_cone};
-use crate::backgrounds::{Backdrop, Background, Day};
+use super::{LightSample, LightSource, default_shadow, default_strength, sample_cone};
+use crate::backgrounds::{Background, Day};
 use crate::kinds::NodeError;
 use crate::light_groups::LightGroup;
 use crate::real::{Real, Vec3};
@@ -29,12 +29,10 @@ pub struct Sun {
     pub group: Option<LightGroup>,
 }
 
-impl HasExamples for Sun {
+impl LightSource for Sun {
     const EXAMPLE: &'static str = "{}";
     const MORE_EXAMPLES: &'static [&'static str] = &[r#"{ "strength": 0.6, "angle": 9 }"#];
-}
 
-impl LightSource for Sun {
     fn sample<R: Real>(
         &self,
         p: Vec3<R>,

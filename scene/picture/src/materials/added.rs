@@ -4,7 +4,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::bsdf::Bsdf;
-use super::{HasExamples, IncidentLight, Shade, ShadingPoint};
+use super::{IncidentLight, Shade, ShadingPoint};
 use crate::real::{Real, Vec3};
 use crate::seek::Seek;
 use crate::values::Color;
@@ -17,11 +17,9 @@ pub struct AddedMaterial {
     pub color: Color,
 }
 
-impl HasExamples for AddedMaterial {
-    const EXAMPLE: &str = r#"{ "color": [0.8, 0.4, 0.1] }"#;
-}
-
 impl Shade for AddedMaterial {
+    const EXAMPLE: &str = r#"{ "color": [0.8, 0.4, 0.1] }"#;
+
     fn shade<R: Real>(&self, place: &ShadingPoint<R>, light: &IncidentLight<R>) -> Vec3<R> {
         let own = self.albedo(place);
         light

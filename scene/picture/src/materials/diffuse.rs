@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use super::bsdf::{Bsdf, Lobes};
 use super::microfacet::MIN_ALPHA;
-use super::{ColorParam, HasExamples, IncidentLight, ScalarParam, Shade, ShadingPoint, Texture};
+use super::{ColorParam, IncidentLight, ScalarParam, Shade, ShadingPoint, Texture};
 use crate::real::{Real, Vec3, vec3};
 use crate::seek::Seek;
 use crate::values::Shininess;
@@ -49,7 +49,7 @@ impl Diffuse {
     }
 }
 
-impl HasExamples for Diffuse {
+impl Shade for Diffuse {
     const EXAMPLE: &'static str = r##"{ "kd": "#4f7fb8", "ks": [0.3, 0.3, 0.3], "shininess": 40 }"##;
     const MORE_EXAMPLES: &'static [&'static str] = &[
         r##"{ "kd": { "checker": { "cell": 0.4, "colors": ["#b5432f", "#e8dcc0"] } }, "ka": [0.5, 0.5, 0.6],
@@ -60,9 +60,7 @@ impl HasExamples for Diffuse {
                                          "ramp": [[0, [0.05, 0.03, 0.02]], [1, [0.3, 0.4, 0.6]]] } },
               "shininess": { "low": 4, "high": 90, "by": { "checker": { "cell": 0.6 } } } }"##,
     ];
-}
 
-impl Shade for Diffuse {
     fn shade<R: Real>(&self, place: &ShadingPoint<R>, light: &IncidentLight<R>) -> Vec3<R> {
         let like = place.normal.x;
         let kd = self.kd.at(place);

@@ -66,7 +66,7 @@ impl ColorParam {
     pub fn at<R: Real>(&self, place: &ShadingPoint<R>) -> Vec3<R> {
         match self {
             Self::Constant(color) => Vec3::uniform(place.normal.x, color.get()),
-            Self::Textured(texture) => texture.at(place),
+            Self::Textured(texture) => texture.color(place),
         }
     }
 }

@@ -4,7 +4,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::bsdf::Bsdf;
-use super::{HasExamples, IncidentLight, Shade, ShadingPoint};
+use super::{IncidentLight, Material, Shade, ShadingPoint};
 use crate::real::{Real, Vec3, vec3};
 use crate::seek::Seek;
 use crate::values::Fraction;
@@ -22,12 +22,24 @@ pub struct ShadowCatcher {
     pub opacity: Fraction,
 }
 
-impl HasExamples for ShadowCatcher {
-    const EXAMPLE: &'static str = "{}";
-    const MORE_EXAMPLES: &'static [&'static str] = &[r#"{ "opacity": 0.6 }"#];
+impl Material {
+    /// Whether it shows the shadows on it and nothing else.
+    pub fn is_shadow_catcher(&self) -> bool {
+        matches!(self, Self::ShadowCatcher(_))
+    }
+
+    /// Fraction of the background that is seen through a shadow catcher; `None` for other materials.
+    pub fn transparency<R: Real>(&self, light: &IncidentLight<R>) -> Option<R> {
+        let (Self::ShadowCatcher(catcher), Some(shadow)) = (self, light.shadow) else { return None };
+        let opacity = shadow.uniform(catcher.opacity.get());
+        Some(shadow.constant(1.0) - shadow * opacity)
+    }
 }
 
 impl Shade for ShadowCatcher {
+    const EXAMPLE: &'static str = "{}";
+    const MORE_EXAMPLES: &'static [&'static str] = &[r#"{ "opacity": 0.6 }"#];
+
     fn shade<R: Real>(&self, place: &ShadingPoint<R>, _: &IncidentLight<R>) -> Vec3<R> {
         self.albedo(place)
     }
@@ -43,16 +55,6 @@ impl Shade for ShadowCatcher {
 
     fn is_lit(&self) -> bool {
         true
-    }
-
-    fn is_shadow_catcher(&self) -> bool {
-        true
-    }
-
-    fn transparency<R: Real>(&self, light: &IncidentLight<R>) -> Option<R> {
-        let shadow = light.shadow?;
-        let opacity = shadow.uniform(self.opacity.get());
-        Some(shadow.constant(1.0) - shadow * opacity)
     }
 }
 

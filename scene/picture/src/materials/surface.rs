@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 use super::bsdf::{Bsdf, CLEARCOAT_F0, Lobes};
 use super::microfacet::{alpha_from_roughness, f0_from_ior, ggx_distribution, schlick_weight, smith_visibility};
 use super::param::lerp;
-use super::{ColorParam, HasExamples, IncidentLight, ScalarParam, Shade, ShadingPoint, SpecularBsdf, Texture};
+use super::{ColorParam, IncidentLight, ScalarParam, Shade, ShadingPoint, SpecularBsdf, Texture};
 use crate::materials::LightSample;
 use crate::real::{Real, Vec3, bundle, vec3};
 use crate::seek::Seek;
@@ -234,7 +234,7 @@ impl<R: Real> SurfaceTerms<R> {
     }
 }
 
-impl HasExamples for Surface {
+impl Shade for Surface {
     const EXAMPLE: &'static str = r##"{ "base_color": "#c8452d", "roughness": 0.35 }"##;
     const MORE_EXAMPLES: &'static [&'static str] = &[
         r#"{ "base_color": [1.0, 0.71, 0.29], "metallic": 1, "roughness": 0.25 }"#,
@@ -249,9 +249,7 @@ impl HasExamples for Surface {
               "clearcoat": { "low": 0, "high": 1, "by": { "checker": { "cell": 0.8 } } },
               "transmission": { "low": 0, "high": 0.5, "by": { "checker": { "cell": 0.2 } } } }"##,
     ];
-}
 
-impl Shade for Surface {
     fn shade<R: Real>(&self, place: &ShadingPoint<R>, light: &IncidentLight<R>) -> Vec3<R> {
         let layers = self.layers(place);
         let like = place.normal.x;

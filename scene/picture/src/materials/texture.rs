@@ -1,7 +1,6 @@
 //! Textures: colors that vary over space. They are solid: most depend only on the point, none needs a mapping.
 //!
-//! A texture is one documented struct, an `impl` of [`Pattern`] and of [`super::HasExamples`], and one entry in the
-//! list.
+//! A texture is one documented struct, an `impl` of [`Pattern`], and one entry in the list.
 
 #[cfg(feature = "added")]
 mod added;
@@ -13,9 +12,6 @@ mod ramp;
 mod stripes;
 mod wave;
 
-use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
-
 #[cfg(feature = "added")]
 pub use added::AddedTexture;
 pub use bricks::Bricks;
@@ -25,92 +21,46 @@ pub use noise::{Marble, NoiseRamp, Wood};
 pub use ramp::{Ramp, RampStop};
 pub use stripes::Stripes;
 
-use super::{ColorParam, Example, ShadingPoint};
-use crate::kinds::snake_case;
+use super::{ColorParam, ShadingPoint};
+use crate::kinds::family;
 use crate::real::{Real, Vec3};
-use crate::seek::Seek;
 
-/// Behavior of a texture.
-pub trait Pattern {
-    /// Color at a shading point, linear RGB.
-    fn color<R: Real>(&self, place: &ShadingPoint<R>) -> Vec3<R>;
-
-    /// Its colors, which may be textures.
-    fn color_params(&self) -> Vec<&ColorParam>;
-
-    /// Whether it uses `ShadingPoint::local_normal` directly.
-    fn uses_local_normal(&self) -> bool {
-        false
+family! {
+    /// A color that varies over space: an object whose member is the texture's name.
+    pub enum Texture {
+        Noise(NoiseRamp),
+        Marble(Marble),
+        Wood(Wood),
+        Checker(Checker),
+        Stripes(Stripes),
+        Bricks(Bricks),
+        Gradient(Gradient),
+        #[cfg(feature = "added")]
+        Added(AddedTexture),
     }
 
-    /// Whether it uses `ShadingPoint::footprint` directly.
-    fn looks_at_footprint(&self) -> bool {
-        false
+    /// Behavior of a texture.
+    pub trait Pattern {
+        /// Color at a shading point, linear RGB.
+        fn color<R: Real>(&self, place: &ShadingPoint<R>) -> Vec3<R>;
+
+        /// Its colors, which may be textures.
+        fn color_params(&self) -> Vec<&ColorParam>;
+
+        /// Whether it uses `ShadingPoint::local_normal` directly.
+        fn uses_local_normal(&self) -> bool = false;
+
+        /// Whether it uses `ShadingPoint::footprint` directly.
+        fn looks_at_footprint(&self) -> bool = false;
     }
 }
-
-/// The list: each texture's name, and its struct.
-macro_rules! textures {
-    ($($(#[$attribute:meta])* $Kind:ident: $Struct:ident),* $(,)?) => {
-        /// A color that varies over space: an object whose member is the texture's name.
-        #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
-        #[serde(rename_all = "snake_case")]
-        pub enum Texture {
-            $($(#[$attribute])* #[doc = concat!("See [`", stringify!($Struct), "`].")] $Kind($Struct)),*
-        }
-
-        impl Texture {
-            /// Color at a shading point, linear RGB.
-            pub fn at<R: Real>(&self, place: &ShadingPoint<R>) -> Vec3<R> {
-                match self { $($(#[$attribute])* Self::$Kind(texture) => texture.color(place)),* }
-            }
-
-            /// Its colors, which may be textures.
-            fn color_params(&self) -> Vec<&ColorParam> {
-                match self { $($(#[$attribute])* Self::$Kind(texture) => texture.color_params()),* }
-            }
-
-            /// Whether it uses `ShadingPoint::local_normal` directly.
-            fn uses_local_normal(&self) -> bool {
-                match self { $($(#[$attribute])* Self::$Kind(texture) => texture.uses_local_normal()),* }
-            }
-
-            /// Whether it uses `ShadingPoint::footprint` directly.
-            fn looks_at_footprint(&self) -> bool {
-                match self { $($(#[$attribute])* Self::$Kind(texture) => texture.looks_at_footprint()),* }
-            }
-
-            /// Whether a texture has this name in JSON.
-            pub fn is_name(name: &str) -> bool {
-                [$($(#[$attribute])* snake_case(stringify!($Kind))),*].iter().any(|known| known == name)
-            }
-
-            /// Each kind's examples, as a user would write the texture.
-            pub fn examples() -> Vec<Example> {
-                let mut examples = Vec::new();
-                $(
-                    $(#[$attribute])*
-                    examples.extend(Example::keyed::<$Struct>(stringify!($Struct), stringify!($Kind)));
-                )*
-                examples
-            }
-        }
-    };
-}
-
-textures![
-    Noise: NoiseRamp,
-    Marble: Marble,
-    Wood: Wood,
-    Checker: Checker,
-    Stripes: Stripes,
-    Bricks: Bricks,
-    Gradient: Gradient,
-    #[cfg(feature = "added")]
-    Added: AddedTexture,
-];
 
 impl Texture {
+    /// Whether a texture has this name in JSON.
+    pub fn is_name(name: &str) -> bool {
+        Self::kinds().iter().any(|kind| kind.name == name)
+    }
+
     /// Nesting depth of its textures, itself included.
     pub fn depth(&self) -> usize {
         let inside = self.color_params().into_iter().filter_map(ColorParam::texture);
@@ -122,9 +72,7 @@ impl Texture {
         self.uses_local_normal()
             || self.color_params().into_iter().filter_map(ColorParam::texture).any(Self::needs_own_normal)
     }
-}
 
-impl Texture {
     /// Whether it, or a texture in it, uses `ShadingPoint::footprint`.
     pub fn needs_footprint(&self) -> bool {
         self.looks_at_footprint()

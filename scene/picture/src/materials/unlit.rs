@@ -4,7 +4,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::bsdf::Bsdf;
-use super::{ColorParam, HasExamples, IncidentLight, Shade, ShadingPoint, Texture};
+use super::{ColorParam, IncidentLight, Shade, ShadingPoint, Texture};
 use crate::real::{Real, Vec3};
 use crate::seek::Seek;
 use crate::values::Color;
@@ -17,15 +17,13 @@ pub struct Flat {
     pub color: ColorParam,
 }
 
-impl HasExamples for Flat {
+impl Shade for Flat {
     const EXAMPLE: &'static str = r##"{ "color": "#e07a3c" }"##;
     const MORE_EXAMPLES: &'static [&'static str] = &[r##"{ "color": { "gradient": {
         "by": { "position": { "from": [0, -1, 0], "to": [0, 1, 0] } },
         "ramp": [[0, "#26304f"], [0.5, "#c8506a"], [1, "#ffd9a0"]]
     } } }"##];
-}
 
-impl Shade for Flat {
     fn shade<R: Real>(&self, place: &ShadingPoint<R>, _: &IncidentLight<R>) -> Vec3<R> {
         self.albedo(place)
     }
@@ -57,11 +55,9 @@ impl Shade for Flat {
 #[serde(deny_unknown_fields)]
 pub struct Normals {}
 
-impl HasExamples for Normals {
-    const EXAMPLE: &'static str = "{}";
-}
-
 impl Shade for Normals {
+    const EXAMPLE: &'static str = "{}";
+
     fn shade<R: Real>(&self, place: &ShadingPoint<R>, _: &IncidentLight<R>) -> Vec3<R> {
         self.albedo(place)
     }

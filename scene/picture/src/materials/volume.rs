@@ -5,7 +5,7 @@ use serde::{Deserialize, Deserializer, Serialize};
 
 use super::bsdf::{Bsdf, Lobes};
 use super::microfacet::MIN_ALPHA;
-use super::{HasExamples, IncidentLight, Shade, ShadingPoint, SpecularBsdf};
+use super::{IncidentLight, Shade, ShadingPoint, SpecularBsdf};
 use crate::limits::{MAX_LIGHT_STEPS, MAX_MEDIUM_STEPS};
 use crate::noise::Noise;
 use crate::real::{Real, Vec3, vec3};
@@ -114,24 +114,6 @@ pub struct MediumScattering {
     pub anisotropy: f32,
 }
 
-impl HasExamples for Clouds {
-    const EXAMPLE: &'static str =
-        r#"{ "noise": { "perlin": { "scale": 2, "octaves": 4 } }, "density": 6, "threshold": 0.35 }"#;
-    const MORE_EXAMPLES: &'static [&'static str] = &[
-        r#"{ "noise": { "perlin": { "scale": 2, "octaves": 4 } }, "mapping": "surface", "threshold": 0.4 }"#,
-        r#"{ "noise": { "gardner": {} }, "density": 4 }"#,
-        r#"{ "noise": { "gardner": {} }, "mapping": "surface" }"#,
-    ];
-}
-
-impl HasExamples for Volume {
-    const EXAMPLE: &'static str = r#"{ "density": 14, "noise": { "perlin": { "scale": 2, "octaves": 4 } }, "edge": 0.3, "anisotropy": 0.3, "orders": 4 }"#;
-    const MORE_EXAMPLES: &'static [&'static str] = &[
-        r#"{ "density": 1.5, "albedo": [0.9, 0.5, 0.3] }"#,
-        r#"{ "density": 2, "edge": 0.5, "emission": [1.5, 0.4, 0.1] }"#,
-    ];
-}
-
 impl MediumMaterial<'_> {
     /// Number of steps of a ray.
     pub fn steps(&self) -> u32 {
@@ -216,6 +198,14 @@ impl Clouds {
 }
 
 impl Shade for Clouds {
+    const EXAMPLE: &'static str =
+        r#"{ "noise": { "perlin": { "scale": 2, "octaves": 4 } }, "density": 6, "threshold": 0.35 }"#;
+    const MORE_EXAMPLES: &'static [&'static str] = &[
+        r#"{ "noise": { "perlin": { "scale": 2, "octaves": 4 } }, "mapping": "surface", "threshold": 0.4 }"#,
+        r#"{ "noise": { "gardner": {} }, "density": 4 }"#,
+        r#"{ "noise": { "gardner": {} }, "mapping": "surface" }"#,
+    ];
+
     fn shade<R: Real>(&self, place: &ShadingPoint<R>, light: &IncidentLight<R>) -> Vec3<R> {
         const AMBIENT: f32 = 0.1;
         let like = place.camera_t;
@@ -275,11 +265,11 @@ impl Shade for Clouds {
     }
 
     fn uses_lights(&self) -> bool {
-        !self.is_medium()
+        !self.as_medium().is_some()
     }
 
     fn is_black_without_light(&self) -> bool {
-        !self.is_medium()
+        !self.as_medium().is_some()
     }
 
     fn as_medium(&self) -> Option<MediumMaterial<'_>> {
@@ -333,6 +323,12 @@ impl Volume {
 }
 
 impl Shade for Volume {
+    const EXAMPLE: &'static str = r#"{ "density": 14, "noise": { "perlin": { "scale": 2, "octaves": 4 } }, "edge": 0.3, "anisotropy": 0.3, "orders": 4 }"#;
+    const MORE_EXAMPLES: &'static [&'static str] = &[
+        r#"{ "density": 1.5, "albedo": [0.9, 0.5, 0.3] }"#,
+        r#"{ "density": 2, "edge": 0.5, "emission": [1.5, 0.4, 0.1] }"#,
+    ];
+
     fn shade<R: Real>(&self, place: &ShadingPoint<R>, _: &IncidentLight<R>) -> Vec3<R> {
         Vec3::uniform(place.camera_t, self.emission.get())
     }

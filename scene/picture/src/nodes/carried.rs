@@ -3,7 +3,7 @@
 //! A point is carried by what moves it: the nodes between its shape and the scene, with their numbers of both frames. A
 //! shape whose own numbers are animated, such as a radius or a noise, changes without moving its points.
 
-use super::{Node, Sdf, SdfValue};
+use super::{Node, SdfValue};
 use crate::real::{Real, Vec3};
 
 /// A distance, and the way of the surface's point until the next frame.
@@ -67,20 +67,19 @@ impl Node {
     pub fn carry<R: Real>(&self, next: &Self, p: Vec3<R>) -> Carried<R> {
         self.carry_around(next, p, &|index, q| self.children()[index].carry(&next.children()[index], q))
     }
-}
 
-/// Value of a node at `p`, where `next` is the node in the next frame, and `child` gives the value of a child, by its
-/// index, at a point in the child's space.
-pub(super) fn carry_around<N: Sdf, R: Real>(
-    node: &N,
-    next: &N,
-    p: Vec3<R>,
-    child: &dyn Fn(usize, Vec3<R>) -> Carried<R>,
-) -> Carried<R> {
-    node.eval(p, &|index, q| {
-        let child = child(index, q);
-        Carried { way: node.way_from_child(next, [p, q], child.way), ..child }
-    })
+    /// Like `carry`, where `child` gives the value of a child, by its index, at a point in the child's space.
+    pub fn carry_around<R: Real>(
+        &self,
+        next: &Self,
+        p: Vec3<R>,
+        child: &dyn Fn(usize, Vec3<R>) -> Carried<R>,
+    ) -> Carried<R> {
+        self.eval(p, &|index, q| {
+            let child = child(index, q);
+            Carried { way: self.way_from_child(next, [p, q], child.way), ..child }
+        })
+    }
 }
 
 /// The way of a child's point around a node, from the points around the node at which the child's point is in both

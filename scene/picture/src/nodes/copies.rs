@@ -92,7 +92,7 @@ impl Sdf for Copies {
         union_indexed(placements.all().len(), &self.smooth, &self.bvh, &copy, p)
     }
 
-    fn precompute(&mut self, is_animated: bool) {
+    fn prepare(&mut self, is_animated: bool) {
         let nodes = self.child.node_count();
         let in_groups = is_grouped(self.placements().all().len(), &self.smooth);
         self.bvh = UnionBvh::new(self.placed_bounds(0.0).map(|bounds| (bounds, nodes)), in_groups, is_animated);
@@ -123,7 +123,7 @@ impl Sdf for Copies {
         }
     }
 
-    fn exactness(&self) -> Exactness {
+    fn own_exactness(&self) -> Exactness {
         self.child.exactness().capped_at_bound()
     }
 

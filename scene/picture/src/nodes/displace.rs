@@ -101,7 +101,7 @@ impl Displace {
     fn bounds_cache(&self) -> DisplacementBounds {
         let amplitude = self.amplitude.get();
         let (low, high) = self.by.range();
-        let steepening = amplitude.abs() * self.by.lipschitz() / self.child.stretch();
+        let steepening = amplitude.abs() * self.by.lipschitz() / self.child.lipschitz();
         DisplacementBounds::new([low * amplitude, high * amplitude], steepening)
     }
 }
@@ -128,15 +128,15 @@ impl Sdf for Displace {
 
     around_child!();
 
-    fn precompute(&mut self, _: bool) {
+    fn prepare(&mut self, _: bool) {
         self.bounds_cache = CachedDisplacementBounds(Some(self.bounds_cache()));
     }
 
     fn lipschitz(&self) -> f32 {
-        (self.child.stretch() + self.amplitude.get().abs() * self.by.lipschitz()).min(MAX_LIPSCHITZ)
+        (self.child.lipschitz() + self.amplitude.get().abs() * self.by.lipschitz()).min(MAX_LIPSCHITZ)
     }
 
-    fn exactness(&self) -> Exactness {
+    fn own_exactness(&self) -> Exactness {
         self.child.exactness().capped_at_bound()
     }
 

@@ -85,7 +85,7 @@ mod tests {
     #[test]
     fn surfaces_with_fine_detail_are_fractals_or_have_noise() {
         let nodes =
-            Node::examples().into_iter().map(|example| serde_json::from_str::<Node>(&example.node).expect("valid"));
+            Node::examples().into_iter().map(|example| serde_json::from_str::<Node>(&example.json).expect("valid"));
         let others: BTreeSet<&str> =
             nodes.filter(|node| node.is_fine() && !node.has_fractal()).map(|node| node.name()).collect();
         assert_eq!(others.into_iter().collect::<Vec<_>>(), ["displace", "height_field", "warp"]);

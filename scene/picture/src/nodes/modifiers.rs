@@ -46,6 +46,11 @@ impl Node {
     pub fn painted(material: MaterialRef, child: Self) -> Self {
         Self::Paint(Paint { material, child: Box::new(child) })
     }
+
+    /// Material of all of its shape, if it names one.
+    pub fn material(&self) -> Option<&MaterialRef> {
+        if let Self::Paint(paint) = self { Some(&paint.material) } else { None }
+    }
 }
 
 impl Sdf for Paint {
@@ -57,10 +62,6 @@ impl Sdf for Paint {
     fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>, sample: &impl Fn(usize, Vec3<R>) -> V) -> V {
         let child: V = sample(0, p);
         child.paint(self.material.slot(), p)
-    }
-
-    fn material(&self) -> Option<&MaterialRef> {
-        Some(&self.material)
     }
 
     fn materials(&self) -> Vec<(Option<usize>, &MaterialRef)> {

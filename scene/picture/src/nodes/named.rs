@@ -8,7 +8,7 @@ use serde::de::value::MapAccessDeserializer;
 use serde::de::{Error, MapAccess, Visitor};
 use serde::{Deserialize, Deserializer, Serialize};
 
-use super::{Sdf, SdfValue};
+use super::{Node, Sdf, SdfValue};
 use crate::bounds::Bounds;
 use crate::real::{Real, Vec3};
 use crate::seek::{FrameTime, Seek, SeekError};
@@ -70,6 +70,16 @@ impl<'de> Deserialize<'de> for Use {
     }
 }
 
+impl Node {
+    /// Name of the shape that it stands for, if it is a `use`.
+    pub fn used_shape(&self) -> Option<&str> {
+        match self {
+            Self::Use(Use::Name(name) | Use::With(UseWith { shape: name, .. })) => Some(name),
+            _ => None,
+        }
+    }
+}
+
 /// It is replaced by its shape when a job is parsed. Until then it is empty.
 impl Sdf for Use {
     const EXAMPLE: &'static str = r#""leg""#;
@@ -85,11 +95,5 @@ impl Sdf for Use {
 
     fn bounds(&self, _: f32) -> Bounds {
         Bounds::EMPTY
-    }
-
-    fn used_shape(&self) -> Option<&str> {
-        match self {
-            Self::Name(name) | Self::With(UseWith { shape: name, .. }) => Some(name),
-        }
     }
 }

@@ -1,16 +1,5 @@
 //! Names of nodes and of their parts, in JSON and in documentation.
 
-/// Node for documentation and tests.
-#[derive(Clone, Debug)]
-pub struct NodeExample {
-    /// The node's type.
-    pub kind: &'static str,
-    /// Index among the examples of its type, from 0.
-    pub index: usize,
-    /// Its JSON.
-    pub node: String,
-}
-
 /// JSON pointer in a node of a material that it names; a placement's has the placement's index.
 pub fn material_pointer(placement: Option<usize>) -> String {
     placement.map_or_else(|| "/material".to_owned(), |index| format!("/at/{index}/material"))

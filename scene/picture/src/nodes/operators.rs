@@ -208,7 +208,9 @@ pub(super) fn seam_sink(count: usize, in_groups: bool) -> f32 {
 
 macro_rules! around_list {
     ($sink:expr, $join_bounds:expr) => {
-        const HAS_CHILD_LIST: bool = true;
+        fn has_child_list(&self) -> bool {
+            true
+        }
 
         fn bounds(&self, isolevel: f32) -> Bounds {
             let sink: fn(&Self) -> f32 = $sink;
@@ -218,7 +220,7 @@ macro_rules! around_list {
             of.fold(first, $join_bounds)
         }
 
-        fn exactness(&self) -> Exactness {
+        fn own_exactness(&self) -> Exactness {
             self.of.iter().map(Node::exactness).fold(Exactness::Bound, Exactness::max)
         }
 
@@ -242,7 +244,7 @@ impl Sdf for Union {
         union_indexed(self.of.len(), &self.smooth, &self.bvh, &|index| sample(index, p), p)
     }
 
-    fn precompute(&mut self, is_animated: bool) {
+    fn prepare(&mut self, is_animated: bool) {
         let shapes = self.of.iter().map(|shape| (shape.bounds(0.0), shape.node_count()));
         self.bvh = UnionBvh::new(shapes, self.is_grouped(), is_animated);
     }
@@ -344,6 +346,13 @@ impl Sdf for Intersection {
     around_list!(|_| 0.0, Bounds::intersection);
 }
 
+impl Node {
+    /// Whether it subtracts its other children from the first.
+    pub fn subtracts(&self) -> bool {
+        matches!(self, Self::Difference(_))
+    }
+}
+
 impl Sdf for Difference {
     const EXAMPLE: &'static str = r#"{ "smooth": 0.05, "of": [
         { "box": { "size": [1.6, 1.6, 1.6] } },
@@ -356,10 +365,6 @@ impl Sdf for Difference {
 
     // A seam only takes away.
     around_list!(|_| 0.0, |first, _| first);
-
-    fn subtracts(&self) -> bool {
-        true
-    }
 }
 
 pub(super) fn default_smooth() -> LengthOrZero {

@@ -121,6 +121,17 @@ pub(super) fn transposed([x, y, z]: [Vec3<f32>; 3]) -> [Vec3<f32>; 3] {
     [vec3(x.x, y.x, z.x), vec3(x.y, y.y, z.y), vec3(x.z, y.z, z.z)]
 }
 
+impl Node {
+    /// The angles by which it rotates its child about the axes, if it does nothing else.
+    pub fn rotation(&self) -> Option<&Rotation> {
+        let Self::Rotate(rotate) = self else { return None };
+        match &rotate.degrees {
+            Angles::Fixed(rotation) => Some(rotation),
+            Angles::About(_) => None,
+        }
+    }
+}
+
 impl Sdf for Rotate {
     const EXAMPLE: &str = r#"{ "degrees": [30, 40, 0], "child": { "box": { "size": [1.2, 0.8, 1.6] } } }"#;
 
@@ -158,13 +169,6 @@ impl Sdf for Rotate {
 
     fn bounds(&self, isolevel: f32) -> Bounds {
         self.bounds_from_child(self.child.bounds(isolevel))
-    }
-
-    fn rotation(&self) -> Option<&Rotation> {
-        match &self.degrees {
-            Angles::Fixed(rotation) => Some(rotation),
-            Angles::About(_) => None,
-        }
     }
 
     fn validate(&self) -> Option<NodeError> {

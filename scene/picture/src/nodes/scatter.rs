@@ -125,8 +125,46 @@ impl Scatter {
         })
     }
 
+    /// Heights of its middle copy and of a lowest one that missed the shape that the others are on.
+    fn fallen_copies(&self) -> Option<(f32, f32)> {
+        let copies = self.placed().ok().filter(|_| self.on.is_some())?;
+        let mut heights: Vec<f32> = copies.placements.all().iter().map(Placement::height).collect();
+        heights.sort_by(f32::total_cmp);
+        let (lowest, middle) = (*heights.first()?, heights[heights.len() / 2]);
+        let half = self.within.half_size();
+        let across = half.x.max(half.z).max(half.y);
+        (middle - lowest > FAR_BELOW * across).then_some((middle, lowest))
+    }
+
     fn is_grouped(&self) -> bool {
         is_grouped(self.count.get() as usize, &self.smooth)
+    }
+}
+
+impl Node {
+    fn as_scatter(&self) -> Option<&Scatter> {
+        if let Self::Scatter(scatter) = self { Some(scatter) } else { None }
+    }
+
+    /// A node that it measures and does not show, if any.
+    pub fn base(&self) -> Option<&Self> {
+        self.as_scatter()?.on.as_deref()
+    }
+
+    /// Mutable access to that node.
+    pub fn base_mut(&mut self) -> Option<&mut Self> {
+        if let Self::Scatter(scatter) = self { scatter.on.as_deref_mut() } else { None }
+    }
+
+    /// Cost of measuring that node, in evaluations of a simple node for each of its evaluations per copy.
+    pub fn placing_cost(&self) -> f32 {
+        let cost = |scatter: &Scatter| Some(scatter.count.get() as f32 * scatter.on.as_ref()?.evaluation_cost());
+        self.as_scatter().and_then(cost).unwrap_or(0.0)
+    }
+
+    /// Heights of its middle copy and of a lowest one that missed the shape that the others are on.
+    pub fn fallen_copies(&self) -> Option<(f32, f32)> {
+        self.as_scatter()?.fallen_copies()
     }
 }
 
@@ -143,7 +181,9 @@ impl Sdf for Scatter {
         r#"{ "of": [{ "sphere": { "radius": 0.2 } }], "count": 80, "within": { "sphere": { "radius": 1 } }, "smooth": 0.2, "scale": [0.4, 1] }"#,
     ];
 
-    const HAS_CHILD_LIST: bool = true;
+    fn has_child_list(&self) -> bool {
+        true
+    }
 
     fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>, sample: &impl Fn(usize, Vec3<R>) -> V) -> V {
         // A job with copies that do not fit is rejected.
@@ -152,7 +192,7 @@ impl Sdf for Scatter {
         union_indexed(shapes.len(), &self.smooth, &self.bvh, &copy, p)
     }
 
-    fn precompute(&mut self, is_animated: bool) {
+    fn prepare(&mut self, is_animated: bool) {
         let nodes: Vec<u32> = self.of.iter().map(Node::node_count).collect();
         self.bvh = match self.placed() {
             Ok(ScatteredCopies { shapes, .. }) => {
@@ -177,29 +217,7 @@ impl Sdf for Scatter {
         &mut self.of
     }
 
-    fn base(&self) -> Option<&Node> {
-        self.on.as_deref()
-    }
-
-    fn base_mut(&mut self) -> Option<&mut Node> {
-        self.on.as_deref_mut()
-    }
-
-    fn placing_cost(&self) -> f32 {
-        self.base().map_or(0.0, |on| self.count.get() as f32 * on.evaluation_cost())
-    }
-
-    fn fallen_copies(&self) -> Option<(f32, f32)> {
-        let copies = self.placed().ok().filter(|_| self.on.is_some())?;
-        let mut heights: Vec<f32> = copies.placements.all().iter().map(Placement::height).collect();
-        heights.sort_by(f32::total_cmp);
-        let (lowest, middle) = (*heights.first()?, heights[heights.len() / 2]);
-        let half = self.within.half_size();
-        let across = half.x.max(half.z).max(half.y);
-        (middle - lowest > FAR_BELOW * across).then_some((middle, lowest))
-    }
-
-    fn exactness(&self) -> Exactness {
+    fn own_exactness(&self) -> Exactness {
         self.of.iter().map(Node::exactness).fold(Exactness::Bound, Exactness::max)
     }
 
@@ -209,7 +227,7 @@ impl Sdf for Scatter {
             let message = format!("must not be above the maximum, {}: write [minimum, maximum]", high.get());
             return Some(NodeError::new("scale/0", message));
         }
-        if self.base().is_some_and(|on| on.clone().seek(&mut FrameTime::at(0, 0.0)) != Ok(false)) {
+        if self.on.as_deref().is_some_and(|on| on.clone().seek(&mut FrameTime::at(0, 0.0)) != Ok(false)) {
             let message = "is animated, but placements are the same in all frames: write numbers instead of tracks";
             return Some(NodeError::new("on", message));
         }

@@ -3,7 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{Exactness, NodeError, Primitive};
+use super::{Exactness, NodeError, Sdf, SdfValue};
 use crate::bounds::Bounds;
 use crate::profiles::Profile;
 use crate::real::{Real, Vec3, vec3};
@@ -40,27 +40,27 @@ pub struct Revolve {
     pub offset: Coordinate,
 }
 
-impl Primitive for Extrude {
-    const EXAMPLE: &str =
+impl Sdf for Extrude {
+    const EXAMPLE: &'static str =
         r#"{ "profile": { "star": { "points": 5, "outer": 1.1, "inner": 0.55 } }, "height": 0.6, "round": 0.1 }"#;
 
     fn examples() -> Vec<String> {
         let profiles = Profile::examples().into_iter();
-        let of_profiles = profiles.map(|(_, profile)| format!(r#"{{ "profile": {profile}, "height": 0.6 }}"#));
+        let of_profiles = profiles.map(|profile| format!(r#"{{ "profile": {}, "height": 0.6 }}"#, profile.json));
         std::iter::once(Self::EXAMPLE.to_owned()).chain(of_profiles).collect()
     }
 
-    fn distance<R: Real>(&self, p: Vec3<R>) -> R {
+    fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>, _: &impl Fn(usize, Vec3<R>) -> V) -> V {
         let round = self.round.get();
-        let past_outline = self.profile.distance(p.x, p.y) + p.x.uniform(round);
+        let past_outline = self.profile.sample(p.x, p.y) + p.x.uniform(round);
         let past_end = p.z.abs() - p.x.uniform(self.height.get() / 2.0 - round);
         let (out, up) = (past_outline.at_least(0.0), past_end.at_least(0.0));
-        out.square_add(up.square()).sqrt() + past_outline.max(past_end).at_most(0.0) - p.x.uniform(round)
+        V::new(out.square_add(up.square()).sqrt() + past_outline.max(past_end).at_most(0.0) - p.x.uniform(round))
     }
 
     // Its factor is 1, rounded or not: it is a norm of two values, one of which changes with x and y alone and the
     // other with z alone, neither faster than the point.
-    fn exactness(&self) -> Exactness {
+    fn own_exactness(&self) -> Exactness {
         let worst_rounding = if self.round.get() == 0.0 { Exactness::Exact } else { Exactness::Bound };
         self.profile.exactness().max(worst_rounding)
     }
@@ -79,12 +79,13 @@ impl Primitive for Extrude {
     }
 
     fn size_in_nodes(&self) -> u32 {
-        self.profile.weight()
+        self.profile.size_in_nodes()
     }
 }
 
-impl Primitive for Revolve {
-    const EXAMPLE: &str = r#"{ "profile": { "star": { "points": 5, "outer": 0.5, "inner": 0.25 } }, "offset": 0.7 }"#;
+impl Sdf for Revolve {
+    const EXAMPLE: &'static str =
+        r#"{ "profile": { "star": { "points": 5, "outer": 0.5, "inner": 0.25 } }, "offset": 0.7 }"#;
 
     const MORE_EXAMPLES: &'static [&'static str] = &[
         r#"{ "profile": { "polygon": { "points": [[0, -1.1], [0.7, -1], [0.85, -0.5], [0.3, 0.3], [0.25, 0.7], [0.5, 1], [0.4, 1.05],
@@ -96,14 +97,15 @@ impl Primitive for Revolve {
         r#"{ "profile": { "text": { "string": "S", "size": 0.9 } }, "offset": 0.6 }"#,
     ];
 
-    fn distance<R: Real>(&self, p: Vec3<R>) -> R {
+    fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>, _: &impl Fn(usize, Vec3<R>) -> V) -> V {
         let from_axis = p.x.square_add(p.z.square()).sqrt();
-        self.profile.distance(from_axis - p.x.uniform(self.offset.get()), p.y)
+        V::new(self.profile.sample(from_axis - p.x.uniform(self.offset.get()), p.y))
     }
 
-    fn exactness(&self) -> Exactness {
+    fn own_exactness(&self) -> Exactness {
         let offset = self.offset.get();
-        let is_whole = self.profile.extent(0.0).low[0] + offset >= 0.0 || (offset == 0.0 && self.profile.is_mirrored());
+        let is_whole =
+            self.profile.extent(0.0).low[0] + offset >= 0.0 || (offset == 0.0 && self.profile.is_symmetric());
         let worst_cut = if is_whole { Exactness::Exact } else { Exactness::Bound };
         self.profile.exactness().max(worst_cut)
     }
@@ -122,13 +124,13 @@ impl Primitive for Revolve {
     }
 
     fn size_in_nodes(&self) -> u32 {
-        self.profile.weight()
+        self.profile.size_in_nodes()
     }
 }
 
 /// Error in the profile, with its pointer in the node around it.
 fn profile_error(profile: &Profile) -> Option<NodeError> {
-    let NodeError { pointer: place, message } = profile.fault()?;
+    let NodeError { pointer: place, message } = profile.validate()?;
     Some(NodeError::new(format!("profile/{}/{place}", profile.name()), message))
 }
 

@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use super::displacement_bounds::DisplacementBounds;
 use super::sdf::NOISE_COST;
-use super::{Exactness, Primitive};
+use super::{Exactness, Sdf, SdfValue};
 use crate::bounds::Bounds;
 use crate::noise::Noise;
 use crate::real::{Real, Vec3, vec3};
@@ -43,33 +43,33 @@ impl HeightField {
     }
 }
 
-impl Primitive for HeightField {
-    const EXAMPLE: &str =
+impl Sdf for HeightField {
+    const EXAMPLE: &'static str =
         r#"{ "noise": { "perlin": { "scale": 1.7, "octaves": 5 } }, "height": 0.6, "size": [1.6, 1, 1.6] }"#;
-    const MORE_EXAMPLES: &[&str] = &[
+    const MORE_EXAMPLES: &'static [&'static str] = &[
         r#"{ "noise": { "perlin": { "octaves": 3, "seed": 4, "scale": 2, "fractal": "ridged" } }, "height": 0.4, "size": [1.6, 0.8, 1.6] }"#,
         r#"{ "noise": { "simplex": { "octaves": 3 } }, "height": 0.3 }"#,
     ];
 
-    fn distance<R: Real>(&self, p: Vec3<R>) -> R {
+    fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>, _: &impl Fn(usize, Vec3<R>) -> V) -> V {
         let like = p.x;
         let land = self
             .relief()
             .displaced(p.y, || self.noise.value(vec3(p.x, like.constant(0.0), p.z)) * like.uniform(-self.height.get()));
-        match &self.size {
+        V::new(match &self.size {
             None => land,
             Some(size) => {
                 let half = Vec3::uniform(like, half_extents(size));
                 land.max((vec3(p.x.abs(), p.y.abs(), p.z.abs()) - half).max_element())
             }
-        }
+        })
     }
 
     fn lipschitz(&self) -> f32 {
         1.0 + self.slope_bound()
     }
 
-    fn exactness(&self) -> Exactness {
+    fn own_exactness(&self) -> Exactness {
         Exactness::Bound
     }
 

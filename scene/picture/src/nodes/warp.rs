@@ -46,10 +46,10 @@ impl Sdf for Warp {
 
     fn lipschitz(&self) -> f32 {
         let shift = self.amplitude.get().abs() * Real::sqrt(3.0_f32) * self.noise.lipschitz();
-        (self.child.stretch() * (1.0 + shift)).min(MAX_LIPSCHITZ)
+        (self.child.lipschitz() * (1.0 + shift)).min(MAX_LIPSCHITZ)
     }
 
-    fn exactness(&self) -> Exactness {
+    fn own_exactness(&self) -> Exactness {
         self.child.exactness().capped_at_bound()
     }
 

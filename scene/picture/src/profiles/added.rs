@@ -18,7 +18,10 @@ pub struct AddedProfile {
 
 impl ProfileSdf for AddedProfile {
     const EXAMPLE: &str = r#"{ "height": 0.8 }"#;
-    const IS_SYMMETRIC: bool = true;
+
+    fn is_symmetric(&self) -> bool {
+        true
+    }
 
     fn distance<R: Real>(&self, _: R, y: R) -> R {
         y.abs() - y.uniform(0.5 * self.height.get())

@@ -31,7 +31,10 @@ pub struct Ellipse {
 impl ProfileSdf for Ellipse {
     const EXAMPLE: &str = r#"{ "size": [2.2, 1.2] }"#;
     const MORE_EXAMPLES: &'static [&'static str] = &[r#"{ "size": [0.3, 2] }"#, r#"{ "size": [1.4, 1.4] }"#];
-    const IS_SYMMETRIC: bool = true;
+
+    fn is_symmetric(&self) -> bool {
+        true
+    }
 
     fn distance<R: Real>(&self, x: R, y: R) -> R {
         let [width, height] = self.size.each_ref().map(|extent| extent.get() / 2.0);

@@ -78,7 +78,10 @@ impl ProfileSdf for RegularPolygon {
     const EXAMPLE: &str = r#"{ "sides": 6, "radius": 1, "round": 0.15 }"#;
     const MORE_EXAMPLES: &'static [&'static str] =
         &[r#"{ "sides": 3, "radius": 1.1 }"#, r#"{ "sides": 13, "radius": 0.8 }"#];
-    const IS_SYMMETRIC: bool = true;
+
+    fn is_symmetric(&self) -> bool {
+        true
+    }
 
     fn distance<R: Real>(&self, x: R, y: R) -> R {
         let (s, c) = half_sector_sin_cos(self.sides);
@@ -107,7 +110,10 @@ impl ProfileSdf for Star {
     const EXAMPLE: &str = r#"{ "points": 5, "outer": 1.1, "inner": 0.5 }"#;
     const MORE_EXAMPLES: &'static [&'static str] =
         &[r#"{ "points": 12, "outer": 1, "inner": 0.8 }"#, r#"{ "points": 4, "outer": 0.5, "inner": 1 }"#];
-    const IS_SYMMETRIC: bool = true;
+
+    fn is_symmetric(&self) -> bool {
+        true
+    }
 
     fn distance<R: Real>(&self, x: R, y: R) -> R {
         let (s, c) = half_sector_sin_cos(self.points);

@@ -19,7 +19,10 @@ pub struct Circle {
 
 impl ProfileSdf for Circle {
     const EXAMPLE: &str = r#"{ "radius": 0.9 }"#;
-    const IS_SYMMETRIC: bool = true;
+
+    fn is_symmetric(&self) -> bool {
+        true
+    }
 
     fn distance<R: Real>(&self, x: R, y: R) -> R {
         x.square_add(y.square()).sqrt() - x.uniform(self.radius.get())
@@ -46,7 +49,10 @@ pub struct Rectangle {
 impl ProfileSdf for Rectangle {
     const EXAMPLE: &str = r#"{ "size": [1.8, 1.2], "round": 0.25 }"#;
     const MORE_EXAMPLES: &'static [&'static str] = &[r#"{ "size": [0.5, 1.1] }"#];
-    const IS_SYMMETRIC: bool = true;
+
+    fn is_symmetric(&self) -> bool {
+        true
+    }
 
     fn distance<R: Real>(&self, x: R, y: R) -> R {
         let ([width, height], round) = (&self.size, self.round.get());

@@ -31,7 +31,10 @@ impl ProfileSdf for Arc {
         r#"{ "radius": 0.8, "degrees": 340, "thickness": 0.5 }"#,
         r#"{ "radius": 0.7, "degrees": 360, "thickness": 0.2 }"#,
     ];
-    const IS_SYMMETRIC: bool = true;
+
+    fn is_symmetric(&self) -> bool {
+        true
+    }
 
     fn distance<R: Real>(&self, x: R, y: R) -> R {
         let (s, c) = sin_cos_degrees(self.degrees.get() / 2.0);

@@ -4,7 +4,6 @@ use serde::Serialize;
 
 use super::Scene;
 use crate::light_groups::LightGroup;
-use crate::lights::LightSource;
 
 /// The light groups of a picture, and what belongs to each: as the group's place in the picture's list, or the place after
 /// the last for light of no listed group.

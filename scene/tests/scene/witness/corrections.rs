@@ -1,6 +1,5 @@
 //! Corners, edges, fog and distant patterns, compared with values calculated by hand.
 
-use scene::backgrounds::Backdrop;
 use scene::real::Vec3;
 use scene::{Integrator, Job};
 

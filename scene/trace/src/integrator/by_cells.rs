@@ -7,7 +7,6 @@ use crate::animation::JobAtFrame;
 use crate::bounds::Bounds;
 use crate::cells::{CellBuilder, Cells, ContentIds, Contents, Program};
 use crate::job::Job;
-use crate::materials::Shade;
 use crate::real::Table;
 use crate::visits::{VisitGrid, Visits};
 
@@ -22,7 +21,7 @@ fn program<'a>(still: &'a JobAtFrame<'_>) -> Option<Program<'a>> {
         return None;
     }
     let objects: Vec<_> =
-        surfaces_of(scene).map(|index| (index, shrink(scene.objects[index].shape.stretch(), moves))).collect();
+        surfaces_of(scene).map(|index| (index, shrink(scene.objects[index].shape.lipschitz(), moves))).collect();
     let ids = MatteIds::of(still);
     let program = Program::with_layers(scene, still.next_scene(), ids.objects(), &objects);
     program.filter(|program| program.leaf_count() >= MIN_LEAVES)

@@ -8,7 +8,6 @@ use super::emitters::{MetLight, NextEvent, ShadowRay, Vertex};
 use super::grouped_light::GroupedLight;
 use super::lighting::{OF_DIRECTION, OF_LOBE, OF_ROULETTE};
 use super::{Hit, Integrator, Radiance};
-use crate::backgrounds::Backdrop;
 use crate::lights::NEVER;
 use crate::march::MarchResult;
 use crate::materials::bsdf::Geometry;

@@ -3,11 +3,10 @@
 use super::scene_distance::AlongRay;
 use super::{Hit, Integrator};
 use crate::ambient_occlusion::AmbientOcclusion;
-use crate::backgrounds::Backdrop;
-use crate::lights::{AmbientLight, LightSample, LightSource, PlacedLight};
+use crate::lights::{AmbientLight, LightSample, PlacedLight};
 use crate::march::{MarchRange, MarchResult, march};
+use crate::materials::IncidentLight;
 use crate::materials::microfacet::orthonormal_basis;
-use crate::materials::{IncidentLight, Shade};
 use crate::ray::Ray;
 use crate::real::{Real, Vec3};
 use crate::sampling::Sampler;

@@ -5,11 +5,10 @@
 
 use super::Integrator;
 use super::lighting::sample_lights;
-use crate::backgrounds::Backdrop;
 use crate::bounds::Bounds;
 use crate::camera::View;
-use crate::lights::{AmbientLight, Light, LightSource};
-use crate::materials::{MediumMaterial, Shade};
+use crate::lights::{AmbientLight, Light};
+use crate::materials::MediumMaterial;
 use crate::ray::Ray;
 use crate::real::{Real, Vec3, bundle, vec3};
 use crate::sampling::Sampler;

@@ -5,7 +5,6 @@ use super::grouped_light::GroupedLight;
 use super::lighting::{OF_DIRECTION, OF_LOBE};
 use super::media::MediumSegment;
 use super::{Hit, Integrator, Radiance};
-use crate::backgrounds::Backdrop;
 use crate::fog::Fog;
 use crate::march::MarchResult;
 use crate::materials::SpecularBsdf;

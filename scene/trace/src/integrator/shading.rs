@@ -3,7 +3,7 @@
 use super::{Hit, Integrator, shading_point};
 use crate::materials::bsdf::{Bsdf, Lobes};
 use crate::materials::microfacet::orthonormal_basis;
-use crate::materials::{IncidentLight, Shade, ShadingPoint, SpecularBsdf};
+use crate::materials::{IncidentLight, ShadingPoint, SpecularBsdf};
 use crate::nodes::{DistanceWithMaterials, MaterialWeight, SdfValue};
 use crate::ray::Ray;
 use crate::real::{Bundle, Real, Vec3, vec3};

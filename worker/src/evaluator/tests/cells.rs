@@ -81,7 +81,7 @@ fn every_node_can_be_a_leaf() {
                  {{ "translate": {{ "by": [2, 0, 0], "child": {0} }} }},
                  {{ "translate": {{ "by": [-2, 1, 0], "child": {0} }} }},
                  {{ "scale": {{ "by": 0.5, "child": {0} }} }} ] }} }} }} ] }}, "image": {{ "width": 8, "height": 8 }} }}"#,
-            example.node
+            example.json
         );
         if let Some(cells) = cells_of(text.as_bytes(), &FastBuilder::UNLIMITED) {
             cut += 1;

@@ -1,7 +1,7 @@
 //! Generates the page of projections, backgrounds and effects.
 
-use scene::backgrounds::{Backdrop, Background};
-use scene::camera::{Lens, Project, Projection};
+use scene::backgrounds::Background;
+use scene::camera::{Lens, Projection};
 use scene::{Job, effects};
 
 use super::picture::stage;

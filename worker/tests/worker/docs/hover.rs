@@ -1,6 +1,7 @@
 //! Generates the small pictures that editors show for each kind: the first example of each, as on the pages.
 
 use scene::Job;
+use scene::kinds::Example;
 use scene::profiles::Profile;
 use scene::schema::{Family, node_table};
 
@@ -50,7 +51,7 @@ pub(crate) fn page() -> Page {
             large.extend(shown.map(|shown| (shown, job)));
         }
     }
-    for (_, json) in Profile::examples().into_iter().rev() {
+    for Example { json, .. } in Profile::examples().into_iter().rev() {
         let value: serde_json::Value = serde_json::from_str(&json).expect("an example is JSON");
         let name = value.as_object().and_then(|object| object.keys().next()).expect("a kind is keyed by its name");
         large.push((format!("/ui/pictures/profile-{name}.webp"), extruded(&json)));

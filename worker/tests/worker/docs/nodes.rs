@@ -1,7 +1,7 @@
 //! Generates the page of nodes.
 
 use scene::bounds::Bounds;
-use scene::nodes::{Exactness, Node, NodeExample, snake_case};
+use scene::nodes::{Exactness, Example, Node, snake_case};
 use scene::real::vec3;
 use serde_json::Value;
 
@@ -32,19 +32,19 @@ fn in_view(node: &str) -> String {
 }
 
 /// Exactness of the node's value, and its Lipschitz factor.
-fn worth(example: &NodeExample) -> String {
-    let node: Node = serde_json::from_str(&example.node).expect("an example is a node");
+fn worth(example: &Example) -> String {
+    let node: Node = serde_json::from_str(&example.json).expect("an example is a node");
     let worth = match node.exactness() {
         Exactness::Exact => "exact",
         Exactness::Bound => "a bound",
         Exactness::Estimate => "an estimate",
     };
-    format!("Distance: {worth}; Lipschitz factor of the example: {:.3}.", node.stretch())
+    format!("Distance: {worth}; Lipschitz factor of the example: {:.3}.", node.lipschitz())
 }
 
-fn section(schema: &Value, example: &NodeExample, file: &str) -> String {
+fn section(schema: &Value, example: &Example, file: &str) -> String {
     let name = snake_case(example.kind);
-    let shown = shown(&name, file, &example.node);
+    let shown = shown(&name, file, &example.json);
     if example.index > 0 {
         return shown;
     }
@@ -60,7 +60,7 @@ pub(crate) fn page() -> Page {
         page.text += &section(&schema, &example, &file);
         let objects = format!(
             r#"{{ "shape": {}, "material": {{ "diffuse": {{ "kd": [0.62, 0.64, 0.68], "ks": [0.12, 0.12, 0.12], "shininess": 30 }} }} }}"#,
-            in_view(&example.node)
+            in_view(&example.json)
         );
         page.pictures.push(Picture::of_a_still(file, on_a_floor(&objects)));
     }

@@ -3,7 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{CameraAxes, Extent, HasExamples, Project};
+use super::{CameraAxes, Extent, Project};
 use crate::bounds::Bounds;
 use crate::camera::View;
 use crate::ray::{Ray, Tolerance};
@@ -19,11 +19,9 @@ pub struct AddedProjection {
     pub shift: Length,
 }
 
-impl HasExamples for AddedProjection {
-    const EXAMPLE: &str = r#"{ "shift": 0.25 }"#;
-}
-
 impl Project for AddedProjection {
+    const EXAMPLE: &str = r#"{ "shift": 0.25 }"#;
+
     fn extent(&self, _: Option<&FieldOfView>, aspect: f32, height: f32) -> Extent {
         let footprint = Tolerance { slope: 0.5 / height, floor: 0.0 };
         Extent { half_width: 0.5 * aspect, half_height: 0.5, footprint }

@@ -3,7 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{CameraAxes, Extent, HasExamples, Project};
+use super::{CameraAxes, Extent, Project};
 use crate::bounds::Bounds;
 use crate::camera::{Matrix, View};
 use crate::film::Image;
@@ -23,11 +23,9 @@ pub struct Orthographic {
 /// Ray origins tested along an edge of the picture for being inside an object.
 const PLACES: u32 = 5;
 
-impl HasExamples for Orthographic {
-    const EXAMPLE: &'static str = r#"{ "height": 4.2 }"#;
-}
-
 impl Project for Orthographic {
+    const EXAMPLE: &'static str = r#"{ "height": 4.2 }"#;
+
     fn validate_fov(&self) -> Option<&'static str> {
         Some("has no effect in an orthographic picture: remove it, and set the height")
     }

@@ -14,6 +14,8 @@ use crate::values::FieldOfView;
 pub struct Panorama;
 
 impl Project for Panorama {
+    const EXAMPLE: &'static str = r#""panorama""#;
+
     fn validate_fov(&self) -> Option<&'static str> {
         Some("has no effect in a panorama, which shows all directions: remove it")
     }

@@ -18,6 +18,8 @@ const MIN_COSINE: f32 = 1e-5;
 pub struct Perspective;
 
 impl Project for Perspective {
+    const EXAMPLE: &'static str = r#""perspective""#;
+
     fn default_fov(&self) -> Option<FieldOfView> {
         Some(default_fov())
     }

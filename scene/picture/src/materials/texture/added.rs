@@ -4,7 +4,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::Pattern;
-use crate::materials::{ColorParam, HasExamples, ShadingPoint};
+use crate::materials::{ColorParam, ShadingPoint};
 use crate::real::{Real, Vec3};
 use crate::seek::Seek;
 use crate::values::Length;
@@ -19,11 +19,9 @@ pub struct AddedTexture {
     pub color: ColorParam,
 }
 
-impl HasExamples for AddedTexture {
-    const EXAMPLE: &str = r#"{ "period": 0.7, "color": [0.9, 0.5, 0.2] }"#;
-}
-
 impl Pattern for AddedTexture {
+    const EXAMPLE: &str = r#"{ "period": 0.7, "color": [0.9, 0.5, 0.2] }"#;
+
     fn color<R: Real>(&self, place: &ShadingPoint<R>) -> Vec3<R> {
         let periods = place.local_point.z * place.local_point.z.uniform(1.0 / self.period.get());
         let share = periods - periods.floor();

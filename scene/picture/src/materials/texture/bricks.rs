@@ -7,7 +7,7 @@ use super::Pattern;
 use super::checker::default_softness;
 use super::wave::{kept, softened};
 use crate::materials::param::lerp_colors;
-use crate::materials::{ColorParam, HasExamples, ShadingPoint};
+use crate::materials::{ColorParam, ShadingPoint};
 use crate::real::{Real, Vec3, vec3};
 use crate::seek::Seek;
 use crate::values::{Fraction, Length, LengthOrZero};
@@ -38,12 +38,6 @@ pub struct Bricks {
     /// Width of the transition from brick to mortar.
     #[serde(default = "default_softness")]
     pub softness: LengthOrZero,
-}
-
-impl HasExamples for Bricks {
-    const EXAMPLE: &'static str = r#"{ "size": [0.5, 0.2], "mortar": 0.03, "softness": 0.01 }"#;
-    const MORE_EXAMPLES: &'static [&'static str] = &[r##"{ "size": [0.3, 0.3], "shift": 0, "mortar": 0.02,
-        "colors": ["#2f6f8f", "#8cc7c1"], "mortar_color": "#f2f0e6" }"##];
 }
 
 /// Sample of the flat pattern: brick mask, color position.
@@ -93,6 +87,10 @@ fn random<R: Real>(column: R, row: R, plane: u32) -> R {
 }
 
 impl Pattern for Bricks {
+    const EXAMPLE: &'static str = r#"{ "size": [0.5, 0.2], "mortar": 0.03, "softness": 0.01 }"#;
+    const MORE_EXAMPLES: &'static [&'static str] = &[r##"{ "size": [0.3, 0.3], "shift": 0, "mortar": 0.02,
+        "colors": ["#2f6f8f", "#8cc7c1"], "mortar_color": "#f2f0e6" }"##];
+
     fn color<R: Real>(&self, place: &ShadingPoint<R>) -> Vec3<R> {
         let p = place.local_point;
         // A face more than 73° away from a plane's normal shows nothing of that plane.

@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 use super::wave::square_wave;
 use super::{Pattern, default_colors};
 use crate::materials::param::lerp_colors;
-use crate::materials::{ColorParam, HasExamples, ShadingPoint};
+use crate::materials::{ColorParam, ShadingPoint};
 use crate::real::{Real, Vec3, vec3};
 use crate::seek::Seek;
 use crate::values::{Length, LengthOrZero};
@@ -45,16 +45,6 @@ pub enum Axes {
     Yz,
 }
 
-impl HasExamples for Checker {
-    const EXAMPLE: &'static str = r##"{ "cell": 0.35, "colors": ["#2b3a55", "#e9e2d0"] }"##;
-    const MORE_EXAMPLES: &'static [&'static str] = &[
-        r##"{ "cell": 0.5, "softness": 0.2, "axes": "xz", "colors": ["#7a2330", "#f0c987"] }"##,
-        r##"{ "cell": 0.6, "axes": "xy", "colors": ["#d9d4c7",
-              { "checker": { "cell": 0.1, "axes": "xy", "colors": ["#3d6b66", "#9cc5b0"] } }] }"##,
-        r##"{ "cell": 0.4, "axes": "yz", "colors": ["#444444", "#cc8844"] }"##,
-    ];
-}
-
 impl Checker {
     /// Parity of a coordinate's cell: 1 or −1, and in between on a border.
     fn parity<R: Real>(&self, x: R, seen: R) -> R {
@@ -63,6 +53,14 @@ impl Checker {
 }
 
 impl Pattern for Checker {
+    const EXAMPLE: &'static str = r##"{ "cell": 0.35, "colors": ["#2b3a55", "#e9e2d0"] }"##;
+    const MORE_EXAMPLES: &'static [&'static str] = &[
+        r##"{ "cell": 0.5, "softness": 0.2, "axes": "xz", "colors": ["#7a2330", "#f0c987"] }"##,
+        r##"{ "cell": 0.6, "axes": "xy", "colors": ["#d9d4c7",
+              { "checker": { "cell": 0.1, "axes": "xy", "colors": ["#3d6b66", "#9cc5b0"] } }] }"##,
+        r##"{ "cell": 0.4, "axes": "yz", "colors": ["#444444", "#cc8844"] }"##,
+    ];
+
     fn color<R: Real>(&self, place: &ShadingPoint<R>) -> Vec3<R> {
         let p = place.local_point;
         let x = || self.parity(p.x, place.width_along(vec3(1.0, 0.0, 0.0)));

@@ -4,7 +4,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::{Pattern, Ramp};
-use crate::materials::{ColorParam, HasExamples, ShadingPoint};
+use crate::materials::{ColorParam, ShadingPoint};
 use crate::real::{Real, Vec3, vec3};
 use crate::seek::Seek;
 use crate::values::{Direction, LengthOrZero, Point};
@@ -58,19 +58,6 @@ pub enum GradientBy {
     Facing {},
 }
 
-impl HasExamples for Gradient {
-    const EXAMPLE: &'static str = r##"{ "by": { "position": { "from": [0, -1, 0], "to": [0, 1, 0] } },
-        "ramp": [[0, "#20304a"], [0.45, "#b9545c"], [0.7, "#f2b36b"], [1, "#fff2c8"]] }"##;
-    const MORE_EXAMPLES: &'static [&'static str] = &[
-        r##"{ "by": { "normal": { "direction": [0, 1, 0] } },
-              "ramp": [[0, "#3a2c22"], [0.6, "#7b5a3c"], [0.75, "#f5f7fa"], [1, "#ffffff"]] }"##,
-        r##"{ "by": { "radius": { "center": [0.5, 0.4, 0.7], "from": 0.2, "to": 1.2 } },
-              "ramp": [[0, "#fff6d0"], [0.5, "#e05a2a"], [1, "#38141f"]] }"##,
-        r##"{ "by": { "distance": { "from": 4.4, "to": 5.6 } }, "ramp": [[0, "#f0e0b0"], [1, "#204060"]] }"##,
-        r##"{ "by": { "facing": {} }, "ramp": [[0, "#bfe8ff"], [0.5, "#2d5f9e"], [1, "#0d1b33"]] }"##,
-    ];
-}
-
 /// Slope of a fraction that rises between two distances, which may be in either order.
 fn slope(from: f32, to: f32) -> f32 {
     let way = to - from;
@@ -107,6 +94,17 @@ impl GradientBy {
 }
 
 impl Pattern for Gradient {
+    const EXAMPLE: &'static str = r##"{ "by": { "position": { "from": [0, -1, 0], "to": [0, 1, 0] } },
+        "ramp": [[0, "#20304a"], [0.45, "#b9545c"], [0.7, "#f2b36b"], [1, "#fff2c8"]] }"##;
+    const MORE_EXAMPLES: &'static [&'static str] = &[
+        r##"{ "by": { "normal": { "direction": [0, 1, 0] } },
+              "ramp": [[0, "#3a2c22"], [0.6, "#7b5a3c"], [0.75, "#f5f7fa"], [1, "#ffffff"]] }"##,
+        r##"{ "by": { "radius": { "center": [0.5, 0.4, 0.7], "from": 0.2, "to": 1.2 } },
+              "ramp": [[0, "#fff6d0"], [0.5, "#e05a2a"], [1, "#38141f"]] }"##,
+        r##"{ "by": { "distance": { "from": 4.4, "to": 5.6 } }, "ramp": [[0, "#f0e0b0"], [1, "#204060"]] }"##,
+        r##"{ "by": { "facing": {} }, "ramp": [[0, "#bfe8ff"], [0.5, "#2d5f9e"], [1, "#0d1b33"]] }"##,
+    ];
+
     fn color<R: Real>(&self, place: &ShadingPoint<R>) -> Vec3<R> {
         self.ramp.at(self.by.position(place), place)
     }

@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 use super::stripes::x_axis;
 use super::wave::smooth_wave;
 use super::{Pattern, Ramp};
-use crate::materials::{ColorParam, HasExamples, ShadingPoint};
+use crate::materials::{ColorParam, ShadingPoint};
 use crate::noise::Noise;
 use crate::real::{Real, Vec3};
 use crate::seek::Seek;
@@ -75,30 +75,14 @@ const GRAIN_STRETCH: f32 = 6.0;
 /// Fraction of an annual ring that is earlywood.
 const EARLYWOOD_FRACTION: f32 = 0.85;
 
-impl HasExamples for NoiseRamp {
+impl Pattern for NoiseRamp {
     const EXAMPLE: &'static str = r##"{ "noise": { "perlin": { "scale": 2, "octaves": 5 } },
         "ramp": [[0.3, "#10243f"], [0.48, "#3d7ea6"], [0.5, "#e8d9a8"], [0.56, "#5f8a4a"], [0.7, "#f5f5f2"]] }"##;
     const MORE_EXAMPLES: &'static [&'static str] =
         &[r##"{ "noise": { "cellular": { "scale": 4, "feature": "f2_minus_f1" } },
               "ramp": [[0.02, "#1d1a16"], [0.12, { "noise": { "noise": { "simplex": { "scale": 6 } },
               "ramp": [[0.2, "#8a4b2a"], [0.8, "#d8a060"]] } }]] }"##];
-}
 
-impl HasExamples for Marble {
-    const EXAMPLE: &'static str = "{}";
-    const MORE_EXAMPLES: &'static [&'static str] = &[r##"{ "direction": [1, 2, 0], "width": 0.5, "strength": 2,
-        "noise": { "simplex": { "scale": 1.5, "octaves": 6 } },
-        "ramp": [[0, "#0f2a22"], [0.6, "#1f5c46"], [0.92, "#7fb59a"], [1, "#e6f2ea"]] }"##];
-}
-
-impl HasExamples for Wood {
-    const EXAMPLE: &'static str = "{}";
-    const MORE_EXAMPLES: &'static [&'static str] =
-        &[r##"{ "direction": [1, 0.15, 0.1], "width": 0.09, "strength": 2.5,
-        "ramp": [[0, "#5b3420"], [1, "#25130c"]] }"##];
-}
-
-impl Pattern for NoiseRamp {
     fn color<R: Real>(&self, place: &ShadingPoint<R>) -> Vec3<R> {
         let (low, high) = self.noise.range();
         let value = self.noise.value(place.local_point);
@@ -112,6 +96,11 @@ impl Pattern for NoiseRamp {
 }
 
 impl Pattern for Marble {
+    const EXAMPLE: &'static str = "{}";
+    const MORE_EXAMPLES: &'static [&'static str] = &[r##"{ "direction": [1, 2, 0], "width": 0.5, "strength": 2,
+        "noise": { "simplex": { "scale": 1.5, "octaves": 6 } },
+        "ramp": [[0, "#0f2a22"], [0.6, "#1f5c46"], [0.92, "#7fb59a"], [1, "#e6f2ea"]] }"##];
+
     fn color<R: Real>(&self, place: &ShadingPoint<R>) -> Vec3<R> {
         let across = place.local_point.dot_uniform(self.direction.unit());
         let shift = self.noise.value(place.local_point) * across.uniform(self.strength.get());
@@ -125,6 +114,11 @@ impl Pattern for Marble {
 }
 
 impl Pattern for Wood {
+    const EXAMPLE: &'static str = "{}";
+    const MORE_EXAMPLES: &'static [&'static str] =
+        &[r##"{ "direction": [1, 0.15, 0.1], "width": 0.09, "strength": 2.5,
+        "ramp": [[0, "#5b3420"], [1, "#25130c"]] }"##];
+
     fn color<R: Real>(&self, place: &ShadingPoint<R>) -> Vec3<R> {
         let p = place.local_point;
         let axis = Vec3::uniform(p.x, self.direction.unit());

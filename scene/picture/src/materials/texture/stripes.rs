@@ -7,7 +7,7 @@ use super::checker::default_softness;
 use super::wave::square_wave;
 use super::{Pattern, default_colors};
 use crate::materials::param::lerp_colors;
-use crate::materials::{ColorParam, HasExamples, ShadingPoint};
+use crate::materials::{ColorParam, ShadingPoint};
 use crate::real::{Real, Vec3};
 use crate::seek::Seek;
 use crate::values::{Direction, Length, LengthOrZero};
@@ -29,14 +29,12 @@ pub struct Stripes {
     pub softness: LengthOrZero,
 }
 
-impl HasExamples for Stripes {
+impl Pattern for Stripes {
     const EXAMPLE: &'static str = r##"{ "direction": [1, 1, 0], "width": 0.15, "colors": ["#b8322a", "#f3ead8"] }"##;
     const MORE_EXAMPLES: &'static [&'static str] =
         &[r##"{ "direction": [0, 1, 0], "width": 0.25, "softness": 0.25, "colors": ["#16324f",
               { "stripes": { "width": 0.04, "colors": ["#e8b04a", "#d97f2b"] } }] }"##];
-}
 
-impl Pattern for Stripes {
     fn color<R: Real>(&self, place: &ShadingPoint<R>) -> Vec3<R> {
         let along = place.local_point.dot_uniform(self.direction.unit());
         let seen = place.width_along(self.direction.unit());

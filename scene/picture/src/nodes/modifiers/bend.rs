@@ -95,7 +95,7 @@ impl Bend {
             let rise = 2.0 * half_sin * half_sin / curvature;
             let widest = if angle < FRAC_PI_2 { sin } else { 1.0 };
             let nearest = (1.0 - curvature * high_y).max(0.5 * MIN_RADIUS_FRACTION);
-            let stretch = self.child.stretch() * ((1.0 + GUARD_FRACTION) / nearest).max(1.0) * (1.0 + 1e-6);
+            let stretch = self.child.lipschitz() * ((1.0 + GUARD_FRACTION) / nearest).max(1.0) * (1.0 + 1e-6);
             BentBounds {
                 up,
                 curvature,
@@ -155,7 +155,7 @@ impl Sdf for Bend {
         self.arc().stretch
     }
 
-    fn exactness(&self) -> Exactness {
+    fn own_exactness(&self) -> Exactness {
         self.child.exactness().max(Exactness::Bound)
     }
 

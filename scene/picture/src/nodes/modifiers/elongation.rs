@@ -56,7 +56,7 @@ impl Sdf for Elongate {
         way_of_parts(growths, p - q, way)
     }
 
-    fn exactness(&self) -> Exactness {
+    fn own_exactness(&self) -> Exactness {
         self.child.exactness().max(Exactness::Bound)
     }
 
@@ -122,7 +122,7 @@ impl Sdf for Stretch {
 
     carries_child!(|self| self.by.iter().any(ScaleFactor::is_animated));
 
-    fn exactness(&self) -> Exactness {
+    fn own_exactness(&self) -> Exactness {
         self.child.exactness().max(Exactness::Bound)
     }
 

@@ -110,7 +110,7 @@ impl Sdf for Mirror {
         Some(Vec3::select(is_image, of_image, of_original))
     }
 
-    fn exactness(&self) -> Exactness {
+    fn own_exactness(&self) -> Exactness {
         let child = self.child.exactness();
         if self.sides().is_one_sided { child } else { child.max(Exactness::Bound) }
     }

@@ -130,7 +130,7 @@ impl Sdf for PolarRepeat {
         })
     }
 
-    fn exactness(&self) -> Exactness {
+    fn own_exactness(&self) -> Exactness {
         match self.child.exactness() {
             Exactness::Exact if self.count == 1 || self.ring().width < self.sector() => Exactness::Exact,
             Exactness::Exact => Exactness::Bound,

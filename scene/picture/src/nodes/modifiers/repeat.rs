@@ -170,7 +170,7 @@ impl Sdf for Repeat {
         way_of_parts(growths, p - q, way)
     }
 
-    fn exactness(&self) -> Exactness {
+    fn own_exactness(&self) -> Exactness {
         match self.child.exactness() {
             Exactness::Exact if self.grid().axes.iter().flatten().all(|axis| axis.width < axis.cell) => {
                 Exactness::Exact

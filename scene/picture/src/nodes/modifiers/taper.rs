@@ -84,7 +84,7 @@ impl Taper {
             let shear = radius * slope.abs();
             let beside = |widest: f32| Real::sqrt((1.0 + widest) * (1.0 + widest) + shear * shear);
             let drawn_apart = 0.5 * (beside(widest) + beside(-widest));
-            let child = self.child.stretch();
+            let child = self.child.lipschitz();
             let stretch = (child * drawn_apart + 0.5 * shear) * shrink * (1.0 + 1e-6);
             let slant = 1.0 / Real::sqrt(1.0 + shear * shear);
             BoundingFrustum {
@@ -135,7 +135,7 @@ impl Sdf for Taper {
         self.frustum().stretch
     }
 
-    fn exactness(&self) -> Exactness {
+    fn own_exactness(&self) -> Exactness {
         self.child.exactness().max(Exactness::Bound)
     }
 

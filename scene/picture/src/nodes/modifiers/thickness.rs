@@ -36,7 +36,7 @@ macro_rules! at_a_distance {
     ($self:ident, $grown:expr) => {
         around_child!();
 
-        fn exactness(&self) -> Exactness {
+        fn own_exactness(&self) -> Exactness {
             self.child.exactness().max(Exactness::Bound)
         }
 

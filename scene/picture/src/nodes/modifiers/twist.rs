@@ -64,7 +64,7 @@ impl Twist {
             let shear = radius * self.degrees_per_unit.get().to_radians().abs();
             let drawn_apart = 0.5 * (shear + Real::sqrt(shear * shear + 4.0));
             // Slightly more than rounding could reduce it.
-            let stretch = self.child.stretch() * drawn_apart * (1.0 + 1e-6);
+            let stretch = self.child.lipschitz() * drawn_apart * (1.0 + 1e-6);
             BoundingCylinder { radius, low: bounds.min.y, high: bounds.max.y, stretch }
         })
     }
@@ -121,7 +121,7 @@ impl Sdf for Twist {
         self.cylinder().stretch
     }
 
-    fn exactness(&self) -> Exactness {
+    fn own_exactness(&self) -> Exactness {
         self.child.exactness().max(Exactness::Bound)
     }
 

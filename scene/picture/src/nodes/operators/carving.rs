@@ -95,7 +95,7 @@ impl Sdf for Engrave {
 
     fn lipschitz(&self) -> f32 {
         // The cut is (a + depth − |b|)/√2: it changes by at most (La + Lb)/√2.
-        let [a, b] = [0, 1].map(|index: usize| self.of[index].stretch());
+        let [a, b] = [0, 1].map(|index: usize| self.of[index].lipschitz());
         a.max((a + b) * FRAC_1_SQRT_2)
     }
 

@@ -120,14 +120,16 @@ impl SeamKind {
 
 /// The Lipschitz factor of shapes folded from the left, from a function of two factors.
 fn folded_lipschitz(of: &[Node], both: impl Fn(f32, f32) -> f32) -> f32 {
-    of.iter().map(Node::stretch).reduce(|a, b| a.max(b).max(both(a, b))).unwrap_or(1.0)
+    of.iter().map(Node::lipschitz).reduce(|a, b| a.max(b).max(both(a, b))).unwrap_or(1.0)
 }
 
 macro_rules! around_joined {
     () => {
-        const HAS_CHILD_LIST: bool = true;
+        fn has_child_list(&self) -> bool {
+            true
+        }
 
-        fn exactness(&self) -> Exactness {
+        fn own_exactness(&self) -> Exactness {
             self.of.iter().map(Node::exactness).fold(Exactness::Bound, Exactness::max)
         }
 

@@ -36,7 +36,7 @@ impl<'a> SurfaceBelow<'a> {
             shape,
             bounds,
             top: top.min(MAX_LENGTH),
-            step_scale: (1.0 / shape.stretch()).max(MIN_STEP_SCALE),
+            step_scale: (1.0 / shape.lipschitz()).max(MIN_STEP_SCALE),
             evaluations_left,
             tried: 0,
             missed: 0,

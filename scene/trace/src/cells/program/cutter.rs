@@ -7,7 +7,7 @@ use crate::bounds::Bounds;
 use crate::cells::materials::{LeafMaterial, ListedMaterial};
 use crate::cells::trace::{Symbol, Trace, trace};
 use crate::kinds::Exactness;
-use crate::materials::{Material, Shade};
+use crate::materials::Material;
 use crate::nodes::{Cut, FoldStep, Node, Part, for_each_step};
 use crate::real::vec3;
 use crate::scene::Scene;
@@ -143,7 +143,7 @@ impl<'a> Cutter<'a> {
     fn leaf(&mut self, shape: Part<'a>, join: Option<&JoinKind>) {
         let (above, bounds) = (self.above.clone(), Bounds::INFINITE);
         let stretch: f32 = above.iter().map(|above| above.stretch()).product();
-        let lipschitz = (shape.node().exactness() != Exactness::Estimate).then(|| shape.node().stretch() * stretch);
+        let lipschitz = (shape.node().exactness() != Exactness::Estimate).then(|| shape.node().lipschitz() * stretch);
         let (material, object) = (LeafMaterial::OfObject, self.object);
         let next = self.next_leaves.as_ref().map(|leaves| leaves[self.leaves.len()].clone());
         let mut leaf = Leaf {
