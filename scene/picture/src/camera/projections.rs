@@ -111,6 +111,7 @@ family! {
     }
 }
 
+#[expect(clippy::derivable_impls, reason = "the list of kinds has no mark for a default")]
 impl Default for Projection {
     fn default() -> Self {
         Self::Perspective

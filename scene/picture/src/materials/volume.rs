@@ -265,11 +265,11 @@ impl Shade for Clouds {
     }
 
     fn uses_lights(&self) -> bool {
-        !self.as_medium().is_some()
+        self.as_medium().is_none()
     }
 
     fn is_black_without_light(&self) -> bool {
-        !self.as_medium().is_some()
+        self.as_medium().is_none()
     }
 
     fn as_medium(&self) -> Option<MediumMaterial<'_>> {
