@@ -28,7 +28,8 @@ mod pick;
 mod warnings;
 
 pub use language::{
-    ParseError, ValidationError, editor_schema, error_in_frame, format, parse, plain_json, schema, set_value,
+    Expansion, ParseError, ValidationError, editor_schema, error_in_frame, expansion, format, parse, plain_json,
+    schema, set_value,
 };
 pub use math::{bounds, color, ray, real, sampling};
 pub use picture::animation::{Exposure, FrameError, JobAtFrame};

@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use crate::json_scan;
+use crate::json::{Tree, Value};
 
 /// One error in a job, with its position in the text.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -17,36 +17,6 @@ pub struct ValidationError {
     pub column: u32,
 }
 
-impl ValidationError {
-    /// Error at the value at `pointer` in `text`.
-    pub(crate) fn at_value(text: &str, pointer: String, message: impl Into<String>) -> Self {
-        let offset = json_scan::locate_value(text, &pointer);
-        Self::at(text, offset, pointer, message)
-    }
-
-    /// Errors at the values at some pointers in `text`, found in one scan of it.
-    pub(crate) fn at_values(text: &str, errors: Vec<(String, String)>) -> Vec<Self> {
-        let pointers: Vec<&str> = errors.iter().map(|(pointer, _)| pointer.as_str()).collect();
-        let offsets = json_scan::locate_values(text, &pointers);
-        let lines = LineIndex::new(text);
-        let place =
-            |((pointer, message), offset): (_, Option<usize>)| lines.fault(offset.unwrap_or(0), pointer, message);
-        errors.into_iter().zip(offsets).map(place).collect()
-    }
-
-    /// Error at the member name at `pointer` in `text`.
-    pub(crate) fn at_member(text: &str, pointer: String, message: impl Into<String>) -> Self {
-        let offset = json_scan::locate_member(text, &pointer);
-        Self::at(text, offset, pointer, message)
-    }
-
-    /// Error at a byte offset of `text`.
-    pub(crate) fn at(text: &str, offset: Option<usize>, pointer: String, message: impl Into<String>) -> Self {
-        let (line, column) = line_and_column(text, offset.unwrap_or(0));
-        Self { pointer, message: message.into(), line, column }
-    }
-}
-
 impl fmt::Display for ValidationError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { pointer, message, line, column } = self;
@@ -55,6 +25,38 @@ impl fmt::Display for ValidationError {
         } else {
             write!(f, "{line}:{column}: {pointer}: {message}")
         }
+    }
+}
+
+/// An error in a tree, before its line and column are known.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct Fault {
+    /// JSON pointer.
+    pub pointer: String,
+    /// The problem, and the fix.
+    pub message: String,
+    /// Byte offset in the tree; none if nothing is at the pointer.
+    pub at: Option<usize>,
+}
+
+impl Fault {
+    /// Error at the value at a pointer.
+    pub(crate) fn at_value(tree: &Tree<'_>, pointer: String, message: impl Into<String>) -> Self {
+        let at = tree.value_at(&pointer).map(Value::start);
+        Self { pointer, message: message.into(), at }
+    }
+
+    /// Error at the key of the value at a pointer.
+    pub(crate) fn at_key(tree: &Tree<'_>, pointer: String, message: String) -> Self {
+        let at = tree.key_at(&pointer).map(Value::start);
+        Self { pointer, message, at }
+    }
+
+    /// Errors with their positions in the text.
+    pub(crate) fn placed(text: &str, faults: Vec<Self>) -> Vec<ValidationError> {
+        let lines = LineIndex::new(text);
+        let place = |Self { pointer, message, at }| lines.fault(at.unwrap_or(0), pointer, message);
+        faults.into_iter().map(place).collect()
     }
 }
 
@@ -97,12 +99,4 @@ impl LineIndex {
         let column = offset - self.starts[line - 1] + 1;
         ValidationError { pointer, message, line: line as u32, column: column as u32 }
     }
-}
-
-/// Line and column, both from 1, of a byte offset of `text`.
-fn line_and_column(text: &str, offset: usize) -> (u32, u32) {
-    let before = &text.as_bytes()[..offset.min(text.len())];
-    let line = before.split(|&byte| byte == b'\n').count();
-    let column = before.iter().rev().take_while(|&&byte| byte != b'\n').count() + 1;
-    (line as u32, column as u32)
 }

@@ -13,7 +13,7 @@ mod width;
 
 use self::tree::{Comment, Container, Entry, Value};
 use crate::error::ParseError;
-use crate::parse::check_json;
+use crate::parse::formattable;
 
 /// Maximum length of a line, in characters, unless one number, string or comment is longer.
 const MAX_LINE_CHARS: usize = 100;
@@ -26,9 +26,9 @@ const MAX_FILLED_CHARS: usize = 40;
 /// # Errors
 /// Fails at the position where the text is not JSON, nests too deep, or is not UTF-8.
 pub fn format(text: &[u8]) -> Result<String, ParseError> {
-    // The check bounds the nesting, so what follows may recurse.
-    let text = check_json(text)?;
-    let file = tree::read(text);
+    // The nesting is bounded, so what follows may recurse.
+    let tree = formattable(text)?;
+    let (file, text) = (tree::read(&tree), tree.text());
     let mut printer = Printer { text, out: String::with_capacity(text.len()), column: 0, depth: 0 };
     printer.file(&file);
     Ok(printer.out)

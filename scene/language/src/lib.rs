@@ -26,7 +26,7 @@ pub(crate) mod document;
 pub(crate) mod error;
 pub(crate) mod format;
 pub(crate) mod groups;
-pub mod json_scan;
+pub(crate) mod json;
 pub(crate) mod parse;
 pub mod schema;
 pub(crate) mod shapes;
@@ -38,5 +38,5 @@ use picture::{
 
 pub use error::{ParseError, ValidationError};
 pub use format::format;
-pub use parse::{error_in_frame, parse, plain_json, set_value};
+pub use parse::{Expansion, error_in_frame, expansion, has_value, parse, plain_json, set_value};
 pub use schema::{editor_schema, schema};

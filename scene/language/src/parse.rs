@@ -2,6 +2,7 @@
 
 mod collect;
 mod comments;
+mod count;
 mod depends;
 mod expand;
 mod form;
@@ -12,7 +13,6 @@ mod names;
 mod nodes;
 mod set;
 mod stand_ins;
-mod strict;
 mod suggest;
 mod syntax;
 #[cfg(test)]
@@ -20,19 +20,18 @@ mod tests;
 mod tree;
 
 pub use self::comments::plain_json;
+pub use self::count::Expansion;
 pub use self::set::set_value;
 
 use std::collections::BTreeSet;
 use std::sync::Arc;
 
-use serde::de::IgnoredAny;
-
 use crate::animation::{FrameError, frames_to_check};
 use crate::document::{JobDocument, NamedShapes, Resolved};
-use crate::error::{ParseError, ValidationError};
+use crate::error::{Fault, LineIndex, ParseError, ValidationError};
 use crate::film::{Format, Layer, ToneMap};
 use crate::job::Job;
-use crate::json_scan::{self, ScanError, ScanErrorKind};
+use crate::json::{Outline, OutlineError, OutlineErrorKind, SyntaxError, Tree};
 use crate::lights::PlacedLight;
 use crate::limits::{
     MAX_JSON_DEPTH, MAX_KEY_BYTES, MAX_LIGHTS, MAX_MATERIALS, MAX_NAME_CHARS, MAX_NODE_DEPTH, MAX_PIXELS, MAX_RAYS,
@@ -48,27 +47,43 @@ const MAX_ERRORS: usize = 100;
 
 /// Parses a job strictly, and reports the position of every error. Comments and trailing commas are ignored.
 pub fn parse(text: &[u8]) -> Result<Job, ParseError> {
-    let text: &str = &plain_json(utf8(text)?);
-    parse_json(text).map_err(|error| match error {
-        ParseError::Invalid(errors) => ParseError::Invalid(names::add_object_names(text, errors)),
-        ParseError::NotJson(_) => error,
-    })
+    let tree = tree(text)?;
+    job(&tree).map_err(|errors| ParseError::Invalid(names::add_object_names(&tree, errors)))
 }
 
-/// Parses a text that has no comments and no trailing commas.
-fn parse_json(text: &str) -> Result<Job, ParseError> {
-    let outline = outline(text)?;
-    if let Err((refusal, ScanErrorKind::LongMember(_))) = outline {
-        return Err(refusal);
-    }
-    // A walk over a text that nests deeper than allowed could exceed the stack.
-    let is_too_deep = matches!(outline, Err((_, ScanErrorKind::TooDeep)));
-    let Some(expanded) = (!is_too_deep).then(|| expand::expand(text)).flatten() else {
-        return plain(text, outline, &|_, _| true);
+/// Counts what a job becomes when its formulas are replaced, without making it. The job need not be valid.
+///
+/// # Errors
+/// Fails at the position where the text is not JSON, nests too deep, or is not UTF-8.
+pub fn expansion(text: &[u8]) -> Result<Expansion, ParseError> {
+    formattable(text).map(|tree| count::count(&tree))
+}
+
+/// Whether a JSON pointer leads to a value of a text.
+pub fn has_value(text: &str, pointer: &str) -> bool {
+    Tree::read(text).is_ok_and(|tree| tree.value_at(pointer).is_some())
+}
+
+/// The job of a tree, or its errors at their positions.
+fn job(tree: &Tree<'_>) -> Result<Job, Vec<ValidationError>> {
+    let error = tree.outline().error();
+    let refusal = error.map(of_outline);
+    let is_too_deep = match error.map(|error| &error.kind) {
+        Some(OutlineErrorKind::LongMember(_)) => {
+            return Err(Fault::placed(tree.text(), refusal.into_iter().collect()));
+        }
+        Some(OutlineErrorKind::TooDeep) => true,
+        Some(OutlineErrorKind::DuplicateMember(_)) | None => false,
     };
-    let wrong = expanded.wrong(text);
-    let is_sure = |pointer: &str, at| expanded.is_sure(text, &wrong, pointer, at);
-    let errors = match plain(&expanded.text, outline, &is_sure) {
+    let Some(expanded) = (!is_too_deep && tree.has_formulas()).then(|| expand::expand(tree)) else {
+        return plain(tree, refusal, &|_, _| true).map_err(|faults| Fault::placed(tree.text(), faults));
+    };
+    if expanded.is_too_large {
+        return Err(expanded.place(tree, Vec::new()));
+    }
+    let wrong = expanded.wrong(tree);
+    let is_sure = |pointer: &str, at| expanded.is_sure(tree, &wrong, pointer, at);
+    let faults = match plain(&expanded.tree, refusal, &is_sure) {
         Ok(mut job) if expanded.is_sound() => {
             if let Some(written) = job.written.as_mut().and_then(Arc::get_mut) {
                 written.instances = expanded.instances;
@@ -76,84 +91,73 @@ fn parse_json(text: &str) -> Result<Job, ParseError> {
             return Ok(job);
         }
         Ok(_) => Vec::new(),
-        Err(ParseError::Invalid(errors)) => errors,
-        Err(refusal) => return Err(refusal),
+        Err(faults) => faults,
     };
-    Err(ParseError::Invalid(expanded.place(text, errors)))
+    Err(expanded.place(tree, faults))
 }
 
-/// Checks that a text is JSON with comments and trailing commas, and nests no deeper than a job may; returns it.
-pub(crate) fn check_json(text: &[u8]) -> Result<&str, ParseError> {
+/// Reads a text, which must be JSON with comments and trailing commas.
+fn tree(text: &[u8]) -> Result<Tree<'_>, ParseError> {
     let text = utf8(text)?;
-    match outline(&plain_json(text))? {
-        Err((refusal, ScanErrorKind::TooDeep | ScanErrorKind::LongMember(_))) => Err(refusal),
-        Err((_, ScanErrorKind::DuplicateMember(_))) | Ok(()) => Ok(text),
-    }
-}
-
-/// Scans a text, which must be JSON; returns the error of the scan.
-fn outline(text: &str) -> Result<Result<(), (ParseError, ScanErrorKind)>, ParseError> {
-    let mut outline = json_scan::check(text, MAX_JSON_DEPTH);
-    // Values after a duplicate key may nest deeper than a parser can follow.
-    if let Err(ScanError { kind: ScanErrorKind::DuplicateMember(_), .. }) = outline {
-        outline = json_scan::check_depth(text, MAX_JSON_DEPTH).and(outline);
-    }
     if text.starts_with('\u{feff}') {
         let message = "begins with a byte order mark: save the file as UTF-8 without one";
-        return Err(ParseError::NotJson(ValidationError::at(text, Some(0), String::new(), message)));
+        return Err(ParseError::NotJson(LineIndex::new(text).fault(0, String::new(), message.to_owned())));
     }
-    let outline = outline.map_err(|fault| of_outline(text, fault));
-    if let Err(error) = serde_json::from_str::<IgnoredAny>(text) {
-        return Err(match outline {
-            // The nesting depth and long keys are reported before any syntax error.
-            Err((refusal, ScanErrorKind::TooDeep | ScanErrorKind::LongMember(_))) => refusal,
-            Err((_, ScanErrorKind::DuplicateMember(_))) | Ok(()) => ParseError::NotJson(syntax::fault(text, &error)),
-        });
-    }
-    Ok(outline)
+    Tree::read(text).map_err(|SyntaxError { outline }| {
+        // The nesting depth and long keys are reported before any syntax error.
+        refused(text, &outline).unwrap_or_else(|| ParseError::NotJson(syntax::explain(text)))
+    })
 }
 
-/// Parses a text without formulas that is valid JSON, but may have errors of its outline. `is_sure` tells of an error of
-/// its meaning, by pointer and byte offset, whether it is certain.
-fn plain(
-    text: &str,
-    outline: Result<(), (ParseError, ScanErrorKind)>,
-    is_sure: &dyn Fn(&str, usize) -> bool,
-) -> Result<Job, ParseError> {
-    let first = match outline {
-        Ok(()) => match sound(text) {
+/// Reads a text, which must be JSON with comments and trailing commas and nest no deeper than a job may.
+pub(crate) fn formattable(text: &[u8]) -> Result<Tree<'_>, ParseError> {
+    let tree = tree(text)?;
+    refused(tree.text(), tree.outline()).map_or(Ok(tree), Err)
+}
+
+/// The error of a text that nests too deep or has a long key.
+fn refused(text: &str, outline: &Outline) -> Option<ParseError> {
+    let error = outline.error().filter(|error| !matches!(error.kind, OutlineErrorKind::DuplicateMember(_)))?;
+    Some(ParseError::Invalid(Fault::placed(text, vec![of_outline(error)])))
+}
+
+/// Parses a tree without formulas, which may have an error of its outline. `is_sure` tells of an error of its meaning,
+/// by pointer and byte offset, whether it is certain.
+fn plain(tree: &Tree<'_>, refusal: Option<Fault>, is_sure: &dyn Fn(&str, usize) -> bool) -> Result<Job, Vec<Fault>> {
+    let first = match refusal {
+        None => match sound(tree) {
             Ok(job) => return Ok(job),
-            Err(refusal) => refusal,
+            Err(first) => first,
         },
-        Err((refusal, _)) => refusal,
+        Some(refusal) => vec![refusal],
     };
-    let meaning = |text: &str| match sound(text) {
-        Ok(_) | Err(ParseError::NotJson(_)) => Vec::new(),
-        Err(ParseError::Invalid(faults)) => faults.into_iter().map(|fault| (fault.pointer, fault.message)).collect(),
+    let meaning = |tree: &Tree<'_>| match sound(tree) {
+        Ok(_) => Vec::new(),
+        Err(faults) => faults.into_iter().map(|fault| (fault.pointer, fault.message)).collect(),
     };
-    let all = collect::all(text, meaning, is_sure);
-    Err(if all.is_empty() { first } else { ParseError::Invalid(all) })
+    let all = collect::all(tree, meaning, is_sure);
+    Err(if all.is_empty() { first } else { all })
 }
 
-/// Error of the scan of a text, as a parse error.
-fn of_outline(text: &str, fault: ScanError) -> (ParseError, ScanErrorKind) {
-    let ScanError { offset, pointer, kind } = fault;
-    let message = match &kind {
-        ScanErrorKind::DuplicateMember(key) => twice(key),
-        ScanErrorKind::TooDeep => too_deep(),
-        ScanErrorKind::LongMember(bytes) => format!("has a key of {bytes} bytes: use at most {MAX_KEY_BYTES}"),
+/// Error of the outline of a text.
+fn of_outline(error: &OutlineError) -> Fault {
+    let message = match &error.kind {
+        OutlineErrorKind::TooDeep => too_deep(),
+        OutlineErrorKind::LongMember(bytes) => format!("has a key of {bytes} bytes: use at most {MAX_KEY_BYTES}"),
+        OutlineErrorKind::DuplicateMember(key) => twice(key),
     };
-    (ParseError::Invalid(vec![ValidationError::at(text, Some(offset), pointer, message)]), kind)
+    Fault { pointer: error.pointer.clone(), message, at: Some(error.at) }
 }
 
-/// Parses JSON that passed the scan: returns a job, or the first error of its form, or every error of its meaning.
-fn sound(text: &str) -> Result<Job, ParseError> {
-    let (job, key_seconds) = read(text)?;
+/// Parses a tree without errors of its outline: returns a job, or the first error of its form, or every error of its
+/// meaning.
+fn sound(tree: &Tree<'_>) -> Result<Job, Vec<Fault>> {
+    let (job, key_seconds) = read(tree)?;
     if job.is_animated {
         let first = (job.is_blurred() || job.shows_motion()).then_some(0);
-        let others = frames_to_check(&job.frames, &key_seconds, text.len() * job.instants() as usize);
+        let others = frames_to_check(&job.frames, &key_seconds, tree.length() * job.instants() as usize);
         for frame in first.into_iter().chain(others) {
-            job.exposure(frame).map_err(|error| in_later_frame(text, error))?;
+            job.exposure(frame).map_err(|error| vec![in_later_frame(tree, error)])?;
         }
     }
     Ok(job)
@@ -161,16 +165,15 @@ fn sound(text: &str) -> Result<Job, ParseError> {
 
 /// Error of a frame at which a job of this text cannot be evaluated.
 pub fn error_in_frame(text: &[u8], error: FrameError) -> ParseError {
-    match utf8(text) {
-        Ok(text) => in_later_frame(&plain_json(text), error),
+    match tree(text) {
+        Ok(tree) => ParseError::Invalid(Fault::placed(tree.text(), vec![in_later_frame(&tree, error)])),
         Err(error) => error,
     }
 }
 
-fn in_later_frame(text: &str, error: FrameError) -> ParseError {
+fn in_later_frame(tree: &Tree<'_>, error: FrameError) -> Fault {
     let FrameError { pointer, message, frame, seconds } = error;
-    let message = format!("{message} (in frame {frame}, at {seconds} seconds)");
-    ParseError::Invalid(vec![ValidationError::at_value(text, pointer, message)])
+    Fault::at_value(tree, pointer, format!("{message} (in frame {frame}, at {seconds} seconds)"))
 }
 
 fn twice(key: &str) -> String {
@@ -181,12 +184,12 @@ fn too_deep() -> String {
     format!("nests deeper than {MAX_JSON_DEPTH} arrays and objects: nest nodes at most {MAX_NODE_DEPTH} deep")
 }
 
-/// Parses a valid JSON text into a job, with the times of all keyframes.
-fn read(text: &str) -> Result<(Job, Vec<f64>), ParseError> {
-    let document: JobDocument = form::read(text).map_err(|fault| ParseError::Invalid(vec![fault.placed(text)]))?;
+/// Parses a tree into a job, with the times of all keyframes.
+fn read(tree: &Tree<'_>) -> Result<(Job, Vec<f64>), Vec<Fault>> {
+    let document: JobDocument = form::read(tree).map_err(|fault| vec![fault.placed(tree)])?;
     validate(document).map_err(|mut faults| {
         faults.truncate(MAX_ERRORS);
-        ParseError::Invalid(ValidationError::at_values(text, faults))
+        faults.into_iter().map(|(pointer, message)| Fault::at_value(tree, pointer, message)).collect()
     })
 }
 
@@ -197,7 +200,7 @@ fn utf8(text: &[u8]) -> Result<&str, ParseError> {
 fn not_utf8(text: &[u8], offset: usize) -> ParseError {
     let valid = String::from_utf8_lossy(&text[..offset]);
     let message = "is not UTF-8: save the file as UTF-8 text";
-    ParseError::NotJson(ValidationError::at(&valid, Some(valid.len()), String::new(), message))
+    ParseError::NotJson(LineIndex::new(&valid).fault(valid.len(), String::new(), message.to_owned()))
 }
 
 /// Pointer and message of every semantic error.

@@ -27,6 +27,6 @@ pub mod visits;
 
 use math::{bounds, ray, real, sampling};
 use picture::{
-    ambient_occlusion, animation, cache_key, camera, film, fog, job, kinds, lights, limits, materials,
-    mattes, nodes, sample_count, scene, transport, values, visible,
+    ambient_occlusion, animation, cache_key, camera, film, fog, job, kinds, lights, limits, materials, mattes, nodes,
+    sample_count, scene, transport, values, visible,
 };

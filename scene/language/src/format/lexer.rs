@@ -1,6 +1,8 @@
-//! Tokens of a text that is JSON with comments, each with the number of line breaks before it.
+//! Tokens of a tree, with its comments, commas and colons, each with the number of line breaks before it.
 
 use std::ops::Range;
+
+use crate::json::Tree;
 
 /// Kind of token.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -29,17 +31,20 @@ pub(super) struct Token {
     pub breaks: u8,
 }
 
-/// Splits a text into tokens.
+/// Lists the tokens of a tree.
 #[derive(Debug)]
 pub(super) struct Lexer<'a> {
-    bytes: &'a [u8],
-    text: &'a str,
+    tree: &'a Tree<'a>,
+    /// Index of the next node.
+    node: u32,
+    /// Index of the next comment.
+    comment: usize,
     next: Option<Token>,
 }
 
 impl<'a> Lexer<'a> {
-    pub(super) fn new(text: &'a str) -> Self {
-        let mut lexer = Self { bytes: text.as_bytes(), text, next: None };
+    pub(super) fn new(tree: &'a Tree<'a>) -> Self {
+        let mut lexer = Self { tree, node: 0, comment: 0, next: None };
         lexer.next = lexer.scan(0);
         lexer
     }
@@ -66,45 +71,34 @@ impl<'a> Lexer<'a> {
         if self.kind() == Some(kind) { self.take() } else { None }
     }
 
-    fn scan(&self, mut at: usize) -> Option<Token> {
+    fn scan(&mut self, mut at: usize) -> Option<Token> {
+        let text = self.tree.text();
         let mut breaks = 0;
-        while let Some(byte) = self.bytes.get(at).filter(|byte| b" \t\r\n".contains(byte)) {
+        while let Some(byte) = text.as_bytes().get(at).filter(|byte| b" \t\r\n".contains(byte)) {
             breaks = if *byte == b'\n' { 2.min(breaks + 1) } else { breaks };
             at += 1;
         }
-        let rest = &self.bytes[at..];
-        let (kind, length) = match rest.first()? {
-            b'{' | b'[' => (Kind::Open, 1),
-            b'}' | b']' => (Kind::Close, 1),
+        let (kind, length) = match text.as_bytes().get(at)? {
             b',' => (Kind::Comma, 1),
             b':' => (Kind::Colon, 1),
-            b'/' if rest.get(1) == Some(&b'/') => {
-                let line = self.text[at..].split('\n').next().unwrap_or_default();
-                (Kind::LineComment, line.trim_ascii_end().len())
-            }
             b'/' => {
-                let inside = self.text.get(at + 2..)?;
-                (Kind::BlockComment, inside.find("*/")? + 4)
+                let comment = self.tree.comments().get(self.comment)?;
+                let comment = &text[comment.0 as usize..comment.1 as usize];
+                self.comment += 1;
+                let kind = if comment.starts_with("//") { Kind::LineComment } else { Kind::BlockComment };
+                (kind, comment.trim_ascii_end().len())
             }
-            b'"' => (Kind::Scalar, string_length(rest)),
-            _ => {
-                let is_end = |byte: &u8| b" \t\r\n,:]}[{\"/".contains(byte);
-                (Kind::Scalar, rest.iter().position(is_end).unwrap_or(rest.len()))
+            byte => {
+                let kind = match byte {
+                    b'{' | b'[' => Kind::Open,
+                    b'}' | b']' => Kind::Close,
+                    _ => Kind::Scalar,
+                };
+                let node = self.tree.node(self.node)?;
+                self.node += 1;
+                (kind, node.text().len())
             }
         };
         Some(Token { kind, range: at..at + length, breaks })
     }
-}
-
-/// Length of the string that begins a text, with its quotes.
-fn string_length(bytes: &[u8]) -> usize {
-    let mut at = 1;
-    while let Some(byte) = bytes.get(at) {
-        match byte {
-            b'"' => return at + 1,
-            b'\\' => at += 2,
-            _ => at += 1,
-        }
-    }
-    bytes.len()
 }

@@ -2,6 +2,7 @@
 
 use super::format;
 use super::lexer::{Kind, Lexer};
+use crate::json::Tree;
 
 fn formatted(text: &str) -> String {
     format(text.as_bytes()).unwrap_or_else(|error| panic!("{error}: {text}"))
@@ -10,7 +11,8 @@ fn formatted(text: &str) -> String {
 /// Tokens of a text without trailing commas, and its comments without the spaces in them.
 fn content(text: &str) -> (Vec<String>, Vec<String>) {
     let (mut tokens, mut comments) = (Vec::<String>::new(), Vec::new());
-    let mut lexer = Lexer::new(text);
+    let tree = Tree::read(text).unwrap_or_else(|error| panic!("{error:?}: {text}"));
+    let mut lexer = Lexer::new(&tree);
     while let Some(token) = lexer.take() {
         let bytes = &text[token.range];
         match token.kind {
@@ -93,7 +95,8 @@ fn comments_are_kept_at_every_place() {
     let long = format!("{{ \"long\": \"{}\", \"b\": [[1, 2], [3]], }}", "x".repeat(95));
     for text in ["{ \"a\": [1, {}, ], \"b\": { \"c\": [] } }", long.as_str(), "[[1, 2], 3]"] {
         let mut gaps = vec![0];
-        let mut lexer = Lexer::new(text);
+        let tree = Tree::read(text).unwrap_or_else(|error| panic!("{error:?}"));
+        let mut lexer = Lexer::new(&tree);
         gaps.extend(std::iter::from_fn(|| lexer.take()).map(|token| token.range.end));
         for (index, first) in gaps.iter().enumerate() {
             for second in &gaps[index..] {

@@ -6,6 +6,7 @@ use std::ops::Range;
 
 use super::lexer::{Kind, Lexer};
 use super::width;
+use crate::json::Tree;
 
 /// A comment.
 #[derive(Clone, Debug)]
@@ -128,9 +129,9 @@ impl Container {
     }
 }
 
-/// Reads a text that is JSON, with comments and trailing commas, and nests less than the stack allows.
-pub(super) fn read(text: &str) -> Container {
-    let mut reader = Reader { text, lexer: Lexer::new(text) };
+/// Reads a tree that nests less than the stack allows.
+pub(super) fn read(tree: &Tree<'_>) -> Container {
+    let mut reader = Reader { text: tree.text(), lexer: Lexer::new(tree) };
     let leading = reader.comments();
     let mut file = Container {
         is_object: false,

@@ -18,8 +18,8 @@ use super::stand_ins;
 use super::tree::{self, TreeError, Value};
 use super::{MAX_ERRORS, too_deep, twice};
 use crate::document::JobDocument;
-use crate::error::{LineIndex, ValidationError};
-use crate::json_scan;
+use crate::error::Fault;
+use crate::json::{self, Tree};
 use crate::json_text::unescape;
 use crate::lights::Light;
 use crate::materials::Material;
@@ -47,17 +47,17 @@ enum DocumentPart {
 }
 
 impl DocumentPart {
-    /// The first error of a text that should be such a part.
-    fn read(self, text: &str) -> Result<(), FormError> {
-        fn read<T: DeserializeOwned>(text: &str) -> Result<(), FormError> {
-            form::read::<T>(text).map(drop)
+    /// The first error of a tree that should be such a part.
+    fn read(self, tree: &Tree<'_>) -> Result<(), FormError> {
+        fn read<T: DeserializeOwned>(tree: &Tree<'_>) -> Result<(), FormError> {
+            form::read::<T>(tree).map(drop)
         }
         match self {
-            Self::Job => read::<JobDocument>(text),
-            Self::Object => read::<Object>(text),
-            Self::Node => read::<Node>(text),
-            Self::Material => read::<Material>(text),
-            Self::Light => read::<Light>(text),
+            Self::Job => read::<JobDocument>(tree),
+            Self::Object => read::<Object>(tree),
+            Self::Node => read::<Node>(tree),
+            Self::Material => read::<Material>(tree),
+            Self::Light => read::<Light>(tree),
         }
     }
 
@@ -131,7 +131,8 @@ impl DocumentPart {
 /// An error, and its position.
 struct CollectedErrors {
     pointer: String,
-    offset: usize,
+    /// Node of the key or the value.
+    node: u32,
     message: String,
     /// Whether its whole content is left out, and has no errors of its own.
     is_left_out: bool,
@@ -139,7 +140,7 @@ struct CollectedErrors {
 
 /// Collector of all errors.
 struct Collector<'a> {
-    text: &'a str,
+    tree: &'a Tree<'a>,
     root: Value,
     found: Vec<CollectedErrors>,
     /// Pointers and messages that have been reported.
@@ -150,20 +151,20 @@ struct Collector<'a> {
     bytes_read: usize,
 }
 
-/// All errors of a text that is valid JSON, in the order of their positions; none if it is a valid job, or if it has
-/// more values than can be repaired in little memory.
+/// All errors of a tree, in the order of their positions; none if it is a valid job, or if it has more values than can be
+/// repaired in little memory.
 ///
-/// `meaning` returns pointer and message of the semantic errors of a text that is valid in form. Those are left out that
+/// `meaning` returns pointer and message of the semantic errors of a tree that is valid in form. Those are left out that
 /// are not certain according to `is_certain`, which is given the pointer and the byte offset.
 pub(super) fn all(
-    text: &str,
-    meaning: impl Fn(&str) -> Vec<(String, String)>,
+    tree: &Tree<'_>,
+    meaning: impl Fn(&Tree<'_>) -> Vec<(String, String)>,
     is_certain: &dyn Fn(&str, usize) -> bool,
-) -> Vec<ValidationError> {
-    if json_scan::has_more_values_than(text, MAX_VALUES) {
+) -> Vec<Fault> {
+    if tree.value_count() > MAX_VALUES {
         return Vec::new();
     }
-    let mut collector = Collector::new(text);
+    let mut collector = Collector::new(tree);
     collector.part(DocumentPart::Job, &[]);
     if collector.can_continue() {
         collector.meaning(meaning, is_certain);
@@ -173,37 +174,37 @@ pub(super) fn all(
 
 /// All errors of form, and the number of bytes parsed to find them.
 #[cfg(test)]
-pub(super) fn counted(text: &str) -> (Vec<ValidationError>, usize) {
-    let mut collector = Collector::new(text);
+pub(super) fn counted(tree: &Tree<'_>) -> (Vec<Fault>, usize) {
+    let mut collector = Collector::new(tree);
     collector.part(DocumentPart::Job, &[]);
     let read = collector.bytes_read;
     (collector.faults(), read)
 }
 
 impl<'a> Collector<'a> {
-    fn new(text: &'a str) -> Self {
-        let (root, misfits) = tree::read(text, MAX_ERRORS);
+    fn new(tree: &'a Tree<'a>) -> Self {
+        let (root, misfits) = tree::read(tree, MAX_ERRORS);
         let (found, told, repaired) = (Vec::new(), HashSet::new(), Vec::new());
-        let mut collector = Self { text, root, found, told, repaired, bytes_read: 0 };
+        let mut collector = Self { tree, root, found, told, repaired, bytes_read: 0 };
         collector.outline(misfits);
         collector
     }
 
     fn can_continue(&self) -> bool {
-        self.found.len() < MAX_ERRORS && self.bytes_read < MAX_READ_BYTES.saturating_add(self.text.len())
+        self.found.len() < MAX_ERRORS && self.bytes_read < MAX_READ_BYTES.saturating_add(self.tree.length())
     }
 
     fn outline(&mut self, misfits: Vec<TreeError>) {
         for misfit in misfits {
-            let (path, offset, message) = match misfit {
-                TreeError::DuplicateMember { path, start } => {
+            let (path, node, message) = match misfit {
+                TreeError::DuplicateMember { path, node } => {
                     let key = self.root.member_at(&path).map(|member| member.key.clone()).unwrap_or_default();
-                    (path, start, twice(&key))
+                    (path, node, twice(&key))
                 }
-                TreeError::TooDeep { path, start } => (path, start, too_deep()),
+                TreeError::TooDeep { path, node } => (path, node, too_deep()),
             };
             let pointer = self.root.pointer(&path, false);
-            self.found.push(CollectedErrors { pointer, offset, message, is_left_out: false });
+            self.found.push(CollectedErrors { pointer, node, message, is_left_out: false });
         }
     }
 
@@ -240,10 +241,9 @@ impl<'a> Collector<'a> {
     /// The first error of a part with its repairs.
     fn read(&mut self, part: DocumentPart, path: &[usize]) -> Result<(), FormError> {
         let Some(value) = self.root.at(path) else { return Ok(()) };
-        let mut text = String::new();
-        value.write(self.text, &mut text, &mut Vec::new(), &|path, value| part.cut(path, value));
-        self.bytes_read += text.len().max(MIN_READ_BYTES);
-        part.read(&text)
+        let tree = value.build(self.tree, &|path, value| part.cut(path, value));
+        self.bytes_read += tree.length().max(MIN_READ_BYTES);
+        part.read(&tree)
     }
 
     /// Reports an error of form at `path`, unless it has been reported.
@@ -251,24 +251,27 @@ impl<'a> Collector<'a> {
         if !self.told.insert((self.root.pointer(path, true), fault.message.clone())) {
             return;
         }
-        let key = self.root.member_at(path).filter(|_| fault.is_key).map(|member| member.start);
-        let Some(offset) = key.or_else(|| self.root.at(path).map(|value| value.start)) else { return };
+        let key = self.root.member_at(path).filter(|_| fault.is_key).map(|member| member.node);
+        let Some(node) = key.or_else(|| self.root.at(path).map(|value| value.node)) else { return };
         self.found.push(CollectedErrors {
             pointer: self.root.pointer(path, false),
-            offset,
+            node,
             message: fault.message.clone(),
             is_left_out: matches!(fault.kind, FormErrorKind::UnknownKey(_)),
         });
     }
 
     /// Validates the meaning of the repaired job.
-    fn meaning(&mut self, meaning: impl Fn(&str) -> Vec<(String, String)>, is_certain: &dyn Fn(&str, usize) -> bool) {
-        let mut text = String::new();
-        self.root.write(self.text, &mut text, &mut Vec::new(), &|_, _| None);
-        if form::read::<JobDocument>(&text).is_err() {
+    fn meaning(
+        &mut self,
+        meaning: impl Fn(&Tree<'_>) -> Vec<(String, String)>,
+        is_certain: &dyn Fn(&str, usize) -> bool,
+    ) {
+        let tree = self.root.build(self.tree, &|_, _| None);
+        if form::read::<JobDocument>(&tree).is_err() {
             return;
         }
-        for (pointer, message) in meaning(&text) {
+        for (pointer, message) in meaning(&tree) {
             let has_use =
                 |pointer: &str| self.root.at(&self.root.path_of(&steps(pointer)).0).is_none_or(Value::has_use);
             if !is_sure(&pointer, &self.repaired, &has_use) {
@@ -276,22 +279,24 @@ impl<'a> Collector<'a> {
             }
             let (path, _) = self.root.path_of(&steps(&pointer));
             let Some(value) = self.root.at(&path) else { continue };
-            let (pointer, offset) = (self.root.pointer(&path, false), value.start);
-            if is_certain(&pointer, offset) {
-                self.found.push(CollectedErrors { pointer, offset, message, is_left_out: false });
+            let (pointer, node) = (self.root.pointer(&path, false), value.node);
+            if is_certain(&pointer, json::Value::of(self.tree, node).start()) {
+                self.found.push(CollectedErrors { pointer, node, message, is_left_out: false });
             }
         }
     }
 
     /// The errors found, in the order of their positions.
-    fn faults(mut self) -> Vec<ValidationError> {
+    fn faults(mut self) -> Vec<Fault> {
         let left_out: Vec<String> =
             self.found.iter().filter(|found| found.is_left_out).map(|found| format!("{}/", found.pointer)).collect();
         self.found.retain(|found| !left_out.iter().any(|place| found.pointer.starts_with(place)));
-        self.found.sort_by_key(|found| found.offset);
+        self.found.sort_by_key(|found| found.node);
         self.found.truncate(MAX_ERRORS);
-        let lines = LineIndex::new(self.text);
-        let place = |found: CollectedErrors| lines.fault(found.offset, found.pointer, found.message);
+        let place = |CollectedErrors { pointer, node, message, is_left_out: _ }: CollectedErrors| {
+            let at = Some(json::Value::of(self.tree, node).start());
+            Fault { pointer, message, at }
+        };
         self.found.into_iter().map(place).collect()
     }
 }

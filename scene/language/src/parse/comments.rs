@@ -7,8 +7,8 @@ use std::borrow::Cow;
 pub fn plain_json(text: &str) -> Cow<'_, str> {
     let bytes = text.as_bytes();
     let mut blanks = Vec::new();
-    // The last comma, if nothing but comments and space is after it.
-    let mut comma = None;
+    // The last comma, if nothing but comments and space is after it, and whether a value is before it.
+    let (mut comma, mut follows_value) = (None, false);
     let mut at = 0;
     while let Some(byte) = bytes.get(at) {
         match (byte, bytes.get(at + 1)) {
@@ -25,16 +25,19 @@ pub fn plain_json(text: &str) -> Cow<'_, str> {
                 continue;
             }
             (b'"', _) => {
-                comma = None;
+                (comma, follows_value) = (None, true);
                 at += 1;
                 while let Some(byte) = bytes.get(at).filter(|byte| **byte != b'"') {
                     at += if *byte == b'\\' { 2 } else { 1 };
                 }
             }
-            (b',', _) => comma = if comma.is_none() && follows_value(bytes, at) { Some(at) } else { None },
-            (b']' | b'}', _) => blanks.extend(comma.take().map(|comma| comma..comma + 1)),
+            (b',', _) => (comma, follows_value) = (follows_value.then_some(at), false),
+            (b']' | b'}', _) => {
+                blanks.extend(comma.take().map(|comma| comma..comma + 1));
+                follows_value = true;
+            }
             (b' ' | b'\t' | b'\r' | b'\n', _) => {}
-            _ => comma = None,
+            _ => (comma, follows_value) = (None, !matches!(byte, b'[' | b'{' | b':')),
         }
         at += 1;
     }
@@ -48,12 +51,6 @@ pub fn plain_json(text: &str) -> Cow<'_, str> {
         }
     }
     String::from_utf8(plain).map_or(Cow::Borrowed(text), Cow::Owned)
-}
-
-/// Whether a value ends before a position, so that a comma there is not the first in its list.
-fn follows_value(bytes: &[u8], at: usize) -> bool {
-    let before = bytes[..at].iter().rev().find(|byte| !b" \t\r\n".contains(byte));
-    before.is_some_and(|byte| !b"[{,:".contains(byte))
 }
 
 #[cfg(test)]
@@ -71,6 +68,8 @@ mod tests {
             ("[1]", "[1]"),
             // Errors stay as they are.
             ("[,]", "[,]"),
+            ("[/* none */,]", "[          ,]"),
+            ("[1 // [\n,]", "[1     \n ]"),
             ("[1,,]", "[1,,]"),
             ("[1, /* open ]", "[1, /* open ]"),
         ] {

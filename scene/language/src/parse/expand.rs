@@ -1,43 +1,36 @@
-//! Replaces formulas, uses of shapes with numbers, and counted copies by what they stand for, in the text of a job.
+//! Replaces formulas, uses of shapes with numbers, and counted copies by what they stand for, in the tree of a job.
 //!
 //! The result is a job without names of numbers: every formula that does not depend on time is a number, any other is a
 //! list of steps (`picture::values::formula`), each use of a shape with numbers of its own names a shape of its own, and placements
-//! that count copies are a list. The rest of the text is copied. [`Expanded`] remembers where each part came from, so
-//! that errors in the result have their positions in the user's text.
+//! that count copies are a list. The rest is copied. Each node of the result knows what it stands for in the user's text.
 
 mod expanded;
 mod names;
-pub(super) mod scan;
-mod source;
 
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::fmt::Write as _;
-use std::ops::Range;
 use std::sync::Arc;
 
 pub(super) use self::expanded::Expanded;
-use self::names::{Numbers, Scope};
-use self::scan::{end_of, members, skip_space, string_end};
-use self::source::Source;
+pub(super) use self::names::Numbers;
+use self::names::Scope;
 use super::MAX_ERRORS;
+use crate::json::{Builder, Kind, Tree, Value};
 use crate::limits::{MAX_BODY_BYTES, MAX_NODE_DEPTH, MAX_NODES};
 use crate::names::nearest_name;
 use crate::values::formula::{Expr, Syntax};
 
 /// Maximum number of different uses of shapes with numbers.
-const MAX_INSTANCES: usize = 10_000;
+pub(super) const MAX_INSTANCES: usize = 10_000;
 
-/// Replaces formulas in a text that is valid JSON; `None` if it has none.
-pub(super) fn expand(text: &str) -> Option<Expanded> {
-    if !["\"expr\"", "\"numbers\"", "\"with\"", "\"count\""].iter().any(|key| text.contains(key)) {
-        return None;
-    }
-    let mut expander = Expander::new(text);
+/// Replaces formulas in a tree.
+pub(super) fn expand<'t>(tree: &'t Tree<'t>) -> Expanded<'t> {
+    let mut expander = Expander::new(tree);
     expander.job();
-    let Expander { out, source, instances, faults, .. } = expander;
+    let Expander { out, length, instances, faults, is_too_large, .. } = expander;
     let instances = instances.into_iter().filter(|(name, instance)| *name != instance.shape);
     let instances = instances.map(|(name, instance)| (name, instance.shape)).collect();
-    Some(Expanded { text: out, instances, source, faults: faults.into_iter().collect() })
+    Expanded { tree: out.finish(length), instances, is_too_large, faults: faults.into_iter().collect() }
 }
 
 /// A shape with numbers of its own.
@@ -53,17 +46,29 @@ struct Instance {
     inside: Vec<String>,
 }
 
+/// Where the named shapes belong in the result: the number of nodes before them, and the index of the scene.
+#[derive(Clone, Copy)]
+struct ShapesAt<'t> {
+    at: usize,
+    scene_at: usize,
+    key: Value<'t>,
+    value: Value<'t>,
+}
+
 struct Expander<'t> {
-    text: &'t str,
-    out: String,
-    source: Source,
-    /// Byte offset of what is not copied yet.
+    tree: &'t Tree<'t>,
+    out: Builder<'t>,
+    /// Length of the result as text, of which the limit is told.
+    length: usize,
+    /// Byte offset of what is not in the length yet.
     pending: usize,
-    /// Where the named shapes belong in the result, and where they are in the text.
-    shapes_at: Option<(usize, usize)>,
+    /// Index of the scene in the result.
+    scene_at: usize,
+    /// Where the named shapes belong in the result.
+    shapes_at: Option<ShapesAt<'t>>,
     numbers: Numbers<'t>,
-    /// The named shapes: byte ranges of their keys and values.
-    shapes: BTreeMap<String, (Range<usize>, Range<usize>)>,
+    /// The named shapes: their keys and values.
+    shapes: BTreeMap<String, (Value<'t>, Value<'t>)>,
     /// Shapes in use by their names in the result.
     instances: BTreeMap<String, Instance>,
     /// Named shapes that are in use.
@@ -89,19 +94,18 @@ enum Place {
 }
 
 impl<'t> Expander<'t> {
-    fn new(text: &'t str) -> Self {
-        let root = skip_space(text, 0);
-        let scene = scan::member(text, root, "scene");
-        let shapes = scene.and_then(|scene| scan::member(text, scene, "shapes"));
-        let shapes = shapes.into_iter().flat_map(|shapes| members(text, shapes));
-        let shapes = shapes.map(|(key, value)| (scan::string(text, &key), (key, value))).collect();
+    fn new(tree: &'t Tree<'t>) -> Self {
+        let shapes = tree.root().get("scene").and_then(|scene| scene.get("shapes"));
+        let shapes = shapes.into_iter().flat_map(Value::members);
+        let shapes = shapes.map(|(key, value)| (key.string().into_owned(), (key, value))).collect();
         Self {
-            text,
-            out: String::with_capacity(text.len()),
-            source: Source::default(),
+            tree,
+            out: Builder::new(tree),
+            length: 0,
             pending: 0,
+            scene_at: 0,
             shapes_at: None,
-            numbers: Numbers::new(text, root, scene),
+            numbers: Numbers::new(tree.root()),
             shapes,
             instances: BTreeMap::new(),
             used: BTreeSet::new(),
@@ -115,15 +119,13 @@ impl<'t> Expander<'t> {
 
     fn job(&mut self) {
         self.numbers.resolve_all(&mut self.faults);
-        let root = skip_space(self.text, 0);
         let no_names = BTreeMap::new();
-        self.value(root, &mut Scope::new(&no_names), Place::Job, &[]);
-        self.flush(self.text.len());
-        if let Some((at, start)) = self.shapes_at {
-            let (rest, rest_source) = (self.out.split_off(at), self.source.split_off(at));
-            self.write_shapes(start);
-            self.source.append(rest_source, self.out.len() - at);
-            self.out.push_str(&rest);
+        self.value(self.tree.root(), &mut Scope::new(&no_names), Place::Job, &[]);
+        self.skip_to(self.tree.text().len());
+        if let Some(ShapesAt { at, scene_at, key, value }) = self.shapes_at {
+            let rest = self.out.split_off(at);
+            self.write_shapes(key, value);
+            self.out.append(rest, &[0, scene_at]);
         }
     }
 
@@ -133,104 +135,98 @@ impl<'t> Expander<'t> {
         }
     }
 
-    /// Copies the text up to a position.
-    fn flush(&mut self, to: usize) {
-        if self.pending < to {
-            self.source.copied(self.out.len(), self.pending);
-            self.out.push_str(&self.text[self.pending..to]);
-        }
+    /// Adds what is not replaced, up to a byte of the user's text, to the length.
+    fn skip_to(&mut self, to: usize) {
+        self.length += to.saturating_sub(self.pending);
         self.pending = to;
-        if self.out.len() > 2 * MAX_BODY_BYTES && !self.is_too_large {
+        if self.length > 2 * MAX_BODY_BYTES && !self.is_too_large {
             self.is_too_large = true;
             let limit = (2 * MAX_BODY_BYTES) >> 20;
             self.fault(0, format!("is larger than {limit} MiB with its formulas replaced: use fewer copies or shapes"));
         }
     }
 
-    /// Replaces a part of the text.
-    fn replace(&mut self, part: Range<usize>, with: &str) {
-        self.flush(part.start);
-        self.source.replaced(self.out.len(), part.start);
-        self.out.push_str(with);
-        self.pending = part.end;
+    /// Replaces a value by JSON.
+    fn replace(&mut self, value: Value<'t>, with: &str) {
+        self.skip_to(value.start());
+        self.length += with.len();
+        self.pending = value.end();
+        self.out.json(with, value.start());
     }
 
-    /// Walks over a value, and replaces what is in it. Returns where it ends. `inside` are the shapes around it.
-    fn value(&mut self, at: usize, scope: &mut Scope<'_>, place: Place, inside: &[String]) -> usize {
-        match self.text.as_bytes().get(at) {
-            Some(b'{') => self.object(at, scope, place, inside),
-            Some(b'[') => {
-                let mut at = skip_space(self.text, at + 1);
-                while self.text.as_bytes().get(at).is_some_and(|byte| *byte != b']') {
-                    at = self.value(at, scope, Place::Elsewhere, inside);
-                    at = scan::skip_separator(self.text, at);
+    /// Copies a value, and replaces what is in it. `inside` are the shapes around it.
+    fn value(&mut self, value: Value<'t>, scope: &mut Scope<'_>, place: Place, inside: &[String]) {
+        if self.is_too_large {
+            return;
+        }
+        let is_walked = place == Place::Job || place == Place::Scene || value.has_language_keys();
+        match value.kind() {
+            Kind::Object if is_walked => self.object(value, scope, place, inside),
+            Kind::Array if is_walked => {
+                self.out.open(value);
+                for entry in value.entries() {
+                    self.value(entry, scope, Place::Elsewhere, inside);
                 }
-                at + 1
+                self.out.close(value);
             }
-            _ => end_of(self.text, at),
+            Kind::Object | Kind::Array | Kind::String | Kind::Number | Kind::Word => self.out.copy(value),
         }
     }
 
-    fn object(&mut self, start: usize, scope: &mut Scope<'_>, place: Place, inside: &[String]) -> usize {
-        if let Some(formula) = scan::formula(self.text, start) {
-            let value = self.formula(&formula, scope);
-            let end = end_of(self.text, start);
-            self.replace(start..end, &json(&value));
-            return end;
+    fn object(&mut self, object: Value<'t>, scope: &mut Scope<'_>, place: Place, inside: &[String]) {
+        if let Some(formula) = formula(object) {
+            let number = self.formula(formula, scope);
+            self.replace(object, &json(&number));
+            return;
         }
-        let bytes = self.text.as_bytes();
-        let mut at = skip_space(self.text, start + 1);
-        while bytes.get(at).is_some_and(|byte| *byte == b'"') {
-            let key_end = string_end(self.text, at);
-            let key = &self.text[at + 1..key_end - 1];
-            let value = skip_space(self.text, skip_space(self.text, key_end) + 1);
-            at = match (place, key) {
-                (Place::Job, "scene") => self.value(value, scope, Place::Scene, inside),
-                (Place::Scene, "numbers") => end_of(self.text, value),
-                (Place::Scene, "shapes") => {
-                    let end = end_of(self.text, value);
-                    if bytes.get(value) == Some(&b'{') {
-                        // They are written once it is known which are used how.
-                        self.flush(value);
-                        self.shapes_at = Some((self.out.len(), value));
-                        self.pending = end;
-                    }
-                    end
+        self.out.open(object);
+        for (key, value) in object.members() {
+            match (place, key.raw()) {
+                (Place::Scene, "shapes") if value.kind() == Kind::Object && self.shapes_at.is_none() => {
+                    // They are written once it is known which are used how.
+                    self.skip_to(value.start());
+                    self.shapes_at = Some(ShapesAt { at: self.out.len(), scene_at: self.scene_at, key, value });
+                    self.pending = value.end();
+                    continue;
                 }
+                _ => self.out.copy(key),
+            }
+            match (place, key.raw()) {
+                (Place::Job, "scene") => {
+                    self.scene_at = self.out.len();
+                    self.value(value, scope, Place::Scene, inside);
+                }
+                (Place::Scene, "numbers" | "shapes") => self.out.copy(value),
                 (_, "use") => self.used(value, scope, inside),
-                (Place::Copies, "at") if scan::is_counted(self.text, value) => self.counted(value, scope, inside),
+                (Place::Copies, "at") if is_counted(value) => self.counted(value, scope, inside),
                 (_, "copies") => self.value(value, scope, Place::Copies, inside),
                 (Place::Copies, "child") => {
-                    let at = scan::member(self.text, start, "at");
-                    let is_counted = at.is_some_and(|at| scan::is_counted(self.text, at));
+                    let is_counted = object.get("at").is_some_and(is_counted);
                     let was_copied = std::mem::replace(&mut scope.is_copied, is_counted);
-                    let end = self.value(value, scope, Place::Elsewhere, inside);
+                    self.value(value, scope, Place::Elsewhere, inside);
                     scope.is_copied = was_copied;
-                    end
                 }
                 _ => self.value(value, scope, Place::Elsewhere, inside),
-            };
-            at = scan::skip_separator(self.text, at);
+            }
         }
-        at + 1
+        self.out.close(object);
     }
 
     /// The value of the formula in a string.
-    fn formula(&mut self, string: &Range<usize>, scope: &mut Scope<'_>) -> Arc<Expr> {
-        let text = scan::string(self.text, string);
-        let parsed = self.parsed.get(&string.start).cloned();
+    fn formula(&mut self, string: Value<'t>, scope: &mut Scope<'_>) -> Arc<Expr> {
+        let parsed = self.parsed.get(&string.start()).cloned();
         let parsed = parsed.unwrap_or_else(|| {
-            let parsed = crate::values::formula::parse(&text).map(Arc::new);
+            let parsed = crate::values::formula::parse(&string.string()).map(Arc::new);
             let parsed = parsed.map_err(|error| {
-                self.fault(scan::offset_in_string(self.text, string, error.at), error.message);
+                self.fault(offset_in_string(string, error.at), error.message);
             });
-            self.parsed.insert(string.start, parsed.clone());
+            self.parsed.insert(string.start(), parsed.clone());
             parsed
         });
         let Ok(syntax) = parsed else { return stand_in() };
         let resolved = crate::values::formula::resolve(&syntax, &mut scope.names(&mut self.numbers, &mut self.faults));
         resolved.unwrap_or_else(|error| {
-            let at = scan::offset_in_string(self.text, string, error.at);
+            let at = offset_in_string(string, error.at);
             // A formula of counted copies is told once, for the first copy for which it is wrong.
             let is_told = scope.copy().is_some() && self.faults.range((at, String::new())..).any(|told| told.0 == at);
             let copy = scope.copy().filter(|_| error.message.contains("no finite value"));
@@ -242,58 +238,52 @@ impl<'t> Expander<'t> {
         })
     }
 
-    /// Replaces the value of a `use` if it has numbers. Returns where it ends.
-    fn used(&mut self, value: usize, scope: &mut Scope<'_>, inside: &[String]) -> usize {
-        let end = end_of(self.text, value);
-        if self.text.as_bytes().get(value) == Some(&b'"') {
-            let name = scan::string(self.text, &(value..end));
-            self.plain_use(&name);
-            return end;
+    /// Replaces the value of a `use` if it has numbers.
+    fn used(&mut self, value: Value<'t>, scope: &mut Scope<'_>, inside: &[String]) {
+        if value.kind() == Kind::String {
+            self.plain_use(&value.string());
         }
-        let (Some(shape), Some(with)) =
-            (scan::member(self.text, value, "shape"), scan::member(self.text, value, "with"))
+        let parts = value.get("shape").zip(value.get("with"));
+        let Some((shape, with)) =
+            parts.filter(|(shape, with)| shape.kind() == Kind::String && with.kind() == Kind::Object)
         else {
-            return end;
+            self.out.copy(value);
+            return;
         };
-        if self.text.as_bytes().get(shape) != Some(&b'"') || self.text.as_bytes().get(with) != Some(&b'{') {
-            return end;
-        }
-        let shape = scan::string(self.text, &(shape..string_end(self.text, shape)));
+        let shape = shape.string().into_owned();
         let (mut numbers, mut keys) = (BTreeMap::new(), BTreeMap::new());
-        for (key, given) in members(self.text, with) {
-            let name = scan::string(self.text, &key);
-            let number = match scan::formula_or_string(self.text, &given) {
-                Some(formula) => Some(self.formula(&formula, scope)),
-                None => names::number(&self.text[given.clone()]),
+        for (key, given) in with.members() {
+            let number = match formula_or_string(given) {
+                Some(formula) => Some(self.formula(formula, scope)),
+                None => names::number(given),
             };
             let number = number.unwrap_or_else(|| {
                 let message = "must be a number, a formula as text, or a track";
-                self.fault(given.start, message);
+                self.fault(given.start(), message);
                 stand_in()
             });
-            keys.insert(name.clone(), key.start);
-            numbers.insert(name, number);
+            keys.insert(key.string().into_owned(), key.start());
+            numbers.insert(key.string().into_owned(), number);
         }
         if !self.shapes.contains_key(&shape) {
-            self.replace(value..end, &quoted(&shape));
-            return end;
+            self.replace(value, &quoted(&shape));
+            return;
         }
         if inside.len() == MAX_NODE_DEPTH {
-            self.fault(value, format!("nests uses with numbers deeper than {MAX_NODE_DEPTH}: nest fewer"));
-            self.replace(value..end, "null");
-            return end;
+            self.fault(value.start(), format!("nests uses with numbers deeper than {MAX_NODE_DEPTH}: nest fewer"));
+            self.replace(value, "null");
+            return;
         }
         if inside.contains(&shape) {
             let path: Vec<String> = inside.iter().chain([&shape]).map(|name| format!("\"{name}\"")).collect();
             let message =
                 format!("makes \"{shape}\" a part of itself ({}): remove one of these uses", path.join(" → "));
-            self.fault(value, message);
-            self.replace(value..end, "null");
-            return end;
+            self.fault(value.start(), message);
+            self.replace(value, "null");
+            return;
         }
-        let name = self.instance(&shape, numbers, keys, inside, value);
-        self.replace(value..end, &quoted(&name));
-        end
+        let name = self.instance(&shape, numbers, keys, inside, value.start());
+        self.replace(value, &quoted(&name));
     }
 
     fn plain_use(&mut self, name: &str) {
@@ -345,38 +335,43 @@ impl<'t> Expander<'t> {
 
     /// Writes the named shapes: each that is used without numbers or not at all, and one for each different use with
     /// numbers.
-    fn write_shapes(&mut self, start: usize) {
-        self.push_replaced(start, "{");
+    fn write_shapes(&mut self, key: Value<'t>, written: Value<'t>) {
+        let from = written.start();
+        self.out.copy(key);
+        self.out.open_made("{", from);
+        self.length += "{}".len();
         let (mut separator, mut next) = ("", 0);
         let mut others = self.shapes.keys().cloned().collect::<Vec<_>>().into_iter();
         loop {
             while let Some(name) = self.to_write.get(next).cloned() {
                 next += 1;
-                self.push_replaced(start, separator);
+                self.length += separator.len();
                 self.write_shape(&name);
                 separator = ",";
             }
             // Shapes that are not used at all are checked, too.
-            let Some(other) = others.next() else { break };
+            let Some(other) = others.next().filter(|_| !self.is_too_large) else { break };
             if !self.used.contains(&other) {
                 self.plain_use(&other);
             }
         }
-        self.push_replaced(start, "}");
+        self.out.close_made("}", from);
     }
 
     fn write_shape(&mut self, name: &str) {
         let Some(Instance { shape, with, keys, mut inside }) = self.instances.get(name).cloned() else { return };
-        let Some((key, value)) = self.shapes.get(&shape).cloned() else { return };
-        self.push_replaced(key.start, &format!("{}:", quoted(name)));
-        self.pending = value.start;
+        let Some((key, value)) = self.shapes.get(&shape).copied() else { return };
+        let name = quoted(name);
+        self.out.key(&name, key.start());
+        self.length += name.len() + 1;
+        self.pending = value.start();
         if !with.is_empty() {
             inside.push(shape.clone());
         }
         let mut scope = Scope::new(&with);
         scope.is_in_shape = true;
-        self.value(value.start, &mut scope, Place::Elsewhere, &inside);
-        self.flush(value.end);
+        self.value(value, &mut scope, Place::Elsewhere, &inside);
+        self.skip_to(value.end());
         let asked = scope.asked;
         for (number, at) in keys.iter().filter(|(number, _)| !asked.contains(*number)) {
             let known: Vec<&str> = asked.iter().map(String::as_str).collect();
@@ -386,49 +381,47 @@ impl<'t> Expander<'t> {
         }
     }
 
-    /// Writes placements that count copies, as a list. Returns where they end.
-    fn counted(&mut self, start: usize, scope: &mut Scope<'_>, inside: &[String]) -> usize {
-        let end = end_of(self.text, start);
-        let Some(count_at) = scan::member(self.text, start, "count") else { return end };
-        let count = match scan::formula(self.text, count_at) {
-            Some(formula) => self.formula(&formula, scope).constant(),
-            None => self.text[count_at..end_of(self.text, count_at)].parse().ok(),
+    /// Writes placements that count copies, as a list.
+    fn counted(&mut self, written: Value<'t>, scope: &mut Scope<'_>, inside: &[String]) {
+        let from = written.start();
+        let Some(count_at) = written.get("count") else { return self.out.copy(written) };
+        let count = match formula(count_at) {
+            Some(formula) => self.formula(formula, scope).constant(),
+            None => count_at.text().parse().ok(),
         };
         let Some(whole) = count.filter(|count| count.fract() == 0.0 && (1.0..=MAX_NODES as f32).contains(count)) else {
-            let written = count.map(|count| format!(", not {count}")).unwrap_or_default();
+            let written_count = count.map(|count| format!(", not {count}")).unwrap_or_default();
             self.fault(
-                count_at,
-                format!("must be a whole number of copies from 1 to {MAX_NODES}, the same in all frames{written}"),
+                count_at.start(),
+                format!(
+                    "must be a whole number of copies from 1 to {MAX_NODES}, the same in all frames{written_count}"
+                ),
             );
-            self.replace(start..end, "[{}]");
-            return end;
+            self.replace(written, "[{}]");
+            return;
         };
         let count = whole as u32;
-        self.flush(start);
-        let own: Vec<_> = members(self.text, start).filter(|(key, _)| &self.text[key.clone()] != "\"count\"").collect();
+        self.skip_to(from);
+        self.length += "[]".len();
+        self.out.open_made("[", from);
+        let own: Vec<_> = written.members().filter(|(key, _)| key.raw() != "count").collect();
         for index in 0..count {
-            self.push_replaced(start, if index == 0 { "[{" } else { ",{" });
+            self.length += if index == 0 { "{}".len() } else { ",{}".len() };
+            self.out.open_made("{", from);
             for (place, (key, value)) in own.iter().enumerate() {
-                if place > 0 {
-                    self.push_replaced(key.start, ",");
-                }
-                self.pending = key.start;
-                scope.counting(index, count, |scope| self.value(value.start, scope, Place::Elsewhere, inside));
-                self.flush(value.end);
+                self.length += usize::from(place > 0);
+                self.pending = key.start();
+                self.out.copy(*key);
+                scope.counting(index, count, |scope| self.value(*value, scope, Place::Elsewhere, inside));
+                self.skip_to(value.end());
             }
-            self.push_replaced(start, "}");
+            self.out.close_made("}", from);
             if self.is_too_large {
                 break;
             }
         }
-        self.push_replaced(start, "]");
-        self.pending = end;
-        end
-    }
-
-    fn push_replaced(&mut self, from: usize, text: &str) {
-        self.source.replaced(self.out.len(), from);
-        self.out.push_str(text);
+        self.out.close_made("]", from);
+        self.pending = written.end();
     }
 }
 
@@ -449,4 +442,40 @@ fn quoted(text: &str) -> String {
     let mut quoted = String::new();
     let _ = write!(quoted, "{}", serde_json::Value::from(text));
     quoted
+}
+
+/// The string of `{ "expr": string }`, if this is the value.
+pub(super) fn formula(value: Value<'_>) -> Option<Value<'_>> {
+    let mut members = value.members();
+    let (key, string) = members.next()?;
+    (key.raw() == "expr" && string.kind() == Kind::String && members.next().is_none()).then_some(string)
+}
+
+/// The string of a formula, or a string alone.
+pub(super) fn formula_or_string(value: Value<'_>) -> Option<Value<'_>> {
+    if value.kind() == Kind::String { Some(value) } else { formula(value) }
+}
+
+/// Whether placements count their copies: they are an object with a count, but not along a line.
+pub(super) fn is_counted(value: Value<'_>) -> bool {
+    value.get("count").is_some() && value.get("along").is_none()
+}
+
+/// Byte offset in the text of an offset in what a string stands for.
+fn offset_in_string(string: Value<'_>, offset: usize) -> usize {
+    let (mut parsed, mut rest) = (0, string.raw());
+    while parsed < offset && !rest.is_empty() {
+        let length = match rest.as_bytes() {
+            [b'\\', b'u', ..] => 6,
+            [b'\\', ..] => 2,
+            _ => rest.chars().next().map_or(1, char::len_utf8),
+        };
+        let (character, after) = rest.split_at(length.min(rest.len()));
+        let is_escape = character.starts_with('\\');
+        let unescaped =
+            || serde_json::from_str::<String>(&format!("\"{character}\"")).map_or(1, |text| text.len().max(1));
+        parsed += if is_escape { unescaped() } else { character.len() };
+        rest = after;
+    }
+    string.end() - 1 - rest.len()
 }

@@ -1,14 +1,13 @@
-//! Deserializes a text as a type: the first serde error, reworded for users.
+//! Deserializes a tree as a type: the first serde error, reworded for users.
 
 use std::fmt::Write as _;
 
 use serde::de::DeserializeOwned;
 use serde_path_to_error::{Path, Segment};
 
-use super::strict::Strict;
 use super::{messages, suggest};
-use crate::error::ValidationError;
-use crate::json_scan;
+use crate::error::Fault;
+use crate::json::Tree;
 use crate::json_text;
 use crate::names::nearest_name;
 
@@ -26,10 +25,12 @@ pub(super) struct FormError {
 }
 
 impl FormError {
-    /// The error with its position in the text.
-    pub(super) fn placed(self, text: &str) -> ValidationError {
-        let place = if self.is_key { ValidationError::at_member } else { ValidationError::at_value };
-        place(text, self.pointer, self.message)
+    /// The error with its position in the tree.
+    pub(super) fn placed(self, tree: &Tree<'_>) -> Fault {
+        if self.is_key {
+            return Fault::at_key(tree, self.pointer, self.message);
+        }
+        Fault::at_value(tree, self.pointer, self.message)
     }
 }
 
@@ -46,20 +47,18 @@ pub(super) enum FormErrorKind {
     Value,
 }
 
-/// Deserializes valid JSON; fails with the first error of its form. A list in place of an object is one.
-pub(super) fn read<T: DeserializeOwned>(text: &str) -> Result<T, FormError> {
-    let mut deserializer = serde_json::Deserializer::from_str(text);
-    deserializer.disable_recursion_limit();
-    serde_path_to_error::deserialize(Strict(&mut deserializer))
-        .map_err(|error| fault(text, pointer(error.path()), strip_position(&error.inner().to_string())))
+/// Deserializes a tree; fails with the first error of its form. A list in place of an object is one.
+pub(super) fn read<T: DeserializeOwned>(tree: &Tree<'_>) -> Result<T, FormError> {
+    serde_path_to_error::deserialize(tree.root())
+        .map_err(|error| fault(tree, pointer(error.path()), message(error.inner())))
 }
 
 /// The error of serde at a pointer.
-fn fault(text: &str, pointer: String, message: String) -> FormError {
+fn fault(tree: &Tree<'_>, pointer: String, message: String) -> FormError {
     if let Some((name, known)) = suggest::unknown(&message, "unknown variant `") {
         let meant = nearest_name(name, &known).map(str::to_owned);
         let message = suggest::unknown_name(name, &known);
-        let (pointer, is_key) = place_of_name(text, pointer, name);
+        let (pointer, is_key) = place_of_name(tree, pointer, name);
         return FormError { pointer, is_key, kind: FormErrorKind::UnknownName(meant), message };
     }
     if let Some((key, known)) = suggest::unknown(&message, "unknown field `") {
@@ -67,9 +66,9 @@ fn fault(text: &str, pointer: String, message: String) -> FormError {
         let message = suggest::unknown_key(key, &known);
         // A visitor that looks at the first key to decide on a type loses the key's place.
         let inside = format!("{pointer}/{}", json_text::escape(key));
-        let is_inside = last(&pointer) != json_text::escape(key) && json_scan::locate_member(text, &inside).is_some();
+        let is_inside = last(&pointer) != json_text::escape(key) && tree.key_at(&inside).is_some();
         let pointer = if is_inside { inside } else { pointer };
-        let is_key = json_scan::locate_member(text, &pointer).is_some();
+        let is_key = tree.key_at(&pointer).is_some();
         return FormError { pointer, is_key, kind: FormErrorKind::UnknownKey(meant), message };
     }
     if let Some(key) = message.strip_prefix("missing field `").and_then(|rest| rest.strip_suffix('`')) {
@@ -77,27 +76,29 @@ fn fault(text: &str, pointer: String, message: String) -> FormError {
         let message = format!("lacks the key `{key}`: add it");
         return FormError { pointer, is_key: false, kind, message };
     }
-    let (pointer, message) = messages::rewrite_serde_error(text, pointer, message);
+    let (pointer, message) = messages::rewrite_serde_error(tree, pointer, message);
     FormError { pointer, is_key: false, kind: FormErrorKind::Value, message }
 }
 
 /// Position of an unknown name: as a key, or as a value.
-fn place_of_name(text: &str, pointer: String, name: &str) -> (String, bool) {
+fn place_of_name(tree: &Tree<'_>, pointer: String, name: &str) -> (String, bool) {
     let key = format!("{pointer}/{}", json_text::escape(name));
-    if json_scan::locate_member(text, &key).is_some() {
+    if tree.key_at(&key).is_some() {
         return (key, true);
     }
-    if last(&pointer) == json_text::escape(name) && json_scan::locate_member(text, &pointer).is_some() {
+    if last(&pointer) == json_text::escape(name) && tree.key_at(&pointer).is_some() {
         return (pointer, true);
     }
     // If the path ends in the choice itself, the text has no such position.
-    let place = if json_scan::locate_value(text, &pointer).is_some() { &pointer } else { parent(&pointer) };
+    let place = if tree.value_at(&pointer).is_some() { &pointer } else { parent(&pointer) };
     (place.to_owned(), false)
 }
 
-/// A message without the line and column that serde appends.
-pub(super) fn strip_position(message: &str) -> String {
-    message.rsplit_once(" at line ").map_or(message, |(message, _)| message).to_owned()
+/// The message of an error, without the line and column that serde appends: those of a number or a string alone.
+pub(super) fn message(error: &serde_json::Error) -> String {
+    let message = error.to_string();
+    let position = message.rfind(" at line ").filter(|_| error.line() > 0);
+    message[..position.unwrap_or(message.len())].to_owned()
 }
 
 pub(super) fn parent(pointer: &str) -> &str {

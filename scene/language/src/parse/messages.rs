@@ -1,14 +1,12 @@
 //! Rewrites serde's error messages for authors of job files.
 
-use serde_json::Value;
-
 use super::form::{last, parent};
-use crate::json_scan;
+use crate::json::{Kind, MORE_ENTRIES, MORE_MEMBERS, NO_CHOICE, Tree, Value};
 use crate::materials::Texture;
 
-/// Pointer and message of an error, from serde's pointer and message; `text` is valid JSON.
-pub(super) fn rewrite_serde_error(text: &str, pointer: String, message: String) -> (String, String) {
-    let place = |pointer: &str| json_scan::locate_value(text, pointer);
+/// Pointer and message of an error in a tree, from serde's pointer and message.
+pub(super) fn rewrite_serde_error(tree: &Tree<'_>, pointer: String, message: String) -> (String, String) {
+    let place = |pointer: &str| tree.value_at(pointer);
     match message.as_str() {
         "number out of range" => (pointer, "is too large: numbers go up to 3.4e38".to_owned()),
         "invalid type: unit variant, expected newtype variant" => {
@@ -20,8 +18,8 @@ pub(super) fn rewrite_serde_error(text: &str, pointer: String, message: String) 
             let message = format!("has no parameters: write \"{}\" alone", last(&pointer));
             (parent(&pointer).to_owned(), message)
         }
-        "expected value" | "trailing comma" | "trailing characters" | "invalid type: map, expected enum" => {
-            let message = place(&pointer).and_then(|offset| shape_error(&text[offset..], &message)).unwrap_or(message);
+        NO_CHOICE | MORE_MEMBERS | MORE_ENTRIES | "invalid type: map, expected enum" => {
+            let message = place(&pointer).map_or_else(|| message.clone(), |value| shape_error(value, &message));
             (pointer, message)
         }
         _ => {
@@ -33,24 +31,30 @@ pub(super) fn rewrite_serde_error(text: &str, pointer: String, message: String) 
 
 /// Message about a value for which serde only reports that it expected something else: an object of one key, or a list
 /// with fewer entries.
-fn shape_error(text: &str, message: &str) -> Option<String> {
-    let value = serde_json::Deserializer::from_str(text).into_iter::<Value>().next()?.ok()?;
-    Some(match value {
-        Value::Object(keys) if keys.is_empty() => {
-            "is empty: write one key, the name of its kind, with its parameters inside".to_owned()
+fn shape_error(value: Value<'_>, message: &str) -> String {
+    match (value.kind(), value.entries().count(), value.members().count()) {
+        (Kind::Object, _, 0) => "is empty: write one key, the name of its kind, with its parameters inside".to_owned(),
+        (Kind::Object, _, keys) => format!("has {keys} keys: keep only the one that names its kind"),
+        (Kind::Array, entries, _) if message == MORE_ENTRIES && entries > 4 => {
+            format!("has {entries} entries, too many: leave out the others, and write numbers with a point, as in 0.5")
         }
-        Value::Object(keys) => format!("has {} keys: keep only the one that names its kind", keys.len()),
-        Value::Array(entries) if message == "trailing characters" && entries.len() > 4 => {
-            format!("has {} entries, too many: leave out the others, and write numbers with a point, as in 0.5", entries.len())
-        }
-        Value::Array(entries) if message == "trailing characters" => {
-            format!("has {} entries: leave out the last", entries.len())
-        }
-        Value::Null | Value::Bool(_) | Value::Number(_) | Value::String(_) | Value::Array(_) => {
+        (Kind::Array, entries, _) if message == MORE_ENTRIES => format!("has {entries} entries: leave out the last"),
+        (Kind::Array | Kind::String | Kind::Number | Kind::Word, ..) => {
             "must be an object of one key, the name of its kind, with its parameters inside; a kind without parameters is its name in double quotes"
                 .to_owned()
         }
-    })
+    }
+}
+
+/// Rewrites "invalid type: string "one", expected a number" as "must be a number, not "one"".
+fn type_error(message: &str) -> Option<String> {
+    let (got, wanted) = message.split_once(", expected ")?;
+    if let Some(length) = got.strip_prefix("invalid length ") {
+        let entries = if length == "1" { "entry" } else { "entries" };
+        return Some(format!("has {length} {entries}: write {}", expected_form(wanted)));
+    }
+    let got = got.strip_prefix("invalid type: ").or_else(|| got.strip_prefix("invalid value: "))?;
+    Some(format!("must be {}, not {}", expected_form(wanted), actual_form(got)))
 }
 
 /// Message for a texture in place of a number or a color that takes none.
@@ -65,17 +69,6 @@ fn texture_error(message: &str) -> Option<String> {
         "a number or a track; a material's numbers take textures"
     };
     Some(format!("takes no texture: write {form}"))
-}
-
-/// Rewrites "invalid type: string "one", expected a number" as "must be a number, not "one"".
-fn type_error(message: &str) -> Option<String> {
-    let (got, wanted) = message.split_once(", expected ")?;
-    if let Some(length) = got.strip_prefix("invalid length ") {
-        let entries = if length == "1" { "entry" } else { "entries" };
-        return Some(format!("has {length} {entries}: write {}", expected_form(wanted)));
-    }
-    let got = got.strip_prefix("invalid type: ").or_else(|| got.strip_prefix("invalid value: "))?;
-    Some(format!("must be {}, not {}", expected_form(wanted), actual_form(got)))
 }
 
 /// The expected form, without the names of Rust types.
@@ -116,7 +109,8 @@ mod tests {
     use super::*;
 
     fn of(text: &str, pointer: &str, message: &str) -> (String, String) {
-        rewrite_serde_error(text, pointer.to_owned(), message.to_owned())
+        let tree = Tree::read(text).unwrap_or_else(|error| panic!("{error:?}"));
+        rewrite_serde_error(&tree, pointer.to_owned(), message.to_owned())
     }
 
     #[test]

@@ -1,7 +1,7 @@
 //! Names of objects in error messages.
 
 use crate::error::ValidationError;
-use crate::json_scan;
+use crate::json::{Tree, Value};
 use crate::limits::MAX_NAME_CHARS;
 
 /// Error in the name of an object, if there is one.
@@ -16,16 +16,11 @@ pub(super) fn object_name_error(name: &str) -> Option<String> {
 }
 
 /// Adds the name of the object that each error is in, if the text gives the object a name.
-pub(super) fn add_object_names(text: &str, mut errors: Vec<ValidationError>) -> Vec<ValidationError> {
-    let pointers: Vec<Option<String>> = errors.iter().map(|error| name_pointer(&error.pointer)).collect();
-    let wanted: Vec<&str> = pointers.iter().flatten().map(String::as_str).collect();
-    let mut offsets = json_scan::locate_values(text, &wanted).into_iter();
-    for (error, _) in errors.iter_mut().zip(&pointers).filter(|(_, pointer)| pointer.is_some()) {
-        let value = offsets.next().flatten().and_then(|offset| text.get(offset..));
-        let name = value.and_then(|value| serde_json::Deserializer::from_str(value).into_iter::<String>().next());
-        if let Some(Ok(name)) = name
-            && object_name_error(&name).is_none()
-        {
+pub(super) fn add_object_names(tree: &Tree<'_>, mut errors: Vec<ValidationError>) -> Vec<ValidationError> {
+    for error in &mut errors {
+        let name = name_pointer(&error.pointer).and_then(|pointer| tree.value_at(&pointer));
+        let name = name.map(Value::string).unwrap_or_default();
+        if object_name_error(&name).is_none() {
             error.message = format!("{} (in object \"{name}\")", error.message);
         }
     }

@@ -1,8 +1,8 @@
 //! Sets values in the text of a job from outside, so that a job is a template. The rest of the text, comments too, keeps
 //! its bytes.
 
-use super::expand::scan::{end_of, member, members, skip_space, string};
-use super::plain_json;
+use super::syntax;
+use crate::json::{Kind, Tree, Value};
 use crate::names::nearest_name;
 
 /// Maximum length of a value that is set.
@@ -20,11 +20,8 @@ pub fn set_value(text: &str, path: &str, value: &str) -> Result<String, String> 
     if path.len() + value.len() > MAX_VALUE_BYTES {
         return Err(format!("is longer than {MAX_VALUE_BYTES} bytes: change the job file instead"));
     }
-    let plain = plain_json(text);
-    if let Err(error) = serde_json::from_str::<serde::de::IgnoredAny>(&plain) {
-        let fault = super::syntax::fault(&plain, &error);
-        return Err(format!("cannot be set, because the job is not JSON: {fault}"));
-    }
+    let tree = Tree::read(text)
+        .map_err(|_| format!("cannot be set, because the job is not JSON: {}", syntax::explain(text)))?;
     if path.contains(['/', '[']) || path.split('.').any(str::is_empty) {
         return Err(format!(
             "\"{path}\" is no path: write keys and indices with dots between, such as scene.objects.0.shape"
@@ -33,56 +30,44 @@ pub fn set_value(text: &str, path: &str, value: &str) -> Result<String, String> 
     let is_json = serde_json::from_str::<serde::de::IgnoredAny>(value).is_ok();
     let value = if is_json { value.to_owned() } else { serde_json::Value::from(value).to_string() };
     let path = if path.starts_with("numbers.") { format!("scene.{path}") } else { path.to_owned() };
-    let mut at = skip_space(&plain, 0);
+    let mut at = tree.root();
     let keys: Vec<&str> = path.split('.').collect();
     for (depth, key) in keys.iter().enumerate() {
-        let here = || if depth == 0 { "the job".to_owned() } else { keys[..depth].join(".") };
-        let found = match plain.as_bytes().get(at) {
-            Some(b'{') => member(&plain, at, key),
-            Some(b'[') => key.parse().ok().and_then(|index| entry(&plain, at, index)),
-            _ => None,
+        let found = match at.kind() {
+            Kind::Array => key.parse().ok().and_then(|index| at.entries().nth(index)),
+            Kind::Object | Kind::String | Kind::Number | Kind::Word => at.get(key),
         };
         at = match found {
             Some(found) => found,
-            None if depth + 1 == keys.len()
-                && plain.as_bytes()[at] == b'{'
-                && keys[..depth] != ["scene", "numbers"] =>
-            {
-                let is_empty = members(&plain, at).next().is_none();
-                let comma = if is_empty { "" } else { ", " };
+            None if depth + 1 == keys.len() && at.kind() == Kind::Object && keys[..depth] != ["scene", "numbers"] => {
+                let comma = if at.members().next().is_none() { "" } else { ", " };
                 let added = format!("{}: {value}{comma}", serde_json::Value::from(*key));
-                return Ok(format!("{}{added}{}", &text[..=at], &text[at + 1..]));
+                let inside = at.start() + 1;
+                return Ok(format!("{}{added}{}", &text[..inside], &text[inside..]));
             }
             None => {
-                let known: Vec<String> = members(&plain, at).map(|(known, _)| string(&plain, &known)).collect();
-                let names: Vec<&str> = known.iter().map(String::as_str).collect();
-                let meant = nearest_name(key, &names).map(|meant| format!("; did you mean {meant}?"));
-                let has = match plain.as_bytes()[at] {
-                    b'{' if names.is_empty() => ": it is empty, so use another path".to_owned(),
-                    b'{' => format!(", only {}", names.join(", ")),
-                    b'[' if entry(&plain, at, 0).is_none() => ": it is an empty list, so use another path".to_owned(),
-                    b'[' => ": it is a list, so use an index from 0".to_owned(),
-                    _ => format!(": it is one value, so set {} itself", here()),
-                };
-                return Err(format!("{} has no {key}{}", here(), meant.unwrap_or(has)));
+                let here = if depth == 0 { "the job".to_owned() } else { keys[..depth].join(".") };
+                return Err(format!("{here} has no {key}{}", instead(at, &here, key)));
             }
         };
     }
-    let end = end_of(&plain, at);
-    Ok(format!("{}{value}{}", &text[..at], &text[end..]))
+    Ok(format!("{}{value}{}", &text[..at.start()], &text[at.end()..]))
 }
 
-/// Position of an entry of the list that begins at a position.
-fn entry(text: &str, list: usize, index: usize) -> Option<usize> {
-    let mut at = skip_space(text, list + 1);
-    for _ in 0..index {
-        let end = end_of(text, at);
-        at = super::expand::scan::skip_separator(text, end.max(at + 1));
-        if text.as_bytes().get(at).is_none_or(|byte| *byte == b']') {
-            return None;
-        }
+/// What to write instead of a key that a value does not have.
+fn instead(value: Value<'_>, here: &str, key: &str) -> String {
+    let known: Vec<_> = value.members().map(|(known, _)| known.string()).collect();
+    let names: Vec<&str> = known.iter().map(AsRef::as_ref).collect();
+    if let Some(meant) = nearest_name(key, &names) {
+        return format!("; did you mean {meant}?");
     }
-    text.as_bytes().get(at).is_some_and(|byte| *byte != b']').then_some(at)
+    match value.kind() {
+        Kind::Object if names.is_empty() => ": it is empty, so use another path".to_owned(),
+        Kind::Object => format!(", only {}", names.join(", ")),
+        Kind::Array if value.entries().next().is_none() => ": it is an empty list, so use another path".to_owned(),
+        Kind::Array => ": it is a list, so use an index from 0".to_owned(),
+        Kind::String | Kind::Number | Kind::Word => format!(": it is one value, so set {here} itself"),
+    }
 }
 
 #[cfg(test)]

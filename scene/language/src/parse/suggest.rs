@@ -3,6 +3,7 @@
 use serde::de::DeserializeOwned;
 
 use super::form::{self, FormErrorKind};
+use crate::json::Tree;
 use crate::materials::Material;
 use crate::names::{MAX_COMPARED_CHARS, nearest_name};
 use crate::nodes::Node;
@@ -71,7 +72,7 @@ pub(super) fn unknown_shape(name: &str, known: &[&str]) -> String {
 /// Whether a choice has a kind of this name.
 fn is_kind<T: DeserializeOwned>(name: &str) -> bool {
     let text = format!("{{{}:{{}}}}", serde_json::Value::from(name));
-    let fault = form::read::<T>(&text).err();
+    let fault = Tree::read(&text).ok().and_then(|tree| form::read::<T>(&tree).err());
     fault.is_none_or(|fault| !matches!(fault.kind, FormErrorKind::UnknownName(_)))
 }
 

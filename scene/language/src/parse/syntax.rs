@@ -1,5 +1,8 @@
 //! Explains syntax errors of JSON written by hand: a comment, an extra comma, a missing quote.
 
+use serde::de::IgnoredAny;
+
+use super::plain_json;
 use crate::error::{LineIndex, ValidationError};
 
 /// Words of other languages, and their JSON equivalents.
@@ -12,8 +15,17 @@ const WORDS: [(&str, &str); 6] = [
     ("FALSE", "false"),
 ];
 
+/// The error of a text that is no tree, which is read again to explain it.
+pub(super) fn explain(text: &str) -> ValidationError {
+    let plain = plain_json(text);
+    match serde_json::from_str::<IgnoredAny>(&plain) {
+        Err(error) => fault(&plain, &error),
+        Ok(_) => LineIndex::new(text).fault(0, String::new(), "is larger than 2 GiB: make it smaller".to_owned()),
+    }
+}
+
 /// The error of a text that serde cannot parse.
-pub(super) fn fault(text: &str, error: &serde_json::Error) -> ValidationError {
+fn fault(text: &str, error: &serde_json::Error) -> ValidationError {
     let lines = LineIndex::new(text);
     let reached = lines.offset(error.line(), error.column());
     // Serde did not stop at an oddity after its own position.
@@ -22,7 +34,7 @@ pub(super) fn fault(text: &str, error: &serde_json::Error) -> ValidationError {
     }
     ValidationError {
         pointer: String::new(),
-        message: words(&super::form::strip_position(&error.to_string())),
+        message: words(&super::form::message(error)),
         line: error.line() as u32,
         column: error.column().max(1) as u32,
     }
@@ -287,7 +299,7 @@ mod tests {
 
     /// Line, column and message of the error of a text.
     fn of(text: &str) -> (u32, u32, String) {
-        let error = serde_json::from_str::<serde::de::IgnoredAny>(text).expect_err(text);
+        let error = serde_json::from_str::<IgnoredAny>(text).expect_err(text);
         let ValidationError { line, column, message, .. } = fault(text, &error);
         (line, column, message)
     }

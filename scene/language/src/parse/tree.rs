@@ -1,17 +1,17 @@
-//! A JSON text as a tree with the position of each value, in which parts can be replaced. The text itself is not
-//! changed, so an error found after a repair still has its position in the user's text.
+//! A tree in which parts can be replaced. Each value knows its node in the tree that it was made of, so an error found
+//! after a repair still has its position in the user's text.
 
-use crate::json_scan::container_end;
+use std::collections::HashSet;
+
+use crate::json::{self, Builder, Kind, Tree};
 use crate::json_text::escape;
 use crate::limits::MAX_JSON_DEPTH;
 
-/// A value of the text.
+/// A value of the tree.
 #[derive(Clone, Debug)]
 pub(super) struct Value {
-    /// Byte offset of its start in the text.
-    pub(super) start: usize,
-    /// Byte offset of its end in the text.
-    end: usize,
+    /// Its node in the tree.
+    pub(super) node: u32,
     /// Content of the value.
     pub(super) body: Body,
 }
@@ -32,8 +32,8 @@ pub(super) enum Body {
 /// A key of an object, and its value.
 #[derive(Clone, Debug)]
 pub(super) struct Member {
-    /// Byte offset of the start of the key in the text.
-    pub(super) start: usize,
+    /// Node of the key in the tree.
+    pub(super) node: u32,
     /// The key in the text.
     pub(super) key: String,
     /// The key that is parsed instead.
@@ -48,129 +48,78 @@ pub(super) struct Member {
     pub(super) value: Value,
 }
 
-/// An error of the text's structure: the path to the member or the value.
+/// An error of the text's structure: the path to the member or the value, and its node.
 #[derive(Debug)]
 pub(super) enum TreeError {
     /// A key that the object has already; the later one is left out.
-    DuplicateMember { path: Vec<usize>, start: usize },
+    DuplicateMember { path: Vec<usize>, node: u32 },
     /// A value that nests too deep; it is not parsed.
-    TooDeep { path: Vec<usize>, start: usize },
+    TooDeep { path: Vec<usize>, node: u32 },
 }
 
-/// The tree of a text that is valid JSON, and at most `limit` structural errors.
-pub(super) fn read(text: &str, limit: usize) -> (Value, Vec<TreeError>) {
-    let mut reader = Reader { bytes: text.as_bytes(), text, at: 0, path: Vec::new(), misfits: Vec::new(), limit };
-    let root = reader.value();
+/// The values of a tree, and at most `limit` structural errors.
+pub(super) fn read(tree: &Tree<'_>, limit: usize) -> (Value, Vec<TreeError>) {
+    let mut reader = Reader { path: Vec::new(), misfits: Vec::new(), limit };
+    let root = reader.value(tree.root());
     (root, reader.misfits)
 }
 
-struct Reader<'a> {
-    bytes: &'a [u8],
-    text: &'a str,
-    at: usize,
+struct Reader {
     path: Vec<usize>,
     misfits: Vec<TreeError>,
     limit: usize,
 }
 
-impl Reader<'_> {
-    fn skip(&mut self, skipped: &[u8]) {
-        while self.bytes.get(self.at).is_some_and(|byte| skipped.contains(byte)) {
-            self.at += 1;
+impl Reader {
+    fn report(&mut self, misfit: impl FnOnce(Vec<usize>) -> TreeError) {
+        if self.misfits.len() < self.limit {
+            self.misfits.push(misfit(self.path.clone()));
         }
     }
 
-    fn string(&mut self) {
-        self.at += 1;
-        while let Some(&byte) = self.bytes.get(self.at) {
-            self.at += if byte == b'\\' { 2 } else { 1 };
-            if byte == b'"' {
-                return;
-            }
-        }
-    }
-
-    fn value(&mut self) -> Value {
-        self.skip(b" \t\r\n,:");
-        let start = self.at;
-        let body = match self.bytes.get(self.at) {
-            Some(b'[' | b'{') if self.path.len() >= MAX_JSON_DEPTH => {
-                self.at = container_end(self.bytes, self.at);
-                if self.misfits.len() < self.limit {
-                    self.misfits.push(TreeError::TooDeep { path: self.path.clone(), start });
-                }
+    fn value(&mut self, value: json::Value<'_>) -> Value {
+        let node = value.index();
+        let body = match value.kind() {
+            Kind::Array | Kind::Object if self.path.len() >= MAX_JSON_DEPTH => {
+                self.report(|path| TreeError::TooDeep { path, node });
                 Body::StandIn("null".to_owned())
             }
-            Some(b'[') => self.array(),
-            Some(b'{') => self.object(),
-            Some(b'"') => {
-                self.string();
-                Body::Scalar
+            Kind::Array => Body::Array(value.entries().enumerate().map(|(at, entry)| self.inside(at, entry)).collect()),
+            Kind::Object => {
+                let mut known = HashSet::new();
+                let member = |(at, (key, inside)): (usize, (json::Value<'_>, json::Value<'_>))| {
+                    let (node, read_as) = (key.index(), key.string().into_owned());
+                    let is_removed = !known.insert(read_as.clone());
+                    if is_removed {
+                        self.path.push(at);
+                        self.report(|path| TreeError::DuplicateMember { path, node });
+                        self.path.pop();
+                    }
+                    let value = self.inside(at, inside);
+                    let key = read_as.clone();
+                    Member { node, key, read_as, is_removed, is_unknown: false, is_added: false, value }
+                };
+                Body::Object(value.members().enumerate().map(member).collect())
             }
-            Some(_) | None => {
-                while self.bytes.get(self.at).is_some_and(|byte| !b" \t\r\n,]}".contains(byte)) {
-                    self.at += 1;
-                }
-                Body::Scalar
-            }
+            Kind::String | Kind::Number | Kind::Word => Body::Scalar,
         };
-        Value { start, end: self.at, body }
+        Value { node, body }
     }
 
-    /// Whether the list or object ends here; if so, moves past its bracket.
-    fn ends(&mut self) -> bool {
-        self.skip(b" \t\r\n,");
-        let ends = self.bytes.get(self.at).is_none_or(|byte| b"]}".contains(byte));
-        self.at += usize::from(ends);
-        ends
-    }
-
-    fn array(&mut self) -> Body {
-        self.at += 1;
-        let mut entries = Vec::new();
-        while !self.ends() {
-            self.path.push(entries.len());
-            entries.push(self.value());
-            self.path.pop();
-        }
-        Body::Array(entries)
-    }
-
-    fn object(&mut self) -> Body {
-        self.at += 1;
-        let mut members: Vec<Member> = Vec::new();
-        let mut known = std::collections::HashSet::new();
-        while !self.ends() {
-            let start = self.at;
-            self.string();
-            let key: String = serde_json::from_str(&self.text[start..self.at]).unwrap_or_default();
-            self.path.push(members.len());
-            let is_removed = !known.insert(key.clone());
-            if is_removed && self.misfits.len() < self.limit {
-                self.misfits.push(TreeError::DuplicateMember { path: self.path.clone(), start });
-            }
-            let value = self.value();
-            self.path.pop();
-            members.push(Member {
-                start,
-                read_as: key.clone(),
-                key,
-                is_removed,
-                is_unknown: false,
-                is_added: false,
-                value,
-            });
-        }
-        Body::Object(members)
+    fn inside(&mut self, at: usize, value: json::Value<'_>) -> Value {
+        self.path.push(at);
+        let value = self.value(value);
+        self.path.pop();
+        value
     }
 }
 
 impl Member {
     /// A key that is missing in the text, with a stand-in as its value.
-    pub(super) fn added(key: &str, at: usize, json: &str) -> Self {
-        let value = Value { start: at, end: at, body: Body::StandIn(json.to_owned()) };
+    pub(super) fn added(key: &str, node: u32, json: &str) -> Self {
+        let value = Value { node, body: Body::StandIn(json.to_owned()) };
         let (key, read_as) = (key.to_owned(), key.to_owned());
-        Self { start: at, key, read_as, is_removed: false, is_unknown: false, is_added: true, value }
+        Self { node, key, read_as, is_removed: false, is_unknown: false, is_added: true, value }
     }
 }
 
@@ -265,49 +214,75 @@ impl Value {
         pointer
     }
 
-    /// Writes the value with its repairs; `cut` returns the stand-in for a value that is parsed separately, from its
-    /// path.
-    pub(super) fn write(
+    /// The tree of the value with its repairs; `cut` returns the stand-in for a value that is parsed separately, from
+    /// its path.
+    pub(super) fn build<'t>(
         &self,
-        text: &str,
-        out: &mut String,
-        path: &mut Vec<String>,
+        tree: &'t Tree<'t>,
         cut: &impl Fn(&[String], &Value) -> Option<&'static str>,
-    ) {
-        if let Some(json) = cut(path, self) {
-            out.push_str(json);
+    ) -> Tree<'t> {
+        let (builder, path) = (Builder::new(tree), Vec::new());
+        let mut repaired = Repaired { tree, builder, length: 0, path, cut };
+        repaired.value(self);
+        let Repaired { builder, length, .. } = repaired;
+        builder.finish(length)
+    }
+}
+
+/// A repaired tree in the making.
+struct Repaired<'t, 'c, C> {
+    tree: &'t Tree<'t>,
+    builder: Builder<'t>,
+    /// Length of what is built as text without spaces.
+    length: usize,
+    path: Vec<String>,
+    cut: &'c C,
+}
+
+impl<C: Fn(&[String], &Value) -> Option<&'static str>> Repaired<'_, '_, C> {
+    fn value(&mut self, value: &Value) {
+        if let Some(json) = (self.cut)(&self.path, value) {
+            self.stand_in(json);
             return;
         }
-        match &self.body {
-            Body::Scalar => out.push_str(&text[self.start..self.end]),
-            Body::StandIn(json) => out.push_str(json),
+        let written = json::Value::of(self.tree, value.node);
+        match &value.body {
+            Body::Scalar => {
+                self.length += written.text().len();
+                self.builder.copy(written);
+            }
+            Body::StandIn(json) => self.stand_in(json),
             Body::Array(entries) => {
-                out.push('[');
-                for (index, entry) in entries.iter().enumerate() {
-                    if index > 0 {
-                        out.push(',');
-                    }
-                    path.push(String::new());
-                    entry.write(text, out, path, cut);
-                    path.pop();
+                self.builder.open(written);
+                for entry in entries {
+                    self.path.push(String::new());
+                    self.value(entry);
+                    self.path.pop();
                 }
-                out.push(']');
+                self.builder.close(written);
+                self.length += 2 + entries.len().saturating_sub(1);
             }
             Body::Object(members) => {
-                out.push('{');
-                for (index, member) in members.iter().filter(|member| !member.is_removed).enumerate() {
-                    if index > 0 {
-                        out.push(',');
-                    }
-                    out.push_str(&serde_json::Value::from(member.read_as.as_str()).to_string());
-                    out.push(':');
-                    path.push(member.read_as.clone());
-                    member.value.write(text, out, path, cut);
-                    path.pop();
+                self.builder.open(written);
+                let mut count = 0;
+                for member in members.iter().filter(|member| !member.is_removed) {
+                    let key = serde_json::Value::from(member.read_as.as_str()).to_string();
+                    self.length += key.len() + 1;
+                    self.builder.key(&key, 0);
+                    self.path.push(member.read_as.clone());
+                    self.value(&member.value);
+                    self.path.pop();
+                    count += 1;
                 }
-                out.push('}');
+                self.builder.close(written);
+                self.length += 2 + usize::saturating_sub(count, 1);
             }
         }
+    }
+
+    fn stand_in(&mut self, json: &str) {
+        self.length += json.len();
+        self.builder.json(json, 0);
     }
 }
 
@@ -315,30 +290,34 @@ impl Value {
 mod tests {
     use super::*;
 
-    fn written(root: &Value, text: &str) -> String {
-        let mut out = String::new();
-        root.write(text, &mut out, &mut Vec::new(), &|_, _| None);
-        out
-    }
-
     #[test]
-    fn an_unchanged_tree_is_written_as_parsed() {
+    fn an_unchanged_tree_is_built_as_parsed() {
         let text = r#"{ "a" : [1, {"b/c": -2.5e3}, "x\"]"], "d": {}, "e": [], "f": true }"#;
-        let (root, misfits) = read(text, 9);
+        let tree = Tree::read(text).unwrap_or_else(|error| panic!("{error:?}"));
+        let (root, misfits) = read(&tree, 9);
         assert!(misfits.is_empty());
-        assert_eq!(written(&root, text), r#"{"a":[1,{"b/c":-2.5e3},"x\"]"],"d":{},"e":[],"f":true}"#);
+        let built = root.build(&tree, &|_, _| None);
+        let whole: serde_json::Value = serde::Deserialize::deserialize(built.root()).expect("JSON");
+        assert_eq!(whole, serde_json::from_str::<serde_json::Value>(text).expect("JSON"));
+        assert_eq!(built.length(), r#"{"a":[1,{"b/c":-2.5e3},"x\"]"],"d":{},"e":[],"f":true}"#.len());
         let steps = ["a", "1", "b/c"].map(str::to_owned);
         let (path, is_whole) = root.path_of(&steps);
         assert!(is_whole && root.pointer(&path, false) == "/a/1/b~1c");
-        assert!(text[root.at(&path).expect("there").start..].starts_with("-2.5e3"));
+        assert_eq!(json::Value::of(&tree, root.at(&path).expect("there").node).text(), "-2.5e3");
     }
 
     #[test]
     fn duplicate_keys_and_deep_values_are_found_and_removed() {
         let text = format!(r#"{{"a": 1, "\u0061": 2, "b": {}{}}}"#, "[".repeat(9000), "]".repeat(9000));
-        let (root, misfits) = read(&text, 9);
-        assert!(matches!(&misfits[0], TreeError::DuplicateMember { path, start: 9 } if *path == [1]), "{misfits:?}");
+        let tree = Tree::read(&text).unwrap_or_else(|error| panic!("{error:?}"));
+        let (root, misfits) = read(&tree, 9);
+        let start = |node| json::Value::of(&tree, node).start();
+        assert!(
+            matches!(&misfits[0], TreeError::DuplicateMember { path, node } if *path == [1] && start(*node) == 9),
+            "{misfits:?}"
+        );
         assert!(matches!(&misfits[1], TreeError::TooDeep { path, .. } if path.len() == MAX_JSON_DEPTH), "{misfits:?}");
-        assert!(written(&root, &text).starts_with(r#"{"a":1,"b":[["#));
+        let built = root.build(&tree, &|_, _| None);
+        assert_eq!(built.root().members().count(), 2);
     }
 }

@@ -122,7 +122,7 @@ impl Collector<'_> {
         }
         let Some(object) = self.root.at_mut(target) else { return false };
         let Body::Object(members) = &mut object.body else { return false };
-        members.push(Member::added(key, object.start, ""));
+        members.push(Member::added(key, object.node, ""));
         let last = members.len() - 1;
         let added = [target, &[last]].concat();
         if self.replace_value(part, place, &added, None) {

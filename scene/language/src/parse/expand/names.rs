@@ -1,11 +1,12 @@
 //! The numbers that names in formulas stand for: those of the scene and of a shape, and counted copies.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::ops::Range;
 use std::sync::Arc;
 
-use super::scan::{self, members};
-use super::stand_in;
+use serde::Deserialize;
+
+use super::{formula_or_string, offset_in_string, stand_in};
+use crate::json::Value;
 use crate::values::formula::{self, Expr, FUNCTIONS, NAMES, Names, is_name};
 use crate::values::track::Track;
 
@@ -16,11 +17,10 @@ const MAX_NUMBERS: usize = 10_000;
 
 /// The numbers of a scene, by name.
 #[derive(Debug)]
-pub(super) struct Numbers<'t> {
-    text: &'t str,
-    defined: BTreeMap<String, Definition>,
+pub(in super::super) struct Numbers<'t> {
+    defined: BTreeMap<String, Definition<'t>>,
     /// Keys of the numbers, in their order.
-    keys: Vec<Range<usize>>,
+    keys: Vec<Value<'t>>,
     /// Number of frames of the job.
     frames: Option<Arc<Expr>>,
     /// Numbers that are being computed.
@@ -28,9 +28,9 @@ pub(super) struct Numbers<'t> {
 }
 
 #[derive(Clone, Debug)]
-enum Definition {
-    /// As written, at this byte range.
-    Written(Range<usize>),
+enum Definition<'t> {
+    /// As written.
+    Written(Value<'t>),
     /// Being computed.
     Open,
     Known(Arc<Expr>),
@@ -129,36 +129,34 @@ impl Names for InScene<'_, '_> {
 }
 
 impl<'t> Numbers<'t> {
-    pub(super) fn new(text: &'t str, root: usize, scene: Option<usize>) -> Self {
-        let numbers = scene.and_then(|scene| scan::member(text, scene, "numbers"));
-        let numbers: Vec<_> = numbers.into_iter().flat_map(|numbers| members(text, numbers)).collect();
-        let keys = numbers.iter().map(|(key, _)| key.clone()).collect();
-        let defined = numbers.into_iter().map(|(key, value)| (scan::string(text, &key), Definition::Written(value)));
-        let frames = scan::member(text, root, "frames");
-        let count = match frames.map(|frames| scan::member(text, frames, "count")) {
-            None | Some(None) => Some(1.0),
-            Some(Some(count)) => text[count..scan::end_of(text, count)].parse().ok(),
+    pub(in super::super) fn new(job: Value<'t>) -> Self {
+        let numbers = || job.get("scene").and_then(|scene| scene.get("numbers")).into_iter().flat_map(Value::members);
+        let keys = numbers().map(|(key, _)| key).collect();
+        let defined = numbers().map(|(key, value)| (key.string().into_owned(), Definition::Written(value))).collect();
+        let count = match job.get("frames").and_then(|frames| frames.get("count")) {
+            None => Some(1.0),
+            Some(count) => count.text().parse().ok(),
         };
         let frames = count.map(|count| Arc::new(Expr::Number(count)));
-        Self { text, defined: defined.collect(), keys, frames, open: Vec::new() }
+        Self { defined, keys, frames, open: Vec::new() }
     }
 
     /// Computes all numbers, so that every error in them is found.
     pub(super) fn resolve_all(&mut self, faults: &mut BTreeSet<(usize, String)>) {
         if self.keys.len() > MAX_NUMBERS {
             let message = format!("is one of {} numbers: use at most {MAX_NUMBERS}", self.keys.len());
-            faults.insert((self.keys[MAX_NUMBERS].start, message));
+            faults.insert((self.keys[MAX_NUMBERS].start(), message));
             self.keys.truncate(MAX_NUMBERS);
         }
         for key in self.keys.clone() {
-            let name = scan::string(self.text, &key);
+            let name = key.string();
             if !is_name(&name) {
                 let message = "cannot be named in formulas: use letters, digits and _, the first not a digit";
-                faults.insert((key.start, message.to_owned()));
-            } else if let Some((_, about)) = NAMES.iter().find(|(known, _)| *known == name) {
-                faults.insert((key.start, format!("stands for {}, in every formula: use another name", the(about))));
-            } else if FUNCTIONS.iter().any(|function| function.name == name) {
-                faults.insert((key.start, "is the name of a function: use another".to_owned()));
+                faults.insert((key.start(), message.to_owned()));
+            } else if let Some((_, about)) = NAMES.iter().find(|(known, _)| *known == &*name) {
+                faults.insert((key.start(), format!("stands for {}, in every formula: use another name", the(about))));
+            } else if FUNCTIONS.iter().any(|function| function.name == &*name) {
+                faults.insert((key.start(), "is the name of a function: use another".to_owned()));
             }
             self.get(&name, faults);
         }
@@ -169,10 +167,10 @@ impl<'t> Numbers<'t> {
             None => return self.frames.clone().filter(|_| name == "frames"),
             Some(Definition::Known(number)) => return Some(Arc::clone(number)),
             Some(Definition::Open) => None,
-            Some(Definition::Written(range)) => Some(range.clone()),
+            Some(Definition::Written(value)) => Some(*value),
         };
         let last = self.open.last().cloned();
-        let Some(range) = written.filter(|_| self.open.len() <= MAX_CHAIN) else {
+        let Some(written) = written.filter(|_| self.open.len() <= MAX_CHAIN) else {
             // The fault is at the number that names this one.
             let at = last.and_then(|last| self.key_of(&last)).unwrap_or(0);
             let cycle: Vec<&str> = self.open.iter().map(String::as_str).skip_while(|open| *open != name).collect();
@@ -186,25 +184,31 @@ impl<'t> Numbers<'t> {
         };
         self.defined.insert(name.to_owned(), Definition::Open);
         self.open.push(name.to_owned());
-        let number = self.compute(&range, faults);
+        let number = self.compute(written, faults);
         self.open.pop();
         self.defined.insert(name.to_owned(), Definition::Known(Arc::clone(&number)));
         Some(number)
     }
 
-    fn key_of(&self, name: &str) -> Option<usize> {
-        self.keys.iter().find(|key| scan::string(self.text, key) == name).map(|key| key.start)
+    /// Value of a formula that is the same in all frames and has only the scene's numbers.
+    pub(in super::super) fn of_scene(&mut self, formula: Value<'t>) -> Option<f32> {
+        let syntax = formula::parse(&formula.string()).ok()?;
+        formula::resolve(&syntax, &mut InScene(self, &mut BTreeSet::new())).ok()?.constant()
     }
 
-    fn compute(&mut self, range: &Range<usize>, faults: &mut BTreeSet<(usize, String)>) -> Arc<Expr> {
-        let Some(string) = scan::formula_or_string(self.text, range) else {
+    fn key_of(&self, name: &str) -> Option<usize> {
+        self.keys.iter().find(|key| key.string() == name).map(|key| key.start())
+    }
+
+    fn compute(&mut self, written: Value<'t>, faults: &mut BTreeSet<(usize, String)>) -> Arc<Expr> {
+        let Some(string) = formula_or_string(written) else {
             // An error in a track is found when the scene is parsed.
-            return number(&self.text[range.clone()]).unwrap_or_else(stand_in);
+            return number(written).unwrap_or_else(stand_in);
         };
-        let text = scan::string(self.text, &string);
+        let text = string.string();
         let formula = formula::parse(&text).and_then(|syntax| formula::resolve(&syntax, &mut InScene(self, faults)));
         formula.unwrap_or_else(|error| {
-            faults.insert((scan::offset_in_string(self.text, &string, error.at), error.message));
+            faults.insert((offset_in_string(string, error.at), error.message));
             stand_in()
         })
     }
@@ -216,10 +220,10 @@ fn the(about: &str) -> String {
 }
 
 /// A number, or a track, as written.
-pub(super) fn number(text: &str) -> Option<Arc<Expr>> {
-    if let Ok(number) = serde_json::from_str::<f32>(text) {
+pub(super) fn number(value: Value<'_>) -> Option<Arc<Expr>> {
+    if let Ok(number) = f32::deserialize(value) {
         return Some(Arc::new(Expr::Number(number)));
     }
-    let track = serde_json::from_str::<Track>(text).ok()?;
+    let track = Track::deserialize(value).ok()?;
     Some(Arc::new(Expr::Track(Arc::new(track))))
 }
