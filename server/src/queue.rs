@@ -5,102 +5,57 @@
 //! point: it supplies the time, runs transitions in the writer, and wakes the waiters that a change concerns. It depends
 //! on no HTTP types or files.
 
-mod backlog;
-mod batch_size;
-mod claim;
-mod cleanup;
-mod contact;
-mod deliver;
-mod doomed;
-mod durations;
-mod effects;
-mod event_gaps;
 mod events;
-mod exclusion;
-mod fair_share;
-mod farm_changes;
-mod finish;
 mod frames;
-mod idempotency;
-mod job_changes;
-mod job_transitions;
-mod lease;
-mod lease_ends;
-mod makers;
-mod minutes;
-mod open_frame;
-mod pause;
-mod picture;
-mod places;
-mod previews;
-mod read;
-mod recorded;
-mod recover;
-mod repair;
-mod reported;
-mod retention;
-mod scaling;
+mod jobs;
+mod leases;
 mod servers;
-mod speeds;
-mod stats;
-mod stitch;
-mod straggler;
-mod submit;
-mod sync;
 #[cfg(test)]
 mod tests;
-mod tile_history;
-mod tile_results;
-mod trace_context;
-mod undo;
+mod tiles;
 mod verification;
-mod wake;
-mod webhooks;
-mod worker_changes;
-mod worker_state;
-mod worker_views;
 mod workers;
 
 use std::sync::Arc;
 
-use contact::Contact;
 use proto::{JobId, WorkerId};
-use recover::StartingServer;
+use servers::contact::Contact;
+use servers::recover::StartingServer;
 
 use crate::clock::Clock;
 use crate::db::{self, Connection, Database, DatabaseError, Durability};
 
-pub(crate) use backlog::{BacklogLimits, ExceededLimit};
-pub(crate) use cleanup::RemovedContent;
-pub(crate) use doomed::{CheckedNames, content_of};
-pub(crate) use event_gaps::mark_restored;
 pub(crate) use events::Event;
-pub(crate) use farm_changes::{ChangePosition, FarmChanges};
-pub(crate) use finish::{CancelOutcome, DeleteOutcome};
+pub(crate) use events::farm_changes::{ChangePosition, FarmChanges};
+pub(crate) use events::gaps::mark_restored;
+pub(crate) use events::wake::Hints;
+use events::wake::{Wake, WakeSignals};
+pub(crate) use events::webhooks::{Attempt, BusyReceivers, Delivery};
+pub(crate) use frames::makers::PictureMark;
+pub(crate) use frames::open::{FrameOpening, OpenOutcome};
+pub(crate) use frames::previews::{FrameContents, ReadyWorker};
 pub(crate) use frames::{FrameSet, StoredFrame};
-pub(crate) use idempotency::{IdempotencyKey, NewWebhook, SubmitOptions, SubmitOutcome};
-pub(crate) use job_changes::{ChangeOutcome, RetryOutcome};
-pub(crate) use lease::{LeaseEnd, jitter};
-pub(crate) use makers::PictureMark;
-pub(crate) use minutes::Rendered;
-pub(crate) use open_frame::{FrameOpening, OpenOutcome};
-pub(crate) use pause::PauseOutcome;
-pub(crate) use places::{MoveOutcome, Place};
-pub(crate) use previews::{FrameContents, ReadyWorker};
-pub(crate) use read::StoredImage;
-pub(crate) use recover::Recovery;
-pub(crate) use repair::{Reopened, absurd_shares, forget_pictures, reset_shares};
-pub(crate) use reported::{RejectedResult, ReportedTile};
-pub(crate) use retention::FinishedJob;
-pub(crate) use stats::QueueStats;
-pub(crate) use submit::NewJob;
-pub(crate) use sync::{NextWork, SyncInput, SyncOutcome};
-pub(crate) use tile_history::TileCursor;
+pub(crate) use jobs::StoredImage;
+pub(crate) use jobs::backlog::{BacklogLimits, ExceededLimit};
+pub(crate) use jobs::changes::{ChangeOutcome, RetryOutcome};
+pub(crate) use jobs::cleanup::RemovedContent;
+pub(crate) use jobs::finish::{CancelOutcome, DeleteOutcome};
+pub(crate) use jobs::idempotency::{IdempotencyKey, NewWebhook, SubmitOptions, SubmitOutcome};
+pub(crate) use jobs::pause::PauseOutcome;
+pub(crate) use jobs::places::{MoveOutcome, Place};
+pub(crate) use jobs::retention::FinishedJob;
+pub(crate) use jobs::submit::NewJob;
+pub(crate) use leases::sync::{NextWork, SyncInput, SyncOutcome};
+pub(crate) use leases::{LeaseEnd, jitter};
+pub(crate) use servers::doomed::{CheckedNames, content_of};
+pub(crate) use servers::recover::Recovery;
+pub(crate) use servers::repair::{Reopened, absurd_shares, forget_pictures, reset_shares};
+pub(crate) use servers::stats::QueueStats;
+pub(crate) use tiles::TileCursor;
+pub(crate) use tiles::reported::{RejectedResult, ReportedTile};
 pub(crate) use verification::VerificationPolicy;
-pub(crate) use wake::Hints;
-use wake::{Wake, WakeSignals};
-pub(crate) use webhooks::{Attempt, BusyReceivers, Delivery};
-pub(crate) use worker_changes::{WorkerChange, WorkerChangeOutcome};
+pub(crate) use workers::changes::{WorkerChange, WorkerChangeOutcome};
+pub(crate) use workers::minutes::Rendered;
 pub(crate) use workers::{LeaseNeed, NewWorker, Registration};
 
 /// Result of a transition.
@@ -157,7 +112,7 @@ impl Queue {
         };
         let recovered = store
             .write(Durability::Full, move |connection| {
-                Box::pin(async move { recover::recover(connection, &start).await })
+                Box::pin(async move { servers::recover::recover(connection, &start).await })
             })
             .await?;
         let queue = Self {
@@ -167,7 +122,7 @@ impl Queue {
             generation: recovered.generation,
             server_name: server_name.into(),
             contact: Arc::default(),
-            piece_rows: cleanup::PIECE_ROWS,
+            piece_rows: jobs::cleanup::PIECE_ROWS,
             verification: VerificationPolicy::default(),
             wake_signals: Arc::default(),
         };
@@ -203,7 +158,7 @@ impl Queue {
         let number = self
             .database
             .write(Durability::Full, move |connection| {
-                Box::pin(async move { submit::submit(connection, &job, moment).await })
+                Box::pin(async move { jobs::submit::submit(connection, &job, moment).await })
             })
             .await?;
         self.wake(Wake::WORK);
@@ -215,14 +170,14 @@ impl Queue {
         let moment = self.context();
         self.database
             .write(Durability::Relaxed, move |connection| {
-                Box::pin(async move { open_frame::open_from_cache(connection, &opening, moment).await })
+                Box::pin(async move { frames::open::open_from_cache(connection, &opening, moment).await })
             })
             .await
     }
 
     /// Whether a picture with this cache key is stored.
     pub(crate) async fn has_picture(&self, key: &str) -> Result<bool> {
-        read::has_picture(self.database.readers(), key).await
+        jobs::has_picture(self.database.readers(), key).await
     }
 
     /// Runs a worker's sync: takes results, renews leases, grants work. A claim that fails takes no results with it: then
@@ -253,8 +208,8 @@ impl Queue {
         self.database
             .write_for_worker(durability, move |connection| {
                 Box::pin(async move {
-                    doomed::save_results(connection, &mut turn).await?;
-                    sync::sync(connection, turn, moment).await
+                    servers::doomed::save_results(connection, &mut turn).await?;
+                    leases::sync::sync(connection, turn, moment).await
                 })
             })
             .await
@@ -266,7 +221,7 @@ impl Queue {
         let (count, ring) = self
             .database
             .write_for_worker(Durability::Relaxed, move |connection| {
-                Box::pin(async move { lease::rescue(connection, moment).await })
+                Box::pin(async move { leases::rescue(connection, moment).await })
             })
             .await?;
         self.wake(ring);
@@ -292,7 +247,7 @@ impl Queue {
         let cancelled = self
             .database
             .write_for_worker(Durability::Full, move |connection| {
-                Box::pin(async move { finish::cancel(connection, job, moment).await })
+                Box::pin(async move { jobs::finish::cancel(connection, job, moment).await })
             })
             .await?;
         self.wake(Wake::UPDATES);
@@ -304,7 +259,7 @@ impl Queue {
         let moment = self.context();
         self.database
             .write(Durability::Full, move |connection| {
-                Box::pin(async move { finish::refuse(connection, job, &message, moment).await })
+                Box::pin(async move { jobs::finish::refuse(connection, job, &message, moment).await })
             })
             .await?;
         self.wake(Wake { work: true, news: true });
@@ -318,7 +273,7 @@ impl Queue {
         let deleted = self
             .database
             .write(Durability::Full, move |connection| {
-                Box::pin(async move { finish::delete(connection, job, moment).await })
+                Box::pin(async move { jobs::finish::delete(connection, job, moment).await })
             })
             .await?;
         self.wake_signals.cleanup.notify_one();
@@ -373,7 +328,7 @@ impl Queue {
             let more = self
                 .database
                 .write(Durability::Relaxed, move |connection| {
-                    Box::pin(async move { recover::tidy(connection, piece_rows).await })
+                    Box::pin(async move { servers::recover::tidy(connection, piece_rows).await })
                 })
                 .await?;
             if !more {

@@ -1,7 +1,7 @@
 //! Deletion of content: of one name that is not used, or of many that a sweep has found.
 //!
 //! The lock keeps a server's own reports apart from its deletions; where several servers share a store, the queue does
-//! (`queue/doomed.rs`).
+//! (`queue/servers/doomed.rs`).
 
 use std::time::Duration;
 

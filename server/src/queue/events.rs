@@ -3,15 +3,22 @@
 //!
 //! Only `effects` writes events, in the transaction of the change.
 
+pub(super) mod effects;
+pub(super) mod farm_changes;
+pub(super) mod gaps;
+pub(super) mod wake;
+pub(super) mod webhooks;
+
 use db::Row;
 use proto::JobId;
 use proto::event::{ProgressEvent, Snapshot, TileEvent};
 use proto::job::{DoneOfTotal, JobState};
 use proto::rounding;
 
-use super::{Connection, Queue, Result, finish};
 use crate::db;
 use crate::db::Durability;
+use crate::queue::jobs::finish;
+use crate::queue::{Connection, Queue, Result};
 
 /// Minimum retention of events of finished jobs.
 const RETENTION_MS: i64 = 24 * 3_600_000;

@@ -1,11 +1,17 @@
 //! Frames of a job: the state and picture of each.
 
+pub(super) mod makers;
+pub(super) mod open;
+pub(super) mod picture;
+pub(super) mod previews;
+pub(super) mod stitch;
+
 use crate::db;
 use db::Row;
 use proto::JobId;
 use proto::frame::{FrameState, FrameView};
 
-use super::{Queue, Result, parse_column};
+use crate::queue::{Queue, Result, parse_column};
 
 /// All frames of a job.
 #[derive(Clone, Debug, PartialEq, Eq)]

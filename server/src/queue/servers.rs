@@ -3,13 +3,18 @@
 //! A server that is taken for ended by mistake loses nothing but the work that its pool has begun: its workers register
 //! again.
 
-use super::recover::StartingServer;
-use super::{
-    Connection, Queue, Result, TransitionContext, Wake, claim, event_gaps, json_numbers, lease_ends, row_count,
-    verification,
-};
+pub(super) mod contact;
+pub(super) mod doomed;
+pub(super) mod recover;
+pub(super) mod repair;
+pub(super) mod stats;
+
 use crate::db;
 use crate::db::Durability;
+use crate::queue::events::gaps;
+use crate::queue::leases::{claim, ends};
+use crate::queue::servers::recover::StartingServer;
+use crate::queue::{Connection, Queue, Result, TransitionContext, Wake, json_numbers, row_count, verification};
 
 /// A server that has not renewed its row for this long has ended.
 pub(super) const SERVER_GONE_MS: i64 = 6_000;
@@ -112,7 +117,7 @@ async fn renew(
             .execute(&mut *connection)
             .await?;
     }
-    event_gaps::check_identity(connection).await?;
+    gaps::check_identity(connection).await?;
     let mut wake = Wake::default();
     let mut ended = Vec::new();
     if judges {
@@ -160,7 +165,7 @@ async fn agree_on_secret(connection: &mut Connection, fingerprint: i64, generati
 
 /// Ends the leases of pools whose server has no row, and marks their workers as gone; returns the number of leases.
 pub(super) async fn hand_back(connection: &mut Connection, wall_ms: i64) -> Result<i64> {
-    let tiles = lease_ends::interrupt_pool(connection, wall_ms).await?;
+    let tiles = ends::interrupt_pool(connection, wall_ms).await?;
     db::query(
         "UPDATE tile SET state = 'ready', interrupts = interrupts + 1
          WHERE state = 'leased' AND id IN (SELECT value FROM @numbers(?))

@@ -22,11 +22,11 @@ use proto::bounded::RaysPerSecond;
 use proto::worker_protocol::RegisterRequest;
 use proto::{JobId, WorkerId};
 
-use super::{FrameOpening, NewJob, NewWorker, NextWork, Queue, SyncInput};
 use crate::clock::{Clock, ManualClock};
 use crate::db;
 use crate::db::Database;
 use crate::postgres_server;
+use crate::queue::{FrameOpening, NewJob, NewWorker, NextWork, Queue, SyncInput};
 use crate::tile_plan::TilePlan;
 
 const LEASE_MS: i64 = 1000;

@@ -15,10 +15,10 @@ use proto::worker_protocol::{Batch, BatchWork};
 pub(super) use leases::{discard_expired, release_of, renew, reset_after_restart};
 pub(super) use verdict::{VerifierLease, deliver, live_leases, reject};
 
-use super::claim::{self, ClaimRequest};
-use super::lease::jitter;
-use super::worker_state::{HeldLease, UsedLease, WorkerState};
-use super::{Connection, Result, TransitionContext, Wake, expect_rows, json_numbers, parse_column};
+use crate::queue::leases::claim::{self, ClaimRequest};
+use crate::queue::leases::jitter;
+use crate::queue::workers::state::{HeldLease, UsedLease, WorkerState};
+use crate::queue::{Connection, Result, TransitionContext, Wake, expect_rows, json_numbers, parse_column};
 
 /// Position of the picture of a stitched frame.
 const STITCH: i64 = -1;

@@ -1,11 +1,19 @@
 //! Workers: registration, draining and exit.
 
+pub(super) mod changes;
+pub(super) mod exclusion;
+pub(super) mod minutes;
+pub(super) mod scaling;
+pub(super) mod speeds;
+pub(super) mod state;
+pub(super) mod views;
+
 use crate::db;
 use proto::worker_protocol::RegisterRequest;
 use proto::{JobId, WorkerId};
 
-use super::lease::{self, LeaseEnd};
-use super::{Connection, Queue, Result, TransitionContext, Wake, expect_rows, parse_column, verification};
+use crate::queue::leases::{self, LeaseEnd};
+use crate::queue::{Connection, Queue, Result, TransitionContext, Wake, expect_rows, parse_column, verification};
 
 /// Worker that registers.
 #[derive(Clone, Debug)]
@@ -174,9 +182,9 @@ pub(super) async fn end_leases(
     moment: TransitionContext,
 ) -> Result<Wake> {
     let mut ring = verification::release_of(connection, worker).await?;
-    for lease in lease::live_lease_ids(connection, worker).await? {
-        if let Some(held) = lease::live_lease(connection, &lease).await? {
-            ring.add(lease::end_without_result(connection, &held, cause, message, moment).await?);
+    for lease in leases::live_lease_ids(connection, worker).await? {
+        if let Some(held) = leases::live_lease(connection, &lease).await? {
+            ring.add(leases::end_without_result(connection, &held, cause, message, moment).await?);
         }
     }
     Ok(ring)

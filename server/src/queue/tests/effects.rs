@@ -8,7 +8,7 @@ use proto::{JobId, WorkerId};
 use super::{Fixture, leases, new_job, speed, turn};
 use crate::db;
 use crate::postgres_server;
-use crate::queue::undo;
+use crate::queue::tiles::undo;
 use crate::queue::{FrameOpening, NewJob, NextWork, OpenOutcome, SyncInput};
 
 /// Key of the picture that all jobs of these tests show.

@@ -13,7 +13,7 @@ use proto::{JobId, LeaseId, WorkerId};
 use super::{LEASE_MS, new_job};
 use crate::db::Readers;
 use crate::queue::LeaseEnd;
-use crate::queue::effects::{ChangedTile, FramePicture, JobCounters, NewEvent, Progress};
+use crate::queue::events::effects::{ChangedTile, FramePicture, JobCounters, NewEvent, Progress};
 use outbox::Outbox;
 
 /// Tiles of a frame of the jobs in these tests.

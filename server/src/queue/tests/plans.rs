@@ -195,7 +195,7 @@ async fn a_claim_needs_no_sort() {
         return;
     }
     let bench = Fixture::new().await;
-    for statement in [include_str!("../next_job.sql"), include_str!("../next_tiles.sql")] {
+    for statement in [include_str!("../leases/next_job.sql"), include_str!("../leases/next_tiles.sql")] {
         let plan = plan(bench.queue.readers(), statement).await;
         assert!(!plan.iter().any(|step| step.contains("TEMP B-TREE")), "{plan:?}");
         assert!(plan.iter().any(|step| step.contains("tile_ready")), "{plan:?}");

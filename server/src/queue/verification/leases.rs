@@ -5,7 +5,7 @@ use std::collections::HashSet;
 
 use proto::LeaseId;
 
-use super::super::{Connection, Result, TransitionContext, Wake, expect_rows, json_list, json_numbers};
+use crate::queue::{Connection, Result, TransitionContext, Wake, expect_rows, json_list, json_numbers};
 
 /// A lease granted in a response that the worker never received is released after this time.
 const UNHEARD_LEASE_MS: i64 = 2000;
@@ -52,7 +52,7 @@ pub(super) async fn live_lease_ids(connection: &mut Connection, worker: &str) ->
 }
 
 /// Renews the verifications of the leases that a worker lists, and releases those that it never received.
-pub(in super::super) async fn renew(
+pub(in crate::queue) async fn renew(
     connection: &mut Connection,
     worker: &str,
     held: &[String],
@@ -97,7 +97,7 @@ pub(super) async fn release(connection: &mut Connection, numbers: &[i64]) -> Res
 }
 
 /// Releases all verifications of a worker that is leaving.
-pub(in super::super) async fn release_of(connection: &mut Connection, worker: &str) -> Result<Wake> {
+pub(in crate::queue) async fn release_of(connection: &mut Connection, worker: &str) -> Result<Wake> {
     let numbers: Vec<i64> = db::query_scalar("SELECT number FROM verification WHERE verifier = ?")
         .bind(worker)
         .fetch_all(&mut *connection)
@@ -117,7 +117,7 @@ pub(super) async fn release_all(connection: &mut Connection, leases: &[String]) 
 }
 
 /// Releases overdue verifications, and gives up those that no worker could verify for long; returns their number.
-pub(in super::super) async fn discard_expired(
+pub(in crate::queue) async fn discard_expired(
     connection: &mut Connection,
     moment: TransitionContext,
 ) -> Result<(u64, Wake)> {
@@ -145,7 +145,7 @@ pub(in super::super) async fn discard_expired(
 }
 
 /// Releases all verifications at startup, because the clock starts at zero; every remote worker counts as new.
-pub(in super::super) async fn reset_after_restart(connection: &mut Connection, now_ms: i64) -> Result<()> {
+pub(in crate::queue) async fn reset_after_restart(connection: &mut Connection, now_ms: i64) -> Result<()> {
     db::query("DELETE FROM verification_lease WHERE verification IN (SELECT number FROM verification)")
         .execute(&mut *connection)
         .await?;

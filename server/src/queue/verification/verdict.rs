@@ -7,10 +7,12 @@ use db::Row;
 use proto::LeaseId;
 use proto::worker_protocol::{LeaseOutcome, LeaseReport};
 
-use super::super::reported::RejectedResult;
-use super::super::worker_state::WorkerState;
-use super::super::{Connection, LeaseEnd, Result, TransitionContext, Wake, exclusion, json_numbers, undo, workers};
 use super::{VerificationOutcome, leases};
+use crate::queue::tiles::reported::RejectedResult;
+use crate::queue::tiles::undo;
+use crate::queue::workers::exclusion;
+use crate::queue::workers::state::WorkerState;
+use crate::queue::{Connection, LeaseEnd, Result, TransitionContext, Wake, json_numbers, workers};
 
 /// A result, and what the second worker rendered, if it differs.
 struct Case {
@@ -77,14 +79,14 @@ impl Case {
 }
 
 /// A live lease of a verifier.
-pub(in super::super) struct VerifierLease {
+pub(in crate::queue) struct VerifierLease {
     /// Its id.
-    pub(in super::super) lease: String,
+    pub(in crate::queue) lease: String,
     case: Case,
 }
 
 /// Live leases of a worker on verifications.
-pub(in super::super) async fn live_leases(connection: &mut Connection, worker: &str) -> Result<Vec<VerifierLease>> {
+pub(in crate::queue) async fn live_leases(connection: &mut Connection, worker: &str) -> Result<Vec<VerifierLease>> {
     let rows = db::query(
         "SELECT verification_lease.id, verification.* FROM verification JOIN verification_lease ON verification = number
          WHERE verifier = ?",
@@ -96,7 +98,7 @@ pub(in super::super) async fn live_leases(connection: &mut Connection, worker: &
 }
 
 /// Records the results of verifications.
-pub(in super::super) async fn deliver(
+pub(in crate::queue) async fn deliver(
     connection: &mut Connection,
     worker: &WorkerState,
     live: &[VerifierLease],
@@ -180,7 +182,7 @@ async fn conclude(
         outcome.agreed += 1;
     } else {
         outcome.differed += 1;
-        let job = super::super::job_id(connection, case.job).await?;
+        let job = crate::queue::job_id(connection, case.job).await?;
         tracing::error!(
             code = "result_differs", %job, frame = case.frame, position = case.position, first = ?case.first,
             second = ?case.second, verifier = worker, %hash, ?verdict, "a result was rendered again differently"
@@ -236,7 +238,7 @@ async fn condemn(
 }
 
 /// Releases the verifications whose results were rejected; returns the other rejected results.
-pub(in super::super) async fn reject(
+pub(in crate::queue) async fn reject(
     connection: &mut Connection,
     worker: &str,
     rejected: &[RejectedResult],

@@ -6,7 +6,7 @@ use std::collections::BTreeMap;
 use proto::JobId;
 
 use crate::db::{self, Readers};
-use crate::queue::effects::NewEvent;
+use crate::queue::events::effects::NewEvent;
 
 /// Event of a job as a row has it: job, kind, state, body.
 type EventRow = (String, String, Option<String>, String);
