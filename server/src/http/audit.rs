@@ -14,12 +14,12 @@ use proto::audit::AuditPage;
 use proto::{JobId, Problem};
 use serde::Deserialize;
 
-use super::auth::Caller;
-use super::body;
-use super::error::ApiError;
-use super::request_id::RequestId;
-use super::routes::{self, Audit};
 use crate::audit_log::{AuditLog, AuditRecord};
+use crate::http::auth::Caller;
+use crate::http::body;
+use crate::http::error::ApiError;
+use crate::http::request_id::RequestId;
+use crate::http::routes::{self, Audit};
 use crate::listen::Peer;
 
 /// Default number of entries on a page.
@@ -32,7 +32,7 @@ const NO_ROUTE: &str = "-";
 /// Records the outcome of a request in the audit log, before its response is sent.
 ///
 /// A change is recorded with the write that makes it, also if its client has left.
-pub(super) async fn record_request(
+pub(in crate::http) async fn record_request(
     State(audit): State<Arc<AuditLog>>,
     parameters: Result<RawPathParams, RawPathParamsRejection>,
     request: Request,
@@ -157,17 +157,14 @@ struct PageQuery {
 /// Contains every change, and rejections counted by source in periods of 10 minutes, newest first. The newest 100,000
 /// changes to keys, the pool and the farm are kept, as many changes to jobs, and 20,000 entries of rejections.
 #[utoipa::path(
-    get, path = "/v1/audit", tag = "keys", operation_id = "audit",
+    get, path = "", tag = "keys", operation_id = "audit",
     params(
         ("limit" = Option<u32>, Query, description = "Maximum number of entries, 1 to 1000"),
         ("cursor" = Option<String>, Query, description = "The `next_cursor` of the page before"),
     ),
-    responses(
-        (status = 200, description = "A page", body = ref("#/components/schemas/AuditPage")),
-        (status = 422, description = "Invalid query parameters", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
-    )
+    responses((status = 200, description = "A page", body = ref("#/components/schemas/AuditPage")))
 )]
-pub(super) async fn list(State(audit): State<Arc<AuditLog>>, uri: Uri) -> Result<Json<AuditPage>, ApiError> {
+pub(in crate::http) async fn list(State(audit): State<Arc<AuditLog>>, uri: Uri) -> Result<Json<AuditPage>, ApiError> {
     let query: PageQuery = body::read_query(&uri)?;
     let limit = body::page_length(query.limit, DEFAULT_PAGE_SIZE, MAX_PAGE)?;
     Ok(Json(audit.page(query.cursor, limit).await?))

@@ -15,21 +15,21 @@ use futures_util::StreamExt;
 use proto::JobId;
 use proto::api_key::Scope;
 
-use super::error::ApiError;
-use super::routes::{self, Audit, Permission, Policy};
-use super::state::handle_group;
 use crate::admission::{
     CallerClass, Holder, RateLimitStatus, RateLimited, RateLimits, ResponseShares, Shares, UNCOUNTED_BYTES,
 };
 use crate::api_keys::{ApiKey, ApiKeys, KeyLookup, constant_time_eq};
 use crate::audit_log;
 use crate::budget::Share;
+use crate::http::error::ApiError;
+use crate::http::routes::{self, Audit, Permission, Policy};
+use crate::http::state::handle_group;
 use crate::listen::Peer;
 use crate::pool::Pool;
 use crate::queue::Queue;
 
 /// Submitter of all jobs on a farm without keys.
-pub(super) const KEYLESS_SUBMITTER: &str = "local";
+pub(in crate::http) const KEYLESS_SUBMITTER: &str = "local";
 
 /// Caller of a request; an extension of every request and response.
 #[derive(Clone, Debug)]
@@ -56,7 +56,7 @@ impl Caller {
     }
 
     /// The same name, if the caller is known.
-    pub(super) fn identity(&self) -> Option<&str> {
+    pub(in crate::http) fn identity(&self) -> Option<&str> {
         match self {
             Self::Anonymous => None,
             Self::Keyless | Self::Pool | Self::Key(_) => Some(self.name()),
@@ -99,7 +99,7 @@ handle_group! {
 }
 
 /// Authenticates and authorizes a request; if the caller's key is revoked, an open request ends.
-pub(super) async fn authenticate_and_authorize(
+pub(in crate::http) async fn authenticate_and_authorize(
     State(gate): State<Gate>,
     parameters: Result<RawPathParams, axum::extract::rejection::RawPathParamsRejection>,
     mut request: Request,

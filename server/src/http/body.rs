@@ -12,17 +12,17 @@ use futures_util::StreamExt;
 use proto::problem::ValidationErrorView;
 use serde::de::DeserializeOwned;
 
-use super::content_encoding::ContentEncoding;
-use super::error::ApiError;
 use crate::admission::{CallerClass, Holder, Shares, UNCOUNTED_BYTES};
 use crate::budget::Share;
+use crate::http::content_encoding::ContentEncoding;
+use crate::http::error::ApiError;
 use crate::job_cache::{JobCache, Reader};
 
 /// Of a body that is too large, this many bytes are read and discarded, so that the client reads the response.
 const MAX_DISCARDED_BYTES: usize = 64 << 20;
 
 /// Rejects a body whose content type is not JSON; a body without a content type is taken as JSON.
-pub(super) fn expect_json(headers: &HeaderMap) -> Result<(), ApiError> {
+pub(in crate::http) fn expect_json(headers: &HeaderMap) -> Result<(), ApiError> {
     let Some(value) = headers.get(header::CONTENT_TYPE) else { return Ok(()) };
     let found = value.to_str().unwrap_or("?");
     let media_type = found.split(';').next().unwrap_or_default().trim().to_ascii_lowercase();
@@ -33,7 +33,7 @@ pub(super) fn expect_json(headers: &HeaderMap) -> Result<(), ApiError> {
 
 /// Body of a request that is not read yet, and its sender's part of the memory for bodies.
 #[derive(Debug)]
-pub(super) struct RequestBody {
+pub(in crate::http) struct RequestBody {
     body: Body,
     shares: Arc<Shares>,
     jobs: Arc<JobCache>,
@@ -43,14 +43,14 @@ pub(super) struct RequestBody {
 
 /// Body in memory.
 #[derive(Debug)]
-pub(super) struct BodyBytes {
+pub(in crate::http) struct BodyBytes {
     bytes: Bytes,
     room: Room,
 }
 
 /// Memory of a body, returned when this is dropped.
 #[derive(Debug)]
-pub(super) struct Room {
+pub(in crate::http) struct Room {
     holder: Holder,
     share: Share,
     size_bytes: usize,
@@ -64,7 +64,7 @@ impl Room {
     }
 
     /// Takes room for this many more bytes; the first few of each body are not counted.
-    pub(super) fn grow(&mut self, more_bytes: usize) -> Result<(), ApiError> {
+    pub(in crate::http) fn grow(&mut self, more_bytes: usize) -> Result<(), ApiError> {
         let counted = |size_bytes: usize| size_bytes.saturating_sub(UNCOUNTED_BYTES);
         let grown_bytes = self.size_bytes + more_bytes;
         self.share
@@ -83,12 +83,12 @@ impl Room {
 
 impl RequestBody {
     /// Its sender.
-    pub(super) fn holder(&self) -> &Holder {
+    pub(in crate::http) fn holder(&self) -> &Holder {
         &self.holder
     }
 
     /// The body as a stream, with room for `buffer_bytes` of it.
-    pub(super) fn into_stream(self, buffer_bytes: usize) -> Result<(BodyDataStream, Room), ApiError> {
+    pub(in crate::http) fn into_stream(self, buffer_bytes: usize) -> Result<(BodyDataStream, Room), ApiError> {
         let mut room = Room { holder: self.holder, share: self.share, size_bytes: 0 };
         room.grow(buffer_bytes)?;
         Ok((self.body.into_data_stream(), room))
@@ -97,7 +97,7 @@ impl RequestBody {
 
 impl BodyBytes {
     /// The bytes, and their room for as long as they are needed.
-    pub(super) fn into_parts(self) -> (Bytes, Room) {
+    pub(in crate::http) fn into_parts(self) -> (Bytes, Room) {
         (self.bytes, self.room)
     }
 }
@@ -130,7 +130,7 @@ where
 }
 
 /// Reads a body of at most `limit_bytes`. Of a rejected body, the rest is discarded as it arrives.
-pub(super) async fn read(request: RequestBody, limit_bytes: usize) -> Result<BodyBytes, ApiError> {
+pub(in crate::http) async fn read(request: RequestBody, limit_bytes: usize) -> Result<BodyBytes, ApiError> {
     let (mut stream, mut room) = request.into_stream(0)?;
     let mut bytes = BytesMut::new();
     let mut size_bytes = 0;
@@ -165,7 +165,7 @@ pub(super) async fn read(request: RequestBody, limit_bytes: usize) -> Result<Bod
 
 /// Reads a body that is at most `limit_bytes` as sent, and when it is unpacked. It is unpacked when it is its sender's
 /// turn, and counted as it grows.
-pub(super) async fn read_encoded(
+pub(in crate::http) async fn read_encoded(
     request: RequestBody,
     encoding: Option<ContentEncoding>,
     limit_bytes: usize,
@@ -185,7 +185,7 @@ fn unpack(encoding: ContentEncoding, packed: &[u8], limit_bytes: usize, mut room
 }
 
 /// Reads a JSON body of at most `limit_bytes`, which has no content encoding.
-pub(super) async fn read_json<T: DeserializeOwned>(
+pub(in crate::http) async fn read_json<T: DeserializeOwned>(
     headers: &HeaderMap,
     body: RequestBody,
     limit_bytes: usize,
@@ -220,17 +220,17 @@ fn fault(pointer: String, error: &serde_json::Error) -> ValidationErrorView {
 }
 
 /// Error for a body that is not JSON.
-pub(super) fn not_json(error: &serde_json::Error) -> ApiError {
+pub(in crate::http) fn not_json(error: &serde_json::Error) -> ApiError {
     ApiError::NotJson(vec![fault(String::new(), error)])
 }
 
 /// Error for an invalid value in a JSON body.
-pub(super) fn invalid_body(pointer: &str, message: String) -> ApiError {
+pub(in crate::http) fn invalid_body(pointer: &str, message: String) -> ApiError {
     ApiError::WrongBody(vec![ValidationErrorView { pointer: pointer.to_owned(), message, line: 1, column: 1 }])
 }
 
 /// Reads a request's query.
-pub(super) fn read_query<T: DeserializeOwned>(uri: &Uri) -> Result<T, ApiError> {
+pub(in crate::http) fn read_query<T: DeserializeOwned>(uri: &Uri) -> Result<T, ApiError> {
     match Query::try_from_uri(uri) {
         Ok(Query(query)) => Ok(query),
         Err(error) => Err(ApiError::WrongQuery(error.body_text())),
@@ -238,7 +238,7 @@ pub(super) fn read_query<T: DeserializeOwned>(uri: &Uri) -> Result<T, ApiError> 
 }
 
 /// Length of a page: `asked`, or the default.
-pub(super) fn page_length(asked: Option<u32>, default: u32, max: u32) -> Result<u32, ApiError> {
+pub(in crate::http) fn page_length(asked: Option<u32>, default: u32, max: u32) -> Result<u32, ApiError> {
     let limit = asked.unwrap_or(default);
     if (1..=max).contains(&limit) {
         return Ok(limit);
@@ -247,7 +247,7 @@ pub(super) fn page_length(asked: Option<u32>, default: u32, max: u32) -> Result<
 }
 
 /// Error for a cursor that no page has.
-pub(super) fn wrong_cursor(cursor: &str) -> ApiError {
+pub(in crate::http) fn wrong_cursor(cursor: &str) -> ApiError {
     ApiError::WrongQuery(format!("{cursor:?} is not a cursor: pass the next_cursor of the page before"))
 }
 

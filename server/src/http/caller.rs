@@ -7,9 +7,9 @@ use axum::extract::State;
 use proto::api_key::Scope;
 use proto::caller::CallerView;
 
-use super::auth::Caller;
 use crate::api_keys::ApiKeys;
 use crate::config::Config;
+use crate::http::auth::Caller;
 
 /// Scopes by how much each allows, most first.
 const BY_POWER: [Scope; 4] = [Scope::Admin, Scope::Submit, Scope::Read, Scope::Worker];
@@ -18,10 +18,10 @@ const BY_POWER: [Scope; 4] = [Scope::Admin, Scope::Submit, Scope::Read, Scope::W
 ///
 /// Needs no key; one that is sent must be valid.
 #[utoipa::path(
-    get, path = "/v1/caller", tag = "keys", operation_id = "get_caller",
+    get, path = "", tag = "keys", operation_id = "get_caller",
     responses((status = 200, description = "The caller", body = ref("#/components/schemas/CallerView")))
 )]
-pub(super) async fn get(
+pub(in crate::http) async fn get(
     State(api_keys): State<Arc<ApiKeys>>,
     State(config): State<Arc<Config>>,
     caller: Caller,

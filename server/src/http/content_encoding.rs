@@ -7,7 +7,7 @@ use flate2::bufread::MultiGzDecoder;
 use ruzstd::decoding::errors::{FrameDecoderError, ReadFrameHeaderError};
 use ruzstd::decoding::{BlockDecodingStrategy, FrameDecoder};
 
-use super::error::ApiError;
+use crate::http::error::ApiError;
 
 /// Encodings that the routes of job files take, as they are named in `Accept-Encoding`.
 const ACCEPTED: &str = "gzip, zstd";
@@ -19,7 +19,7 @@ const CHUNK_BYTES: usize = 64 << 10;
 const MAX_ZSTD_WINDOW_BYTES: u64 = 8 << 20;
 
 /// The cure for an encoding that a route does not take.
-pub(super) fn encoding_cure(accepted: &str) -> &'static str {
+pub(in crate::http) fn encoding_cure(accepted: &str) -> &'static str {
     match accepted {
         NONE_ACCEPTED => "this route takes none, so send the body as it is, without Content-Encoding",
         _ => "compress the body with either gzip or zstd, or send it as it is, without Content-Encoding",
@@ -28,7 +28,7 @@ pub(super) fn encoding_cure(accepted: &str) -> &'static str {
 
 /// A content encoding.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum ContentEncoding {
+pub(in crate::http) enum ContentEncoding {
     /// Members of gzip (RFC 1952).
     Gzip,
     /// Frames of Zstandard (RFC 8878).
@@ -37,7 +37,7 @@ pub(super) enum ContentEncoding {
 
 impl ContentEncoding {
     /// The encoding of a request's body; `None` if it is not encoded.
-    pub(super) fn of(headers: &HeaderMap) -> Result<Option<Self>, ApiError> {
+    pub(in crate::http) fn of(headers: &HeaderMap) -> Result<Option<Self>, ApiError> {
         let values = headers.get_all(header::CONTENT_ENCODING).iter().map(|value| value.to_str().unwrap_or("?"));
         let found = values.collect::<Vec<_>>().join(", ");
         let names = found.split(',').map(|name| name.trim().to_ascii_lowercase());
@@ -51,7 +51,7 @@ impl ContentEncoding {
     }
 
     /// Rejects every encoding, for routes whose bodies are small.
-    pub(super) fn expect_none(headers: &HeaderMap) -> Result<(), ApiError> {
+    pub(in crate::http) fn expect_none(headers: &HeaderMap) -> Result<(), ApiError> {
         let found = match Self::of(headers) {
             Ok(None) => return Ok(()),
             Ok(Some(encoding)) => encoding.name().to_owned(),
@@ -62,7 +62,7 @@ impl ContentEncoding {
     }
 
     /// Its name in `Content-Encoding`.
-    pub(super) fn name(self) -> &'static str {
+    pub(in crate::http) fn name(self) -> &'static str {
         match self {
             Self::Gzip => "gzip",
             Self::Zstd => "zstd",
@@ -70,7 +70,7 @@ impl ContentEncoding {
     }
 
     /// Unpacks a body to at most `limit_bytes`; `grow` is called before each piece is kept, and may end it.
-    pub(super) fn unpack(
+    pub(in crate::http) fn unpack(
         self,
         packed: &[u8],
         limit_bytes: usize,

@@ -1,5 +1,9 @@
 //! Pictures of jobs that are being edited: drawn at once by a helper process, and stored nowhere.
 
+pub(super) mod pick;
+pub(super) mod price;
+pub(super) mod shaders;
+
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -11,11 +15,12 @@ use proto::preview_helper::{Drawing, HelperPicture, HelperRequest, PictureLayer}
 use scene::limits::MAX_SAMPLES;
 use serde::Deserialize;
 
-use super::auth::Caller;
-use super::body::{self, RequestBody};
-use super::error::ApiError;
-use super::state::handle_group;
-use super::{images, job_body};
+use crate::http::auth::Caller;
+use crate::http::body::{self, RequestBody};
+use crate::http::error::ApiError;
+use crate::http::frames::images;
+use crate::http::jobs::job_body;
+use crate::http::state::handle_group;
 use crate::job_cache::JobCache;
 use crate::preview_helper::{HelperError, PreviewHelper};
 
@@ -95,7 +100,7 @@ impl DrawingQuery {
 /// `limit_ms`, fewer pixels are rendered and scaled up: `Preview-Width` tells how many there are in a row. Closing the
 /// connection ends the render.
 #[utoipa::path(
-    post, path = "/v1/preview", tag = "pictures", operation_id = "draw_preview",
+    post, path = "", tag = "pictures", operation_id = "draw_preview",
     params(
         ("width" = Option<u32>, Query, description = "Width, in pixels; 480 by default. The height follows from the job's", minimum = 1, maximum = 2048),
         ("frame" = Option<u32>, Query, description = "The frame, from 0; 0 by default"),
@@ -113,12 +118,6 @@ impl DrawingQuery {
             ("Layer-Maximum" = String, description = "Values of the layer's channels that the brightest colors show: of depth, position and steps; near depths are bright"),
             ("Server-Timing" = String, description = "`helper;dur=N`: time of the process that drew it, in milliseconds"),
         )),
-        (status = 400, description = "Not JSON, or damaged in its content encoding", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
-        (status = 413, description = "Too large, as sent or when it is unpacked", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
-        (status = 415, description = "The content type is not JSON, or the content encoding is not gzip or zstd", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
-        (status = 422, description = "The job or the query is invalid: `errors` lists all errors of a job", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
-        (status = 429, description = "Too many pictures are waiting: see Retry-After", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
-        (status = 503, description = "The picture could not be drawn", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
     )
 )]
 pub(super) async fn preview(

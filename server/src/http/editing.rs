@@ -9,8 +9,8 @@ use axum::response::{IntoResponse, Response};
 use bytes::Bytes;
 use proto::shipped_scenes::SceneList;
 
-use super::error::ApiError;
-use super::{images, range};
+use crate::http::error::ApiError;
+use crate::http::frames::{images, range};
 use crate::shipped_scenes;
 
 /// The table of nodes, as it is served, and its entity tag.
@@ -24,13 +24,13 @@ static NODE_TABLE: LazyLock<(Bytes, String)> = LazyLock::new(|| {
 ///
 /// For completion and help in editors: flat, with the descriptions, ranges and defaults of the JSON Schema.
 #[utoipa::path(
-    get, path = "/v1/schema/nodes", tag = "schemas", operation_id = "node_table",
+    get, path = "", tag = "schemas", operation_id = "node_table",
     responses(
         (status = 200, description = "The table", body = ref("#/components/schemas/NodeTable")),
         (status = 304, description = "The client has the current version"),
     )
 )]
-pub(super) async fn node_table(headers: HeaderMap) -> Response {
+pub(in crate::http) async fn node_table(headers: HeaderMap) -> Response {
     let (table, tag) = &*NODE_TABLE;
     let known = headers.get(header::IF_NONE_MATCH).and_then(|value| value.to_str().ok());
     let mut response = if known.is_some_and(|named| range::matches_etag(named, tag)) {
@@ -45,23 +45,20 @@ pub(super) async fn node_table(headers: HeaderMap) -> Response {
 
 /// List the shipped scenes.
 #[utoipa::path(
-    get, path = "/v1/scenes", tag = "schemas", operation_id = "list_scenes",
+    get, path = "", tag = "schemas", operation_id = "list_scenes",
     responses((status = 200, description = "The scenes, by name", body = ref("#/components/schemas/SceneList")))
 )]
-pub(super) async fn scenes() -> Json<SceneList> {
+pub(in crate::http) async fn scenes() -> Json<SceneList> {
     Json(shipped_scenes::list())
 }
 
 /// Get the job file of a shipped scene.
 #[utoipa::path(
-    get, path = "/v1/scenes/{name}", tag = "schemas", operation_id = "get_scene",
+    get, path = "", tag = "schemas", operation_id = "get_scene",
     params(("name" = String, Path, description = "Name of the scene: csg, or paper%2Fcsg")),
-    responses(
-        (status = 200, description = "The job file", body = ref("#/components/schemas/Job")),
-        (status = 404, description = "No such scene", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
-    )
+    responses((status = 200, description = "The job file", body = ref("#/components/schemas/Job")))
 )]
-pub(super) async fn scene(Path(name): Path<String>) -> Result<Response, ApiError> {
+pub(in crate::http) async fn scene(Path(name): Path<String>) -> Result<Response, ApiError> {
     let file = shipped_scenes::job_file(&name).ok_or(ApiError::UnknownScene(name))?;
     Ok(([(header::CONTENT_TYPE, "application/json")], file).into_response())
 }

@@ -12,12 +12,12 @@ use bytes::Bytes;
 use futures_util::{Stream, stream};
 use serde::Deserialize;
 
-use super::auth::Caller;
-use super::body;
-use super::error::ApiError;
-use super::jobs::job_id;
 use crate::events::{EventHub, EventSubscriber, SubscribeOutcome};
 use crate::farm_events::{FarmEvents, FarmSubscriber};
+use crate::http::auth::Caller;
+use crate::http::body;
+use crate::http::error::ApiError;
+use crate::http::jobs::job_id;
 use crate::shutdown::Shutdown;
 
 /// Header that browsers send when they reconnect.
@@ -35,7 +35,7 @@ struct EventsQuery {
 /// stream resumes after that event, without gaps or repeats. If later events have been pruned, it starts with
 /// a `snapshot`. The stream ends after the job's final event.
 #[utoipa::path(
-    get, path = "/v1/jobs/{id}/events", tag = "jobs", operation_id = "follow_job",
+    get, path = "", tag = "jobs", operation_id = "follow_job",
     params(
         ("id" = String, Path, description = "The job"),
         ("last_event_id" = Option<String>, Query, description = "Like the header, for clients that cannot send headers"),
@@ -44,11 +44,9 @@ struct EventsQuery {
     responses(
         (status = 200, description = "Events, as they happen", body = serde_json::Value, content_type = "text/event-stream"),
         (status = 204, description = "The job has finished, and no events follow that one"),
-        (status = 404, description = "No such job", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
-        (status = 422, description = "The event id is invalid", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
     )
 )]
-pub(super) async fn follow(
+pub(in crate::http) async fn follow(
     State(events): State<Arc<EventHub>>,
     State(shutdown): State<Shutdown>,
     Path(id): Path<String>,
@@ -94,10 +92,10 @@ fn streamed(follower: EventSubscriber) -> Response {
 /// reconnecting, read the list of jobs again: changes in between are not told. A key with scope submit but not read receives
 /// events of jobs of its own name only. The stream does not end.
 #[utoipa::path(
-    get, path = "/v1/events", tag = "farm", operation_id = "follow_farm",
+    get, path = "", tag = "farm", operation_id = "follow_farm",
     responses((status = 200, description = "Events, as they happen", body = serde_json::Value, content_type = "text/event-stream"))
 )]
-pub(super) async fn follow_farm(
+pub(in crate::http) async fn follow_farm(
     State(events): State<Arc<FarmEvents>>,
     State(shutdown): State<Shutdown>,
     caller: Caller,

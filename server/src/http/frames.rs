@@ -1,5 +1,12 @@
 //! Frames of a job: a list, and all pictures as one archive.
 
+pub(super) mod images;
+pub(super) mod layers;
+pub(super) mod links;
+pub(super) mod previews;
+pub(super) mod range;
+pub(super) mod verify;
+
 use std::sync::Arc;
 
 use axum::Extension;
@@ -12,13 +19,13 @@ use futures_util::stream;
 use proto::frame::FramePage;
 use serde::Deserialize;
 
-use super::body;
-use super::error::ApiError;
-use super::jobs::job_id;
-use super::state::handle_group;
 use crate::admission::{Holder, Shares};
 use crate::archive::Archive;
 use crate::blobs::BlobStore;
+use crate::http::body;
+use crate::http::error::ApiError;
+use crate::http::jobs::job_id;
+use crate::http::state::handle_group;
 use crate::pictures::Pictures;
 use crate::queue::Queue;
 
@@ -59,17 +66,13 @@ struct ArchiveQuery {
 
 /// List a job's frames, by number.
 #[utoipa::path(
-    get, path = "/v1/jobs/{id}/frames", tag = "pictures", operation_id = "list_frames",
+    get, path = "", tag = "pictures", operation_id = "list_frames",
     params(
         ("id" = String, Path, description = "The job"),
         ("limit" = Option<u32>, Query, description = "Frames on the page", minimum = 1, maximum = 1000),
         ("cursor" = Option<String>, Query, description = "`next_cursor` of the page before"),
     ),
-    responses(
-        (status = 200, description = "A page", body = ref("#/components/schemas/FramePage")),
-        (status = 404, description = "No such job", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
-        (status = 422, description = "Invalid query parameters", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
-    )
+    responses((status = 200, description = "A page", body = ref("#/components/schemas/FramePage")))
 )]
 pub(super) async fn list(
     State(queue): State<Queue>,
@@ -94,17 +97,12 @@ pub(super) async fn list(
 /// The pictures are stored unchanged, in frame order, as `NAME.0000.png` and so on. The archive of the same job
 /// always has the same bytes.
 #[utoipa::path(
-    get, path = "/v1/jobs/{id}/frames.zip", tag = "pictures", operation_id = "get_archive",
+    get, path = "", tag = "pictures", operation_id = "get_archive",
     params(
         ("id" = String, Path, description = "The job"),
         ("partial" = Option<bool>, Query, description = "Return the stored pictures even if some are missing"),
     ),
-    responses(
-        (status = 200, description = "The archive", body = Vec<u8>, content_type = "application/zip"),
-        (status = 404, description = "No such job", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
-        (status = 409, description = "Some pictures are not stored", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
-        (status = 422, description = "Invalid query parameters", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
-    )
+    responses((status = 200, description = "The archive", body = Vec<u8>, content_type = "application/zip"))
 )]
 pub(super) async fn archive(
     State(archives): State<ArchiveHandles>,

@@ -8,9 +8,9 @@ use axum::http::header;
 use axum::response::{IntoResponse, Response};
 use serde_json::{Value, json};
 
-use super::error::ApiError;
 use crate::admission::Shares;
 use crate::blobs::BlobStore;
+use crate::http::error::ApiError;
 use crate::pool::Pool;
 use crate::queue::Queue;
 use crate::telemetry::Telemetry;
@@ -20,23 +20,19 @@ const OPENMETRICS_TYPE: &str = "application/openmetrics-text; version=1.0.0; cha
 
 /// Check that the process responds.
 #[utoipa::path(
-    get, path = "/livez", tag = "health", operation_id = "livez",
+    get, path = "", tag = "health", operation_id = "livez",
     responses((status = 200, description = "It is", body = String))
 )]
-pub(super) async fn livez() -> &'static str {
+pub(in crate::http) async fn livez() -> &'static str {
     "ok\n"
 }
 
 /// Check that the database and the content store can be used.
 #[utoipa::path(
-    get, path = "/readyz", tag = "health", operation_id = "readyz",
-    responses(
-        (status = 200, description = "Both can be used; without a worker the status is `degraded`"),
-        (status = 503, description = "The database or the store cannot be reached, or the database is damaged", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
-        (status = 507, description = "The disk is full", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
-    )
+    get, path = "", tag = "health", operation_id = "readyz",
+    responses((status = 200, description = "Both can be used; without a worker the status is `degraded`"))
 )]
-pub(super) async fn readyz(
+pub(in crate::http) async fn readyz(
     State(queue): State<Queue>,
     State(content): State<Arc<BlobStore>>,
 ) -> Result<Json<Value>, ApiError> {
@@ -53,13 +49,12 @@ pub(super) async fn readyz(
 
 /// Metrics in the `OpenMetrics` text format.
 #[utoipa::path(
-    get, path = "/metrics", tag = "health", operation_id = "metrics",
+    get, path = "", tag = "health", operation_id = "metrics",
     responses(
         (status = 200, description = "Every metric, in the OpenMetrics text format", body = String, content_type = "application/openmetrics-text"),
-        (status = 503, description = "The database is damaged", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
     )
 )]
-pub(super) async fn metrics(
+pub(in crate::http) async fn metrics(
     State(telemetry): State<Arc<Telemetry>>,
     State(pool): State<Arc<Pool>>,
     State(shares): State<Arc<Shares>>,

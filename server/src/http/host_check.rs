@@ -12,13 +12,17 @@ use axum::http::{HeaderMap, Method, header};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 
-use super::error::ApiError;
-use super::read_only;
 use crate::config::Config;
+use crate::http::error::ApiError;
+use crate::http::page::read_only;
 
 /// Rejects requests whose `Host` is not this server (DNS rebinding), and changes requested by pages of other
 /// sites.
-pub(super) async fn host_and_origin(State(config): State<Arc<Config>>, request: Request, next: Next) -> Response {
+pub(in crate::http) async fn host_and_origin(
+    State(config): State<Arc<Config>>,
+    request: Request,
+    next: Next,
+) -> Response {
     let checked = check_host_and_origin(&config.allowed_hosts, &request);
     match checked.and_then(|()| read_only::check(&config, &request)) {
         Ok(()) => next.run(request).await,

@@ -1,5 +1,16 @@
 //! Jobs: submission, reading, cancelling.
 
+pub(super) mod changes;
+pub(super) mod files;
+pub(super) mod job_body;
+pub(super) mod merge_patch;
+pub(super) mod prefer;
+pub(super) mod quota;
+pub(super) mod submission;
+pub(super) mod submit_options;
+pub(super) mod tiles;
+pub(super) mod webhooks;
+
 use std::sync::Arc;
 
 use axum::Json;
@@ -10,13 +21,13 @@ use proto::JobId;
 use proto::job::{JobPage, JobState, JobView};
 use serde::Deserialize;
 
-use super::auth::Caller;
-use super::body::{self, RequestBody};
-use super::content_encoding::ContentEncoding;
-use super::error::ApiError;
-use super::prefer::JobWaiter;
-use super::submission::{Intake, Submission};
 use crate::blobs::ContentHash;
+use crate::http::auth::Caller;
+use crate::http::body::{self, RequestBody};
+use crate::http::content_encoding::ContentEncoding;
+use crate::http::error::ApiError;
+use crate::http::jobs::prefer::JobWaiter;
+use crate::http::jobs::submission::{Intake, Submission};
 use crate::orphans::Orphans;
 use crate::queue::{CancelOutcome, PictureMark, Queue};
 use crate::space_reserve::SpaceReserve;
@@ -47,7 +58,7 @@ pub(super) fn job_id(text: &str) -> Result<JobId, ApiError> {
 /// Responds with 201 once the job is on disk. Pictures that are already stored are not rendered again, unless
 /// the request has `Cache-Control: no-cache`.
 #[utoipa::path(
-    post, path = "/v1/jobs", tag = "jobs", operation_id = "submit_job",
+    post, path = "", tag = "jobs", operation_id = "submit_job",
     params(
         ("dry_run" = Option<bool>, Query, description = "Only validate the job and estimate its cost: 200 if it is valid"),
         ("set" = Option<Vec<String>>, Query, description = "Sets a value of the job, as in `numbers.r=0.3`; may be repeated"),
@@ -66,14 +77,6 @@ pub(super) fn job_id(text: &str) -> Result<JobId, ApiError> {
         (status = 201, description = "Accepted", body = ref("#/components/schemas/JobView"),
          headers(("Location" = String, description = "The job"))),
         (status = 200, description = "The job is valid (dry run), or the job that was accepted before with the same Idempotency-Key", body = ref("#/components/schemas/SubmitAnswer")),
-        (status = 400, description = "Not JSON, or damaged in its content encoding", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
-        (status = 403, description = "The priority is above the highest of the key", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
-        (status = 404, description = "The job of `based_on` does not exist", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
-        (status = 413, description = "Too large, as sent or when it is unpacked", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
-        (status = 415, description = "The content type is not JSON, or the content encoding is not gzip or zstd", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
-        (status = 422, description = "The job is invalid: `errors` lists all errors", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
-        (status = 429, description = "The queue is full, the submitter's quota is used up, or there are too many requests: see Retry-After", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
-        (status = 507, description = "Disk full", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
     )
 )]
 pub(super) async fn submit(
@@ -103,7 +106,7 @@ pub(super) async fn visible(queue: &Queue, caller: &Caller, id: JobId) -> Result
 /// picture, or one of this scene, as the provenance in a picture's file names it. A key with scope submit but not read lists only
 /// jobs of its own name.
 #[utoipa::path(
-    get, path = "/v1/jobs", tag = "jobs", operation_id = "list_jobs",
+    get, path = "", tag = "jobs", operation_id = "list_jobs",
     params(
         ("state" = Option<String>, Query, description = "Only jobs in this state: queued, running, succeeded, failed, cancelled"),
         ("match" = Option<String>, Query, description = "Only jobs with this id, with an id that starts or ends with this text (4 characters or more), or with this name; `latest` is the newest job. Can be combined with `limit` only"),
@@ -112,10 +115,7 @@ pub(super) async fn visible(queue: &Queue, caller: &Caller, id: JobId) -> Result
         ("limit" = Option<u32>, Query, description = "Jobs on the page", minimum = 1, maximum = 1000),
         ("cursor" = Option<String>, Query, description = "`next_cursor` of the page before"),
     ),
-    responses(
-        (status = 200, description = "A page", body = ref("#/components/schemas/JobPage")),
-        (status = 422, description = "Invalid query parameters", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
-    )
+    responses((status = 200, description = "A page", body = ref("#/components/schemas/JobPage")))
 )]
 pub(super) async fn list(State(queue): State<Queue>, caller: Caller, uri: Uri) -> Result<Json<JobPage>, ApiError> {
     let query: ListQuery = body::read_query(&uri)?;
@@ -154,15 +154,12 @@ pub(super) async fn list(State(queue): State<Queue>, caller: Caller, uri: Uri) -
 
 /// Get a job.
 #[utoipa::path(
-    get, path = "/v1/jobs/{id}", tag = "jobs", operation_id = "get_job",
+    get, path = "", tag = "jobs", operation_id = "get_job",
     params(
         ("id" = String, Path, description = "The job"),
         ("Prefer" = Option<String>, Header, description = "`wait=N`: respond when the job has finished, or after N seconds, at most 60"),
     ),
-    responses(
-        (status = 200, description = "The job", body = ref("#/components/schemas/JobView")),
-        (status = 404, description = "No such job", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
-    )
+    responses((status = 200, description = "The job", body = ref("#/components/schemas/JobView")))
 )]
 pub(super) async fn get(
     State(waiter): State<JobWaiter>,
@@ -179,13 +176,9 @@ pub(super) async fn view(queue: &Queue, id: JobId) -> Result<Json<JobView>, ApiE
 
 /// Cancel a job.
 #[utoipa::path(
-    post, path = "/v1/jobs/{id}/cancel", tag = "jobs", operation_id = "cancel_job",
+    post, path = "", tag = "jobs", operation_id = "cancel_job",
     params(("id" = String, Path, description = "The job")),
-    responses(
-        (status = 200, description = "The job is cancelled", body = ref("#/components/schemas/JobView")),
-        (status = 404, description = "No such job", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
-        (status = 409, description = "The job has finished", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
-    )
+    responses((status = 200, description = "The job is cancelled", body = ref("#/components/schemas/JobView")))
 )]
 pub(super) async fn cancel(
     State(queue): State<Queue>,

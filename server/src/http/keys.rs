@@ -8,19 +8,19 @@ use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use proto::api_key::{ApiKeyList, NewApiKey};
 
-use super::body::{self, RequestBody};
-use super::error::ApiError;
 use crate::api_keys::ApiKeys;
+use crate::http::body::{self, RequestBody};
+use crate::http::error::ApiError;
 
 /// Maximum size of a request body; valid ones are smaller.
 const MAX_BYTES: usize = 16 << 10;
 
 /// List the keys.
 #[utoipa::path(
-    get, path = "/v1/keys", tag = "keys", operation_id = "list_keys",
+    get, path = "", tag = "keys", operation_id = "list_keys",
     responses((status = 200, description = "Every key, newest first, without secrets", body = ref("#/components/schemas/ApiKeyList")))
 )]
-pub(super) async fn list(State(keys): State<Arc<ApiKeys>>) -> Json<ApiKeyList> {
+pub(in crate::http) async fn list(State(keys): State<Arc<ApiKeys>>) -> Json<ApiKeyList> {
     Json(ApiKeyList { keys: keys.list() })
 }
 
@@ -30,18 +30,11 @@ pub(super) async fn list(State(keys): State<Arc<ApiKeys>>) -> Json<ApiKeyList> {
 /// new one can replace the old one without a gap. After the first key has been created, the farm rejects
 /// requests without a key; therefore the first key needs the scope `admin`.
 #[utoipa::path(
-    post, path = "/v1/keys", tag = "keys", operation_id = "create_key",
+    post, path = "", tag = "keys", operation_id = "create_key",
     request_body(content = ref("#/components/schemas/NewApiKey"), content_type = "application/json"),
-    responses(
-        (status = 201, description = "Created", body = ref("#/components/schemas/IssuedApiKey")),
-        (status = 400, description = "Not JSON", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
-        (status = 409, description = "The name has two live keys, or there are too many keys", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
-        (status = 413, description = "Too large", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
-        (status = 415, description = "The content type is not JSON", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
-        (status = 422, description = "The key's name, scopes, expiry or limits are invalid", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
-    )
+    responses((status = 201, description = "Created", body = ref("#/components/schemas/IssuedApiKey")))
 )]
-pub(super) async fn make(
+pub(in crate::http) async fn make(
     State(keys): State<Arc<ApiKeys>>,
     headers: HeaderMap,
     request: RequestBody,
@@ -57,14 +50,11 @@ pub(super) async fn make(
 ///
 /// Open requests that use the key end immediately with 401.
 #[utoipa::path(
-    delete, path = "/v1/keys/{id}", tag = "keys", operation_id = "revoke_key",
+    delete, path = "", tag = "keys", operation_id = "revoke_key",
     params(("id" = String, Path, description = "Id of a key, or a name, which revokes all its keys")),
-    responses(
-        (status = 200, description = "The revoked keys", body = ref("#/components/schemas/ApiKeyList")),
-        (status = 404, description = "No such key, or revoked already", body = ref("#/components/schemas/Problem"), content_type = "application/problem+json"),
-    )
+    responses((status = 200, description = "The revoked keys", body = ref("#/components/schemas/ApiKeyList")))
 )]
-pub(super) async fn revoke(
+pub(in crate::http) async fn revoke(
     State(keys): State<Arc<ApiKeys>>,
     Path(id): Path<String>,
 ) -> Result<Json<ApiKeyList>, ApiError> {

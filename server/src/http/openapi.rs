@@ -1,7 +1,7 @@
 //! `OpenAPI` document of the API: routes from their handlers, schemas from the types that are sent.
 
 mod portable;
-mod security;
+mod problems;
 
 use std::sync::LazyLock;
 
@@ -31,8 +31,9 @@ use proto::webhook::DeliveryList;
 use scene::schema::NodeTable;
 use schemars::generate::SchemaSettings;
 use serde_json::{Map, Value};
+use utoipa::openapi::OpenApi;
 
-use super::routes;
+use crate::http::ROUTES;
 
 /// Location of the definitions in the `OpenAPI` document.
 const COMPONENTS: &str = "#/components/schemas/";
@@ -40,11 +41,19 @@ const COMPONENTS: &str = "#/components/schemas/";
 const DEFINITIONS: &str = "#/$defs/";
 
 /// `OpenAPI` document, as it is served.
-static DOCUMENT: LazyLock<Value> = LazyLock::new(|| document(&routes::router().1));
+static DOCUMENT: LazyLock<Value> = LazyLock::new(document);
 
-/// Adds the schemas that the routes refer to.
-fn document(routes: &utoipa::openapi::OpenApi) -> Value {
-    let mut document = serde_json::to_value(routes).expect("an OpenAPI document is plain JSON");
+/// Joins the routes of the table, and the schemas that they refer to.
+fn document() -> Value {
+    let mut document = serde_json::to_value(OpenApi::default()).expect("an OpenAPI document is plain JSON");
+    for route in ROUTES {
+        let Some(description) = &route.description else { continue };
+        let mut described = serde_json::to_value((description.operation)()).expect("a description is plain JSON");
+        let method = route.method.as_str().to_lowercase();
+        let mut operation = described[""][&method].take();
+        problems::describe(&mut operation, &route.policy, description.errors);
+        document["paths"][route.path][method] = operation;
+    }
     document["info"] = serde_json::json!({
         "title": "sdfarm",
         "version": env!("CARGO_PKG_VERSION"),
@@ -54,8 +63,8 @@ fn document(routes: &utoipa::openapi::OpenApi) -> Value {
     let mut schemas = views();
     schemas.extend(job_file());
     document["components"]["schemas"] = Value::Object(schemas);
+    document["components"]["securitySchemes"] = problems::security_schemes();
     portable::rewrite(&mut document);
-    security::describe(&mut document);
     document
 }
 
@@ -154,22 +163,54 @@ fn rewrite_refs(value: &mut Value) {
 }
 
 /// Get the `OpenAPI` document.
-pub(super) async fn openapi() -> Json<&'static Value> {
+pub(in crate::http) async fn openapi() -> Json<&'static Value> {
     Json(&DOCUMENT)
 }
 
 /// Get the JSON Schema of a job file.
 #[utoipa::path(
-    get, path = "/v1/schema/job", tag = "schemas", operation_id = "job_schema",
+    get, path = "", tag = "schemas", operation_id = "job_schema",
     responses((status = 200, description = "JSON Schema 2020-12", body = serde_json::Value, content_type = "application/schema+json"))
 )]
-pub(super) async fn job_schema() -> Response {
+pub(in crate::http) async fn job_schema() -> Response {
     ([(header::CONTENT_TYPE, "application/schema+json")], scene::editor_schema().to_string()).into_response()
 }
 
 #[cfg(test)]
 mod tests {
+    use std::path::Path;
+
+    use serde::Serialize;
+    use serde_json::ser::{PrettyFormatter, Serializer};
+
     use super::*;
+
+    /// The document as text for `docs/openapi.json`, without the release that serves it.
+    fn text() -> String {
+        let mut document = DOCUMENT.clone();
+        document["info"]["version"] = "".into();
+        let mut text = Vec::new();
+        let mut serializer = Serializer::with_formatter(&mut text, PrettyFormatter::with_indent(b" "));
+        document.serialize(&mut serializer).expect("a document is plain JSON");
+        text.push(b'\n');
+        String::from_utf8(text).expect("JSON is UTF-8")
+    }
+
+    /// A change of the API shows in `docs/openapi.json`.
+    #[test]
+    fn the_document_is_the_one_in_docs() {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs/openapi.json");
+        if std::env::var_os("SDFARM_WRITE_DOCS").is_some() {
+            return std::fs::write(path, text()).expect("written");
+        }
+        let kept = std::fs::read_to_string(path).expect("the document is readable");
+        let first = kept.lines().zip(text().lines()).position(|(kept, now)| kept != now);
+        assert!(
+            kept == text(),
+            "docs/openapi.json differs from line {}: SDFARM_WRITE_DOCS=1 cargo test -p server --lib openapi rewrites it",
+            first.map_or_else(|| "its end".to_owned(), |line| (line + 1).to_string())
+        );
+    }
 
     #[test]
     fn job_and_response_schemas_have_distinct_names() {

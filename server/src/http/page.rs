@@ -2,6 +2,10 @@
 //!
 //! It has no data of the farm: the page requests those as any client does, with a key if the farm needs one.
 
+pub(super) mod docs;
+pub(super) mod read_only;
+pub(super) mod start_page;
+
 use std::collections::HashMap;
 use std::io::Write as _;
 use std::sync::{LazyLock, PoisonError, RwLock};
@@ -15,8 +19,8 @@ use flate2::Compression;
 use flate2::write::GzEncoder;
 use rust_embed::{EmbeddedFile, RustEmbed};
 
-use super::error::ApiError;
-use super::{images, range};
+use crate::http::error::ApiError;
+use crate::http::frames::{images, range};
 
 /// Digits of a file's hash in its entity tag.
 const TAG_DIGITS: usize = 32;

@@ -12,8 +12,9 @@ use proto::{JobId, Problem};
 use tracing::field::Empty;
 use tracing::{Instrument, Span};
 
-use super::{routes, trace_context};
 use crate::clock::monotonic_now;
+use crate::http::routes;
+use crate::http::workers::trace_context;
 use crate::telemetry::Telemetry;
 
 const REQUEST_ID: HeaderName = HeaderName::from_static("x-request-id");
@@ -22,10 +23,14 @@ const MAX_ID_CHARACTERS: usize = 64;
 
 /// Id of a request, as an extension for handlers that record it.
 #[derive(Clone, Debug)]
-pub(super) struct RequestId(pub(super) String);
+pub(in crate::http) struct RequestId(pub(in crate::http) String);
 
 /// Assigns a request its id, logs it, and writes the body of a problem.
-pub(super) async fn trace(State(telemetry): State<Arc<Telemetry>>, mut request: Request, next: Next) -> Response {
+pub(in crate::http) async fn trace(
+    State(telemetry): State<Arc<Telemetry>>,
+    mut request: Request,
+    next: Next,
+) -> Response {
     let id = client_request_id(&request).unwrap_or_else(|| uuid::Uuid::now_v7().to_string());
     request.extensions_mut().insert(RequestId(id.clone()));
     let method = request.method().clone();

@@ -8,12 +8,12 @@ use axum::extract::{MatchedPath, Request};
 use axum::http::Method;
 use axum::routing::MethodRouter;
 use proto::api_key::Scope;
-use utoipa::openapi::OpenApi;
-use utoipa_axum::router::{OpenApiRouter, UtoipaMethodRouter};
+use utoipa::openapi::path::Paths;
 
-use super::ROUTES;
-use super::state::ApiState;
 use crate::audit_log::EntryKind;
+use crate::http::ROUTES;
+use crate::http::error::ErrorKind;
+use crate::http::state::ApiState;
 
 /// Time limit for the start of most responses.
 const RESPONSE_TIMEOUT: Duration = Duration::from_mins(1);
@@ -22,7 +22,7 @@ const LINK_SUFFIX: &str = "/link";
 
 /// Permission that a route requires if the farm has keys.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Permission {
+pub(in crate::http) enum Permission {
     /// None: the route is public.
     Public,
     /// None, but a key that is sent must be valid.
@@ -34,7 +34,7 @@ pub(super) enum Permission {
 }
 
 /// Permissions as the table names them.
-pub(super) mod permission {
+pub(in crate::http) mod permission {
     use super::{Permission, Scope};
 
     /// No key is needed.
@@ -56,7 +56,7 @@ pub(super) mod permission {
 }
 
 /// Time limits as the table names them: of the start of the response; request bodies have a minimum rate instead.
-pub(super) mod limit {
+pub(in crate::http) mod limit {
     use super::{Duration, RESPONSE_TIMEOUT};
 
     /// One minute, unless the client prefers to wait.
@@ -67,7 +67,7 @@ pub(super) mod limit {
 
 /// Changes that the audit log records of a route. Rejections are recorded of every route.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Audit {
+pub(in crate::http) enum Audit {
     /// Nothing.
     Nothing,
     /// A change to a job, or a registered worker.
@@ -82,7 +82,7 @@ pub(super) enum Audit {
 
 impl Audit {
     /// Kind of the entry of a change.
-    pub(super) fn entry_kind(self) -> EntryKind {
+    pub(in crate::http) fn entry_kind(self) -> EntryKind {
         match self {
             Self::Work | Self::NewJob => EntryKind::Work,
             Self::Admin | Self::NewKey | Self::Nothing => EntryKind::Admin,
@@ -90,7 +90,7 @@ impl Audit {
     }
 
     /// Whether success is that something was created.
-    pub(super) fn creates(self) -> bool {
+    pub(in crate::http) fn creates(self) -> bool {
         match self {
             Self::NewJob | Self::NewKey => true,
             Self::Nothing | Self::Work | Self::Admin => false,
@@ -100,42 +100,48 @@ impl Audit {
 
 /// Treatment of a request before and after its handler.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Policy {
+pub(in crate::http) struct Policy {
     /// Permission that it requires.
-    pub(super) permission: Permission,
+    pub(in crate::http) permission: Permission,
     /// Time limit for the start of the response.
-    pub(super) time_limit: Option<Duration>,
+    pub(in crate::http) time_limit: Option<Duration>,
     /// Changes that the audit log records.
-    pub(super) audit: Audit,
+    pub(in crate::http) audit: Audit,
     /// Whether monitors and workers request it again and again: it is served before others, and not traced.
-    pub(super) is_polled: bool,
+    pub(in crate::http) is_polled: bool,
 }
 
 /// Row of the table.
-pub(super) struct Route {
+pub(in crate::http) struct Route {
     /// Method; a row for `GET` also serves `HEAD`.
-    pub(super) method: Method,
+    pub(in crate::http) method: Method,
     /// Path, with its parameters' names.
-    pub(super) path: &'static str,
+    pub(in crate::http) path: &'static str,
     /// Treatment of its requests.
-    pub(super) policy: Policy,
+    pub(in crate::http) policy: Policy,
     /// Makes its handler.
-    pub(super) endpoint: fn() -> Endpoint,
+    pub(in crate::http) endpoint: fn() -> MethodRouter<ApiState>,
+    /// Makes its description for the `OpenAPI` document; `None` for the workers' protocol, and the pages of the document
+    /// itself.
+    pub(in crate::http) description: Option<Description>,
 }
 
-/// Handler of a route.
-pub(super) enum Endpoint {
-    /// With its description for the `OpenAPI` document.
-    Described(UtoipaMethodRouter<ApiState>),
-    /// Not in the document: the workers' protocol, and the pages of the document itself.
-    Hidden(MethodRouter<ApiState>),
+/// Description of a route for users.
+pub(in crate::http) struct Description {
+    /// Makes that of its handler, under an empty path.
+    pub(in crate::http) operation: fn() -> Paths,
+    /// Errors of its own.
+    pub(in crate::http) errors: &'static [ErrorKind],
 }
 
 /// Declares the table of routes.
 macro_rules! table {
     (@is_polled) => { false };
     (@is_polled polled) => { true };
-    (@row $endpoint:expr; $method:ident $path:literal $permission:ident $limit:ident $audit:ident $($polled:ident)?) => {
+    (
+        @row $description:expr;
+        $method:ident $path:literal $permission:ident $limit:ident $audit:ident $($handler:ident)::+ $($polled:ident)?
+    ) => {
         $crate::http::routes::Route {
             method: axum::http::Method::$method,
             path: $path,
@@ -145,12 +151,14 @@ macro_rules! table {
                 audit: $crate::http::routes::Audit::$audit,
                 is_polled: $crate::http::routes::table!(@is_polled $($polled)?),
             },
-            endpoint: $endpoint,
+            endpoint: || axum::routing::on(axum::routing::MethodFilter::$method, $($handler)::+),
+            description: $description,
         }
     };
     (
         described {$(
-            $method:ident $path:literal $permission:ident $limit:ident $audit:ident $($handler:ident)::+ $(, $polled:ident)?;
+            $method:ident $path:literal $permission:ident $limit:ident $audit:ident $($handler:ident)::+ $(, $polled:ident)?
+            $([$($error:ident)*])?;
         )*}
         hidden {$(
             $hidden_method:ident $hidden_path:literal $hidden_permission:ident $hidden_limit:ident $hidden_audit:ident
@@ -160,42 +168,44 @@ macro_rules! table {
         /// Every route of the server.
         static ROUTES: &[$crate::http::routes::Route] = &[
             $($crate::http::routes::table!(
-                @row || $crate::http::routes::Endpoint::Described(utoipa_axum::routes!($($handler)::+));
-                $method $path $permission $limit $audit $($polled)?
+                @row Some($crate::http::routes::Description {
+                    operation: || {
+                        let (_, paths, _): utoipa_axum::router::UtoipaMethodRouter<ApiState> =
+                            utoipa_axum::routes!($($handler)::+);
+                        paths
+                    },
+                    errors: &[$($($crate::http::error::ErrorKind::$error),*)?],
+                });
+                $method $path $permission $limit $audit $($handler)::+ $($polled)?
             ),)*
             $($crate::http::routes::table!(
-                @row || $crate::http::routes::Endpoint::Hidden(
-                    axum::routing::on(axum::routing::MethodFilter::$hidden_method, $($hidden_handler)::+)
-                );
-                $hidden_method $hidden_path $hidden_permission $hidden_limit $hidden_audit $($hidden_polled)?
+                @row None;
+                $hidden_method $hidden_path $hidden_permission $hidden_limit $hidden_audit
+                $($hidden_handler)::+ $($hidden_polled)?
             ),)*
         ];
     };
 }
 
-pub(super) use table;
+pub(in crate::http) use table;
 
-/// Router of all routes, and the description of the documented ones.
-pub(super) fn router() -> (axum::Router<ApiState>, OpenApi) {
-    let router = ROUTES.iter().fold(OpenApiRouter::new(), |router, route| match (route.endpoint)() {
-        Endpoint::Described(described) => router.routes(described),
-        Endpoint::Hidden(methods) => router.route(route.path, methods),
-    });
-    router.split_for_parts()
+/// Router of all routes.
+pub(in crate::http) fn router() -> axum::Router<ApiState> {
+    ROUTES.iter().fold(axum::Router::new(), |router, route| router.route(route.path, (route.endpoint)()))
 }
 
 /// Route of a request, with its parameters' names; empty for an unknown path.
-pub(super) fn path_of(request: &Request) -> &str {
+pub(in crate::http) fn path_of(request: &Request) -> &str {
     request.extensions().get::<MatchedPath>().map_or("", MatchedPath::as_str)
 }
 
 /// Policy of a request.
-pub(super) fn policy_of(request: &Request) -> Policy {
+pub(in crate::http) fn policy_of(request: &Request) -> Policy {
     policy(request.method(), path_of(request))
 }
 
 /// Policy of a request with this method to this route.
-pub(super) fn policy(method: &Method, path: &str) -> Policy {
+pub(in crate::http) fn policy(method: &Method, path: &str) -> Policy {
     let served = if *method == Method::HEAD { &Method::GET } else { method };
     let row = ROUTES.iter().find(|route| route.method == *served && route.path == path);
     row.map_or_else(|| policy_without_row(method, path), |route| route.policy)
@@ -228,8 +238,52 @@ fn policy_without_row(method: &Method, path: &str) -> Policy {
 #[cfg(test)]
 mod tests {
     use std::collections::BTreeSet;
+    use std::fs;
+    use std::path::{Path, PathBuf};
 
     use super::*;
+
+    /// Files besides the table that name paths: what the page may change, where to look next, and whom to answer 405.
+    const MAY_NAME_PATHS: [&str; 5] = [
+        "http/page/docs.rs",
+        "http/page/read_only.rs",
+        "http/routes.rs",
+        "http/page/start_page.rs",
+        "http/jobs/submission.rs",
+    ];
+
+    /// Sources of the HTTP layer without their tests, by their paths under `src`.
+    fn sources() -> Vec<(String, String)> {
+        let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("src");
+        let (mut found, mut folders) = (Vec::new(), vec![root.join("http")]);
+        let mut take = |path: PathBuf| {
+            let name = path.strip_prefix(&root).expect("under the root").display().to_string();
+            let text = fs::read_to_string(&path).expect("a source is text");
+            found.push((name, text.split("#[cfg(test)]").next().unwrap_or_default().to_owned()));
+        };
+        take(root.join("http.rs"));
+        while let Some(folder) = folders.pop() {
+            for entry in fs::read_dir(folder).expect("a folder of sources") {
+                let path = entry.expect("an entry").path();
+                if path.is_dir() { folders.push(path) } else { take(path) }
+            }
+        }
+        found
+    }
+
+    /// With its handler, the matrix of permissions and `docs/openapi.json`, which tests compare with the table, these are
+    /// the four files that a new route touches.
+    #[test]
+    fn the_path_of_a_route_stands_in_the_table_alone() {
+        for (name, text) in sources() {
+            let named: Vec<_> = ROUTES.iter().filter(|route| text.contains(&format!("{:?}", route.path))).collect();
+            match &*name {
+                "http.rs" => assert_eq!(named.len(), ROUTES.len()),
+                name if MAY_NAME_PATHS.contains(&name) => assert!(named.len() < ROUTES.len() / 5, "{name}"),
+                name => assert!(named.is_empty(), "{name} names {}, which stands in http.rs", named[0].path),
+            }
+        }
+    }
 
     #[test]
     fn a_request_without_a_row_requires_admin() {
@@ -261,19 +315,14 @@ mod tests {
     }
 
     #[test]
-    fn each_row_has_the_method_and_the_path_of_its_handlers_description() {
+    fn a_description_has_the_method_of_its_row_and_leaves_the_path_to_it() {
         for route in ROUTES {
-            let Endpoint::Described((_, paths, _)) = (route.endpoint)() else { continue };
-            let described: Vec<_> = paths
-                .paths
-                .iter()
-                .flat_map(|(path, item)| {
-                    let item = serde_json::to_value(item).expect("a description is plain JSON");
-                    let methods: Vec<_> = item.as_object().expect("an object").keys().cloned().collect();
-                    methods.into_iter().map(move |method| format!("{} {path}", method.to_uppercase()))
-                })
-                .collect();
-            assert_eq!(described, [format!("{} {}", route.method, route.path)]);
+            let Some(description) = &route.description else { continue };
+            let paths = serde_json::to_value((description.operation)()).expect("a description is plain JSON");
+            let paths = paths.as_object().expect("an object");
+            assert_eq!(paths.keys().collect::<Vec<_>>(), [""], "{} {}", route.method, route.path);
+            let methods: Vec<_> = paths[""].as_object().expect("an object").keys().collect();
+            assert_eq!(methods, [&route.method.as_str().to_lowercase()], "{}", route.path);
         }
     }
 

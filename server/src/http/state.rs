@@ -114,8 +114,8 @@ macro_rules! handle_group {
     ($(#[$group_meta:meta])* $group:ident { $($(#[$meta:meta])* $name:ident: $handle:ty,)* }) => {
         $(#[$group_meta])*
         #[derive(Clone, Debug)]
-        pub(super) struct $group {
-            $($(#[$meta])* pub(super) $name: $handle,)*
+        pub(in crate::http) struct $group {
+            $($(#[$meta])* pub(in crate::http) $name: $handle,)*
         }
 
         impl axum::extract::FromRef<$crate::http::ApiState> for $group {
@@ -126,4 +126,4 @@ macro_rules! handle_group {
     };
 }
 
-pub(super) use handle_group;
+pub(in crate::http) use handle_group;

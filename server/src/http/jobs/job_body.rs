@@ -1,0 +1,48 @@
+//! Job file as the body of a request that only asks about it: read, unpacked and validated as a submission is, but not
+//! accepted.
+
+use axum::http::HeaderMap;
+use scene::Job;
+
+use crate::http::body::{self, RequestBody, Room};
+use crate::http::content_encoding::ContentEncoding;
+use crate::http::error::ApiError;
+use crate::job_cache::{JobCache, Reader};
+
+/// A valid job file.
+#[derive(Debug)]
+pub(in crate::http) struct JobBody {
+    /// Its text.
+    pub(in crate::http) text: String,
+    /// Memory of the text, returned when this is dropped.
+    pub(in crate::http) _room: Room,
+}
+
+/// Reads the job file of a request for one of its frames.
+pub(in crate::http) async fn read(
+    jobs: &JobCache,
+    headers: &HeaderMap,
+    request: RequestBody,
+    frame: u32,
+) -> Result<JobBody, ApiError> {
+    body::expect_json(headers)?;
+    let encoding = ContentEncoding::of(headers)?;
+    let submitter = request.holder().name.clone();
+    let (text, room) = body::read_encoded(request, encoding, scene::limits::MAX_BODY_BYTES).await?.into_parts();
+    let checked = text.clone();
+    let check = move |parsed: Result<Job, scene::ParseError>| check_frame(&checked, &parsed?, frame);
+    jobs.parse(Reader::Submitter(&submitter), text.clone(), check).await??;
+    let text = String::from_utf8(text.into()).map_err(|error| ApiError::Internal(Box::new(error)))?;
+    Ok(JobBody { text, _room: room })
+}
+
+fn check_frame(text: &[u8], job: &Job, frame: u32) -> Result<(), ApiError> {
+    let count = job.frames.count;
+    if frame >= count {
+        let frames =
+            if count == 1 { "its only frame is 0".to_owned() } else { format!("its frames are 0 to {}", count - 1) };
+        return Err(ApiError::WrongQuery(format!("the job has no frame {frame}: {frames}")));
+    }
+    job.at(frame).map_err(|error| scene::error_in_frame(text, error))?;
+    Ok(())
+}
