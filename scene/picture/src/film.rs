@@ -344,7 +344,7 @@ impl Image {
 
     /// Whether a display transform is applied to the scene's light.
     pub fn has_display_transform(&self) -> bool {
-        self.exposure.get() != 0.0 || self.exposure.is_animated() || self.tone_map != ToneMap::None
+        !self.exposure.is_zero() || self.tone_map != ToneMap::None
     }
 
     /// Camera rays of a picture: with adaptive samples, as many as it may have.

@@ -1,8 +1,8 @@
 //! Numbers with a meaning: validated once, when they are parsed.
 //!
 //! Each type is one kind of number of a job file, with its range in the type and in the schema. A number may have a
-//! motion, a track or a formula. It then stores it next to its value at one time, and `Seek` evaluates it at another. Code that
-//! branches on a number's value must check `is_animated` first, because all frames share one compiled program.
+//! motion, a track or a formula. It then stores it next to its value at one time, and `Seek` evaluates it at another. All
+//! frames share one compiled program, so code that branches on a number's value asks for its `constant()`.
 
 mod angles;
 mod color;
@@ -103,20 +103,24 @@ macro_rules! number_type {
                 <Self as RangedNumber>::is_in_range(value).then_some(Self { value, motion: None })
             }
 
+            /// The value, if it is the same in all frames: they share one compiled program.
+            pub fn constant(&self) -> Option<f32> {
+                self.motion.is_none().then_some(self.value)
+            }
+
             /// The value.
             pub fn get(&self) -> f32 {
                 self.value
             }
 
-            /// Whether a motion gives this number a different value in other frames. If so, code must not branch on it:
-            /// all frames share one compiled program.
+            /// Whether a motion gives this number a different value in other frames.
             pub fn is_animated(&self) -> bool {
                 self.motion.is_some()
             }
 
             /// Whether it is 0 in every frame, so that a formula may leave it out.
             pub fn is_zero(&self) -> bool {
-                self.value == 0.0 && self.motion.is_none()
+                self.constant() == Some(0.0)
             }
         }
 

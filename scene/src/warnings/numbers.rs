@@ -5,6 +5,7 @@ use serde_json::Value;
 use picture::animation::JobAtFrame;
 use picture::nodes::Node;
 use picture::scene::{Scene, child_pointers};
+use picture::values::FieldOfView;
 
 /// Names of colors that are reflectances, which cannot be much above 1.
 const REFLECTANCES: [&str; 7] = ["albedo", "base_color", "colors", "ka", "kd", "ks", "ramp"];
@@ -69,9 +70,8 @@ fn color_of_255(value: &Value, pointer: &mut String, is_reflectance: bool) -> Op
 /// Angles that are in radians.
 pub(super) fn radians(still: &JobAtFrame<'_>) -> Option<String> {
     let scene = still.scene();
-    if let Some(fov) = scene.camera.fov.as_ref().filter(|fov| fov.get() < MIN_FOV && !fov.is_animated()) {
-        let degrees = f64::from(fov.get()).to_degrees().round();
-        let fov = fov.get();
+    if let Some(fov) = scene.camera.fov.as_ref().and_then(FieldOfView::constant).filter(|&fov| fov < MIN_FOV) {
+        let degrees = f64::from(fov).to_degrees().round();
         return Some(format!(
             "/scene/camera/fov is {fov} degrees, a very narrow view: if it is in radians, write {degrees}, its degrees"
         ));

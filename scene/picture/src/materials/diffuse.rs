@@ -8,7 +8,7 @@ use super::microfacet::MIN_ALPHA;
 use super::{ColorParam, IncidentLight, ScalarParam, Shade, ShadingPoint, Texture};
 use crate::real::{Real, Vec3, vec3};
 use crate::seek::Seek;
-use crate::values::Shininess;
+use crate::values::{Color, Shininess};
 
 /// Phong's model: ka·ambient + Σ lights: kd·le·(N·L) + ks·le·(R·E)^shininess, on both sides.
 ///
@@ -120,7 +120,7 @@ impl Shade for Diffuse {
 
     fn is_black_without_light(&self) -> bool {
         const FAINT: f32 = 0.1;
-        self.ambient.as_constant().is_some_and(|ambient| ambient.get().max_element() <= FAINT && !ambient.is_animated())
+        self.ambient.as_constant().and_then(Color::constant).is_some_and(|ambient| ambient.max_element() <= FAINT)
     }
 
     fn textures(&self) -> Vec<&Texture> {

@@ -158,7 +158,7 @@ macro_rules! parameters {
             }
 
             fn is_zero(&self) -> bool {
-                self.get() == 0.0 && !self.is_animated()
+                self.is_zero()
             }
         }
     )* };

@@ -55,9 +55,14 @@ impl Color {
         self.moving.is_some()
     }
 
+    /// Red, green, blue, in linear light; `None` if any of its numbers is animated.
+    pub fn constant(&self) -> Option<Vec3<f32>> {
+        self.moving.is_none().then_some(self.linear)
+    }
+
     /// Whether it is black in every frame, so that a formula may leave its term out.
     pub fn is_black(&self) -> bool {
-        self.linear == vec3(0.0, 0.0, 0.0) && !self.is_animated()
+        self.constant() == Some(vec3(0.0, 0.0, 0.0))
     }
 }
 

@@ -154,7 +154,7 @@ impl Mandelbulb {
 
 /// The power, if it is an integer. The formula then depends on it in code, not in data.
 fn as_integer(power: &Power) -> Option<u32> {
-    (power.get() % 1.0 == 0.0 && !power.is_animated()).then_some(power.get() as u32)
+    power.constant().filter(|power| power % 1.0 == 0.0).map(|power| power as u32)
 }
 
 /// zⁿ + p and rⁿ⁻¹ for any power n.
