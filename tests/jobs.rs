@@ -49,6 +49,10 @@ pub(crate) fn sized(job: &Value, width: u64, samples: u64) -> Value {
     image["height"] = json!((old_height * width / old_width).max(1));
     image["width"] = json!(width);
     image["samples"] = json!(samples);
+    if samples < 16 {
+        // Among few samples, fireflies are not rare.
+        image.as_object_mut().expect("a job has an image").remove("reweight_fireflies");
+    }
     job
 }
 
@@ -57,7 +61,7 @@ pub(crate) fn as_png(job: &Value) -> Value {
     let mut job = job.clone();
     let image = job["image"].as_object_mut().expect("a job has an image");
     image.insert("format".to_owned(), json!("png"));
-    for key in ["layers", "precision"] {
+    for key in ["layers", "light_groups", "precision"] {
         image.remove(key);
     }
     job

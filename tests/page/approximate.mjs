@@ -134,8 +134,7 @@ try {
   const names = readdirSync(join(ROOT, 'scenes')).filter((file) => file.endsWith('.json')).map((file) => file.slice(0, -5));
   for (const name of names.filter((name) => wanted.length === 0 || wanted.includes(name))) {
     const job = JSON.parse(readFileSync(join(ROOT, 'scenes', `${name}.json`), 'utf8'));
-    delete job.image.region;
-    delete job.image.layers;
+    for (const key of ['region', 'layers', 'light_groups', 'precision', 'reweight_fireflies']) delete job.image[key];
     const height = Math.max(1, Math.round(job.image.height * WIDTH / job.image.width));
     job.image = { ...job.image, width: WIDTH, height, samples: 1, denoise: false, format: 'png', bits: 8 };
     job.frames = undefined;

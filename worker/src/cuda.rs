@@ -47,7 +47,8 @@ const MAX_SPARE_FLOATS: usize = 128 << 20;
 const OVERLAPPING: usize = 3;
 /// Maximum number of kernels loaded on the GPU.
 const MAX_PROGRAMS: usize = 64;
-/// Scene of the self-test, with a sample of every feature.
+/// Scene of the self-test: shapes, seams, both ways of a mandelbulb, materials, and layers in direct light. The shipped
+/// scenes of `sdfarm selftest` have every option.
 const SELF_TEST: &str = include_str!("cuda/self_test.json");
 
 /// Number of usable GPUs on this machine, or an error with the reason.

@@ -130,9 +130,10 @@ fn job(name: &str) -> anyhow::Result<Job> {
     scene::parse(&shipped::job_file(name)?).context("a shipped scene is damaged")
 }
 
-/// The job with every layer; scaled to this width, if given, so that it renders quickly.
+/// The job with more layers; scaled to this width, if given, so that it renders quickly.
 fn with_layers(mut job: Job, width: Option<u32>) -> Job {
-    job.image.layers = LAYERS.to_vec();
+    let own = std::mem::replace(&mut job.image.layers, LAYERS.to_vec());
+    job.image.layers.extend(own.into_iter().filter(|layer| !LAYERS.contains(layer)));
     if let Some(width) = width {
         let height = (job.image.height * width / job.image.width).max(1);
         job.image = Image { width, height, samples: 2.into(), ..job.image };
@@ -161,9 +162,12 @@ fn compared(got: &[TilePixels], want: &[TilePixels]) -> (u64, u64) {
 
 /// A hash of all pixels that does not depend on how they were cut into tiles.
 fn hash(job: &Job, tiles: &[TilePixels]) -> String {
-    let (width, length) = (job.image.width as usize, job.image.pixels() as usize);
+    let image = &job.image;
+    let (width, length) = (image.width as usize, image.pixels() as usize);
     let mut hasher = blake3::Hasher::new();
-    for plane in 0..job.image.channels().len() {
+    // With what fireflies are reweighted by, if they are.
+    let channels = if image.is_reweighted() { image.rendered_channels() } else { image.channels() };
+    for plane in 0..channels.len() {
         let mut whole = vec![0; length * size_of::<f32>()];
         for tile in tiles {
             let rows = tile.planes[plane].chunks_exact(tile.rect.width as usize);

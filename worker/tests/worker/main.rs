@@ -26,4 +26,5 @@ mod shipped;
 mod silhouettes;
 #[path = "../../../tests/skip.rs"]
 mod skip;
+mod uses;
 mod wgsl;

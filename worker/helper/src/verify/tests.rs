@@ -69,7 +69,7 @@ fn genuine(path: &PathBuf, kind: Kind, renderer: &CpuRenderer) -> Genuine {
     let image = &mut job.image;
     image.resize(88, 70);
     image.samples = 1.into();
-    image.layers.clear();
+    image.clear_layers();
     (image.format, image.bits, image.precision) = match kind {
         Kind::Png8 => (Format::Png, Bits::Eight, Precision::Half),
         Kind::Png16 => (Format::Png, Bits::Sixteen, Precision::Half),
