@@ -156,8 +156,8 @@ fn remote_worker_renders_over_tls_with_its_key() {
     let mut edit = with(&["submit", "-", "--wait", "--based-on", text(&recorded.stdout).trim()], &anna);
     edit.arg("-o").arg(&picture);
     let edited = finish(edit, scene.to_string().as_bytes());
-    let told = text(&edited.stderr);
-    assert!(told.contains(" tiles are those of ") && !told.contains("0 of "), "{told}\n{}", farm.log());
+    let printed = text(&edited.stderr);
+    assert!(printed.contains(" tiles are those of ") && !printed.contains("0 of "), "{printed}\n{}", farm.log());
     assert!(fs::read(&picture).expect("saved") == rendered_here(&scene, 0), "the bytes of a full render");
     let stranger = finish(with(&["worker", "--device", "cpu", "--threads", "1"], &anna), b"");
     assert_eq!(stranger.status.code(), Some(1));
@@ -189,7 +189,7 @@ fn granted() -> u64 {
 }
 
 /// Opens connections that send nothing.
-fn idle_crowd(address: &str, connections: u64) -> Vec<TcpStream> {
+fn idle_connections(address: &str, connections: u64) -> Vec<TcpStream> {
     eprintln!("{connections} idle connections");
     (0..connections).map(|_| TcpStream::connect(address).expect("the server takes every connection")).collect()
 }
@@ -201,11 +201,11 @@ fn address(farm: &Farm) -> &str {
 /// Asserts that a farm renders a job while this many connections are idle.
 fn assert_served_among(connections: u64) {
     let farm = Farm::start(&["--workers", "1", "--device", "cpu"]);
-    let crowd = idle_crowd(address(&farm), connections);
+    let idle = idle_connections(address(&farm), connections);
     let id = farm.accept(&jobs::quick().to_string());
     farm.succeeded(&id);
     assert_eq!(farm.get("/livez").status, 200);
-    drop(crowd);
+    drop(idle);
     assert!(farm.terminate().success());
 }
 

@@ -31,7 +31,7 @@ const MAX_HEALTH: Duration = Duration::from_millis(100);
 /// Limit of the server's resident memory, in KiB.
 const MAX_MEMORY_KIB: u64 = 512 << 10;
 /// Duration of an attack in every test run.
-const MOMENT: Duration = Duration::from_millis(700);
+const SHORT_ATTACK: Duration = Duration::from_millis(700);
 /// Duration of an attack in the long test; `SDFARM_ATTACK_SECONDS` sets another, and
 /// `SDFARM_ATTACK` chooses those with some words in their name.
 const WHILE: Duration = Duration::from_secs(8);
@@ -252,7 +252,7 @@ fn percentile_99(times: &mut [Duration]) -> Duration {
 fn some_attacks_do_not_stop_another_user() {
     let (siege, seeds) = (Siege::new(), AtomicU64::new(0));
     for attack in attacks().iter().step_by(7) {
-        siege.make(attack, MOMENT, &seeds);
+        siege.make(attack, SHORT_ATTACK, &seeds);
     }
     assert!(siege.folder.path().exists());
 }

@@ -29,12 +29,12 @@ struct Case {
     text: Vec<u8>,
     status: u16,
     /// Position of the first error; `None` if none is expected.
-    fault: Option<Place>,
+    fault: Option<Position>,
     /// Words of the message that name the fix or the limit.
     says: &'static str,
 }
 
-struct Place {
+struct Position {
     pointer: String,
     /// Line and column; `None` if they are not guaranteed.
     at: Option<(u64, u64)>,
@@ -56,7 +56,7 @@ fn written(name: &'static str, marked: &str, status: u16, pointer: &str, says: &
         name,
         text: marked.replacen(MARK, "", 1).into_bytes(),
         status,
-        fault: Some(Place { pointer: pointer.to_owned(), at }),
+        fault: Some(Position { pointer: pointer.to_owned(), at }),
         says,
     }
 }
@@ -81,7 +81,7 @@ fn large(name: &'static str, text: String, pointer: Option<&'static str>, status
         name,
         text: text.into_bytes(),
         status,
-        fault: pointer.map(|pointer| Place { pointer: pointer.to_owned(), at: None }),
+        fault: pointer.map(|pointer| Position { pointer: pointer.to_owned(), at: None }),
         says,
     }
 }
@@ -232,7 +232,7 @@ fn not_json() -> Vec<Case> {
             name: "1e999",
             text: SOUND.replacen(r#""radius": 1"#, r#""radius": 1e999"#, 1).into_bytes(),
             status: 422,
-            fault: Some(Place { pointer: RADIUS.to_owned(), at: None }),
+            fault: Some(Position { pointer: RADIUS.to_owned(), at: None }),
             says: "too large",
         },
         large("truncated JSON", cut.to_owned(), Some(""), 400, "EOF"),
@@ -243,7 +243,7 @@ fn not_json() -> Vec<Case> {
             name: "invalid UTF-8",
             text: bytes,
             status: 400,
-            fault: Some(Place { pointer: String::new(), at: None }),
+            fault: Some(Position { pointer: String::new(), at: None }),
             says: "UTF-8",
         },
     ]
@@ -313,16 +313,16 @@ fn invalid_jobs_are_rejected_by_check_with_position_and_fix() {
     let mut wrong = Vec::new();
     for case in cases() {
         let output = finish(sdfarm(&["check", "-"]), &case.text);
-        let told = text(&output.stderr);
+        let printed = text(&output.stderr);
         let place =
             case.fault.as_ref().and_then(|place| place.at).map(|(line, column)| format!("<stdin>:{line}:{column}: "));
         let is_right = output.status.code() == Some(2)
-            && told.lines().last().is_some_and(|line| line.starts_with("error: "))
-            && place.is_none_or(|place| told.contains(&place))
-            && told.contains(case.says)
-            && !told.contains("panicked");
+            && printed.lines().last().is_some_and(|line| line.starts_with("error: "))
+            && place.is_none_or(|place| printed.contains(&place))
+            && printed.contains(case.says)
+            && !printed.contains("panicked");
         if !is_right {
-            wrong.push(format!("{}: {:?}: {told}", case.name, output.status.code()));
+            wrong.push(format!("{}: {:?}: {printed}", case.name, output.status.code()));
         }
     }
     assert!(wrong.is_empty(), "{} cases:\n{}", wrong.len(), wrong.join("\n"));
@@ -333,13 +333,14 @@ fn several() -> Vec<(String, Vec<(String, String)>)> {
     let text = include_str!("bad_input/several.txt");
     let cases = text.split("\n## ").skip(1).map(|case| {
         let (_, case) = case.split_once('\n').expect("a name");
-        let (job, told) = case.split_once("\n-- ").expect("expected errors");
+        let (job, printed) = case.split_once("\n-- ").expect("expected errors");
         let job = job.strip_prefix("OBJECTS\n").map_or_else(
             || job.to_owned(),
             |objects| SOUND.replacen(r#"{ "material": "clay", "shape": { "sphere": { "radius": 1 } } }"#, objects, 1),
         );
-        let told = told.trim_end().split("\n-- ").map(|line| line.split_once(" | ").expect("a pointer and words"));
-        (job.replace(MARK, ""), told.map(|(pointer, words)| (pointer.to_owned(), words.to_owned())).collect())
+        let printed =
+            printed.trim_end().split("\n-- ").map(|line| line.split_once(" | ").expect("a pointer and words"));
+        (job.replace(MARK, ""), printed.map(|(pointer, words)| (pointer.to_owned(), words.to_owned())).collect())
     });
     cases.collect()
 }
@@ -349,11 +350,11 @@ fn all_errors_of_a_job_are_reported_together() {
     let farm = Farm::start(&["--workers", "0"]);
     let cases = several();
     assert!(cases.len() >= 20, "only {}", cases.len());
-    for (job, told) in cases {
+    for (job, printed) in cases {
         let problem = farm.post(&job).problem(422, "wrong_job");
         let faults = problem["errors"].as_array().expect("faults");
-        assert_eq!(faults.len(), told.len(), "{problem:#}\n{job}");
-        for (fault, (pointer, words)) in faults.iter().zip(&told) {
+        assert_eq!(faults.len(), printed.len(), "{problem:#}\n{job}");
+        for (fault, (pointer, words)) in faults.iter().zip(&printed) {
             assert_eq!(fault["pointer"], *pointer, "{problem:#}");
             assert!(fault["message"].as_str().is_some_and(|message| message.contains(words)), "{words}: {fault}");
         }
@@ -362,11 +363,11 @@ fn all_errors_of_a_job_are_reported_together() {
 
 #[test]
 fn check_prints_errors_and_size_as_json() {
-    let (job, told) = several().swap_remove(0);
+    let (job, printed) = several().swap_remove(0);
     let output = finish(sdfarm(&["check", "--json", "-"]), job.as_bytes());
     let value: Value = serde_json::from_slice(&output.stdout).expect("JSON");
     assert_eq!((output.status.code(), &value["valid"]), (Some(2), &Value::from(false)));
-    assert_eq!(value["errors"].as_array().map(Vec::len), Some(told.len()), "{value:#}");
+    assert_eq!(value["errors"].as_array().map(Vec::len), Some(printed.len()), "{value:#}");
     let output = finish(sdfarm(&["check", "--json", "-"]), SOUND.as_bytes());
     let value: Value = serde_json::from_slice(&output.stdout).expect("JSON");
     assert_eq!((output.status.code(), &value["valid"]), (Some(0), &Value::from(true)));
@@ -382,9 +383,9 @@ fn all_semantic_errors_are_reported_together() {
     let job = SOUND.replacen(r#""material": "clay""#, r#""material": "play""#, 1);
     let job = job.replacen(LOOK_AT, r#""look_at": [0, 0, 5]"#, 1);
     let output = finish(sdfarm(&["check", "-"]), job.as_bytes());
-    let told = text(&output.stderr);
+    let printed = text(&output.stderr);
     assert_eq!(output.status.code(), Some(2));
-    assert!(told.contains("/scene/camera/look_at") && told.contains("/scene/objects/0/material"), "{told}");
+    assert!(printed.contains("/scene/camera/look_at") && printed.contains("/scene/objects/0/material"), "{printed}");
 }
 
 #[test]

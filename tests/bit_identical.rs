@@ -41,7 +41,7 @@ fn render(job: &Value, extension: &str, flags: &[&str]) -> Result<Vec<u8>, Strin
 
 fn specimen(name: &str, extension: &'static str, job: Value) -> Specimen {
     let want = render(&job, extension, &["--simd", "scalar", "--tile", "65535"])
-        .unwrap_or_else(|told| panic!("{name}: {told}"));
+        .unwrap_or_else(|printed| panic!("{name}: {printed}"));
     Specimen { name: name.to_owned(), extension, job, want }
 }
 
@@ -75,7 +75,7 @@ fn assert_same(flags: &[&str]) {
         match render(job, extension, flags) {
             Ok(got) if got == *want => {}
             Ok(_) => wrong.push(format!("{name}.{extension} differs")),
-            Err(told) => wrong.push(format!("{name}.{extension}: {told}")),
+            Err(printed) => wrong.push(format!("{name}.{extension}: {printed}")),
         }
     }
     assert!(wrong.is_empty(), "{flags:?}:\n{}", wrong.join("\n"));
@@ -85,8 +85,8 @@ fn assert_same(flags: &[&str]) {
 fn assert_same_at(level: &str) {
     match render(&jobs::quick(), "png", &["--simd", level]) {
         Ok(_) => assert_same(&["--simd", level]),
-        Err(told) => {
-            assert!(told.contains("cannot render with"), "{told}");
+        Err(printed) => {
+            assert!(printed.contains("cannot render with"), "{printed}");
             skip(level, format_args!("this machine has no {level}"));
         }
     }
@@ -212,8 +212,8 @@ fn two_exr_readers_agree_on_every_picture() {
 }
 
 fn assert_hash_is_kept(name: &str) {
-    let told = succeed(&["selftest", "--device", "cpu", "--against", "hashes", name]);
-    assert_eq!(told.lines().filter(|line| line.ends_with("equal")).count(), 1, "{told}");
+    let printed = succeed(&["selftest", "--device", "cpu", "--against", "hashes", name]);
+    assert_eq!(printed.lines().filter(|line| line.ends_with("equal")).count(), 1, "{printed}");
 }
 
 #[test]
@@ -230,8 +230,8 @@ fn every_full_size_scene_has_its_recorded_hash() {
 }
 
 fn assert_levels_equal(names: &[&str]) {
-    let told = succeed(&[&["selftest", "--device", "cpu", "--against", "levels"], names].concat());
-    assert!(told.contains("equal") && !told.contains("differ"), "{told}");
+    let printed = succeed(&[&["selftest", "--device", "cpu", "--against", "levels"], names].concat());
+    assert!(printed.contains("equal") && !printed.contains("differ"), "{printed}");
 }
 
 #[test]

@@ -100,18 +100,18 @@ fn farm_in_a_bucket_is_checked_backed_up_and_restored() {
     let id = farm.accept(&job(64, 48, 8).to_string());
     farm.succeeded(&id);
     let wanted = farm.picture(&id);
-    let told = succeed(&s3, &["backup", word(&copy), "--data", word(&data)]);
-    assert!(told.contains(&format!("1 pictures stay in {STORE}")), "{told}");
+    let printed = succeed(&s3, &["backup", word(&copy), "--data", word(&data)]);
+    assert!(printed.contains(&format!("1 pictures stay in {STORE}")), "{printed}");
     let listed = fs::read_to_string(copy.join("pictures.txt")).expect("a list");
     assert_eq!(listed, format!("{} {}\n", blake3::hash(&wanted).to_hex(), wanted.len()));
     assert!(farm.terminate().success());
 
-    let told = succeed(&s3, &["restore", word(&copy), "--data", word(&new)]);
-    assert!(told.contains(&format!("its pictures are in {STORE}")), "{told}");
-    let told = succeed(&s3, &["doctor", "--deep", "--data", word(&new), "--listen", "127.0.0.1:0"]);
+    let printed = succeed(&s3, &["restore", word(&copy), "--data", word(&new)]);
+    assert!(printed.contains(&format!("its pictures are in {STORE}")), "{printed}");
+    let printed = succeed(&s3, &["doctor", "--deep", "--data", word(&new), "--listen", "127.0.0.1:0"]);
     assert!(
-        told.contains(&format!("{STORE} can be read and written")) && told.contains("1 pictures are intact"),
-        "{told}"
+        printed.contains(&format!("{STORE} can be read and written")) && printed.contains("1 pictures are intact"),
+        "{printed}"
     );
     let farm = start(&s3, &folder.path().join("new"), &[]);
     assert!(farm.picture(&id) == wanted);
@@ -122,12 +122,12 @@ fn farm_in_a_bucket_is_checked_backed_up_and_restored() {
         .env("AWS_SECRET_ACCESS_KEY", "wrong")
         .output()
         .expect("it runs");
-    let told = text(&elsewhere.stdout);
-    assert!(told.contains("ERROR    store") && told.contains("set AWS_ACCESS_KEY_ID"), "{told}");
+    let printed = text(&elsewhere.stdout);
+    assert!(printed.contains("ERROR    store") && printed.contains("set AWS_ACCESS_KEY_ID"), "{printed}");
     let output = run(&["serve", "--listen", "127.0.0.1:0", "--data", word(&new)]);
-    let told = text(&output.stderr);
-    assert_eq!(output.status.code(), Some(1), "{told}");
-    assert!(told.contains(&format!("has its pictures in {STORE}, not in the data folder")), "{told}");
+    let printed = text(&output.stderr);
+    assert_eq!(output.status.code(), Some(1), "{printed}");
+    assert!(printed.contains(&format!("has its pictures in {STORE}, not in the data folder")), "{printed}");
 }
 
 /// Files of a folder by their names.
@@ -172,9 +172,12 @@ fn pictures_move_to_a_bucket_and_back() {
     assert!(!data.join("store").exists(), "the farm is as before");
     let moved = move_to(STORE, "");
     assert!(moved.status.success(), "{}", text(&moved.stderr));
-    let told = text(&moved.stdout);
-    assert!(told.contains(&format!("to {STORE}, where ")) && told.contains(&format!(" --store {STORE}")), "{told}");
-    assert!(!told.contains("missing"), "{told}");
+    let printed = text(&moved.stdout);
+    assert!(
+        printed.contains(&format!("to {STORE}, where ")) && printed.contains(&format!(" --store {STORE}")),
+        "{printed}"
+    );
+    assert!(!printed.contains("missing"), "{printed}");
     assert_eq!(s3.names("renders/farms/one/pictures").len(), pictures.len());
     let again = move_to(STORE, "");
     assert!(text(&again.stderr).contains(&format!("are in {STORE} already")), "{}", text(&again.stderr));
@@ -221,10 +224,10 @@ fn two_farms_do_not_share_a_prefix() {
     let data = second.path().join("data");
     let arguments = ["serve", "--listen", "127.0.0.1:0", "--data", word(&data), "--store"];
     let refused = finish(with_keys(&s3, &[&arguments[..], &[STORE]].concat()), b"");
-    let told = text(&refused.stderr);
-    assert_eq!(refused.status.code(), Some(1), "{told}");
-    assert!(told.contains(&format!("the store {STORE} is that of another farm")), "{told}");
-    assert!(told.contains(&format!("delete {STORE}/farm")), "{told}");
+    let printed = text(&refused.stderr);
+    assert_eq!(refused.status.code(), Some(1), "{printed}");
+    assert!(printed.contains(&format!("the store {STORE} is that of another farm")), "{printed}");
+    assert!(printed.contains(&format!("delete {STORE}/farm")), "{printed}");
     // It can start with a prefix of its own, and the first with the one that it has.
     let own = ["--device", "cpu", "--store", "s3://renders/farms/two"];
     Farm::start_by(with_keys(&s3, &["serve"]), second.path(), &own).terminate();
@@ -233,8 +236,8 @@ fn two_farms_do_not_share_a_prefix() {
     // A copy of the first farm's database with the second one's store would delete its pictures.
     fs::write(first.path().join("data/store"), "s3://renders/farms/two\n").expect("writes");
     let data = first.path().join("data");
-    let told = text(&finish(with_keys(&s3, &["doctor", "--repair", "--data", word(&data)]), b"").stdout);
-    assert!(told.contains("ERROR    store") && told.contains("is that of another farm"), "{told}");
+    let printed = text(&finish(with_keys(&s3, &["doctor", "--repair", "--data", word(&data)]), b"").stdout);
+    assert!(printed.contains("ERROR    store") && printed.contains("is that of another farm"), "{printed}");
 }
 
 /// The store is killed in the middle of a job, and started again.
@@ -287,16 +290,16 @@ fn wrong_stores_are_refused() {
     let folder = tempfile::tempdir().expect("a folder");
     for store in ["renders", "https://s3.example/renders", "s3://UPPER", "s3://abc/../x"] {
         let output = run(&["serve", "--data", word(folder.path()), "--store", store]);
-        let told = text(&output.stderr);
-        assert_eq!(output.status.code(), Some(2), "{told}");
-        assert!(told.contains("write s3://BUCKET or s3://BUCKET/PREFIX"), "{told}");
+        let printed = text(&output.stderr);
+        assert_eq!(output.status.code(), Some(2), "{printed}");
+        assert!(printed.contains("write s3://BUCKET or s3://BUCKET/PREFIX"), "{printed}");
     }
     let arguments = ["serve", "--listen", "127.0.0.1:0", "--data", word(folder.path()), "--store", STORE];
     let mut command = sdfarm(&arguments);
     command.env("AWS_ACCESS_KEY_ID", "key").env("AWS_SECRET_ACCESS_KEY", "secret").env("AWS_ALLOW_HTTP", "true");
     command.env("AWS_ENDPOINT_URL", "http://127.0.0.1:1");
     let output = finish(command, b"");
-    let told = text(&output.stderr);
-    assert_eq!(output.status.code(), Some(1), "{told}");
-    assert!(told.contains(STORE) && told.contains("cannot be reached at http://127.0.0.1:1"), "{told}");
+    let printed = text(&output.stderr);
+    assert_eq!(output.status.code(), Some(1), "{printed}");
+    assert!(printed.contains(STORE) && printed.contains("cannot be reached at http://127.0.0.1:1"), "{printed}");
 }

@@ -17,8 +17,8 @@ fn the_chart_renders_valid_objects_with_variables_that_the_program_has() {
     let path = std::env::join_paths(&folders).expect("plain paths");
     clean(&mut command).env("PYTHONPATH", path).arg(root().join("docker/helm/check.py")).arg(helm).arg(PROGRAM);
     let checked = finish(command, b"");
-    let told = text(&checked.stdout);
-    assert!(checked.status.success(), "{told}{}", text(&checked.stderr));
-    let objects: u32 = told.split_whitespace().find_map(|word| word.parse().ok()).expect("a number of objects");
-    assert!(objects >= 30, "{told}");
+    let printed = text(&checked.stdout);
+    assert!(checked.status.success(), "{printed}{}", text(&checked.stderr));
+    let objects: u32 = printed.split_whitespace().find_map(|word| word.parse().ok()).expect("a number of objects");
+    assert!(objects >= 30, "{printed}");
 }

@@ -31,9 +31,9 @@ fn names_in(folder: &Path) -> Vec<String> {
 }
 
 fn assert_misuse(output: &Output, says: &str) {
-    let told = text(&output.stderr);
-    assert_eq!(output.status.code(), Some(2), "{told}");
-    assert!(told.contains("error: ") && told.contains(says) && !told.contains("panicked"), "{told}");
+    let printed = text(&output.stderr);
+    assert_eq!(output.status.code(), Some(2), "{printed}");
+    assert!(printed.contains("error: ") && printed.contains(says) && !printed.contains("panicked"), "{printed}");
 }
 
 #[test]
@@ -73,9 +73,9 @@ fn values_of_a_job_are_set_for_one_render() {
     assert_eq!(render("c.png", &[]).0, set);
     let (width, height) =
         (job["image"]["width"].as_f64().expect("a width"), job["image"]["height"].as_f64().expect("a height"));
-    let (_, told) = render("d.png", &["--scale", "50%", "--samples", "1"]);
+    let (_, printed) = render("d.png", &["--scale", "50%", "--samples", "1"]);
     let size = format!("{}×{}, 1 sample", (width / 2.0).round(), (height / 2.0).round());
-    assert!(told.contains(&size), "{told}");
+    assert!(printed.contains(&size), "{printed}");
     for (arguments, words) in [
         (["--set", "numbers.q=1"], "scene.numbers has no q, only r"),
         (["--set", "numbers.r"], "write PATH=VALUE"),

@@ -72,6 +72,6 @@ fn compose_keys_authorize_the_workers() {
     child.kill().expect("a child process");
     wait(&mut child);
     let without = finish(worker(""), b"");
-    let told = text(&without.stderr);
-    assert!(without.status.code() == Some(2) && told.contains("SDFARM_KEY"), "{told}");
+    let printed = text(&without.stderr);
+    assert!(without.status.code() == Some(2) && printed.contains("SDFARM_KEY"), "{printed}");
 }

@@ -103,12 +103,12 @@ fn render(mut command: Command, job: &Value) -> Result<Vec<u8>, String> {
     let path = folder.path().join(format!("picture.{extension}"));
     command.arg("-o").arg(&path);
     let output = finish(command, job.to_string().as_bytes());
-    let told = told(&output);
+    let printed = printed(&output);
     if output.status.success() {
         return Ok(fs::read(path).expect("a picture"));
     }
-    assert_eq!(output.status.code(), Some(1), "{told}");
-    Err(told)
+    assert_eq!(output.status.code(), Some(1), "{printed}");
+    Err(printed)
 }
 
 fn render_on_cpu(job: &Value) -> Vec<u8> {
@@ -116,17 +116,17 @@ fn render_on_cpu(job: &Value) -> Vec<u8> {
 }
 
 /// Returns the standard error of the program, which must not contain a panic.
-fn told(output: &Output) -> String {
-    let told = text(&output.stderr);
-    assert!(!told.contains("panicked"), "{told}");
-    told
+fn printed(output: &Output) -> String {
+    let printed = text(&output.stderr);
+    assert!(!printed.contains("panicked"), "{printed}");
+    printed
 }
 
 /// Asserts that a render fails with a message that contains these words.
 fn assert_fails(command: Command, job: &Value, says: &[&str]) {
-    let told = render(command, job).expect_err("it can't be rendered");
+    let printed = render(command, job).expect_err("it can't be rendered");
     for words in says {
-        assert!(told.contains(words), "{words:?} is not in: {told}");
+        assert!(printed.contains(words), "{words:?} is not in: {printed}");
     }
 }
 
@@ -155,9 +155,9 @@ fn missing_driver_is_reported_with_the_fix() {
     for (arguments, code) in commands {
         let output =
             finish(with(&[], &[arguments, &["--device", "cuda"]].concat()), jobs::quick().to_string().as_bytes());
-        let told = told(&output);
-        assert_eq!(output.status.code(), Some(code), "{arguments:?}: {told}");
-        assert!(told.contains("no NVIDIA driver") && told.contains("--device cpu"), "{arguments:?}: {told}");
+        let printed = printed(&output);
+        assert_eq!(output.status.code(), Some(code), "{arguments:?}: {printed}");
+        assert!(printed.contains("no NVIDIA driver") && printed.contains("--device cpu"), "{arguments:?}: {printed}");
         assert!(output.stdout.is_empty(), "{arguments:?}");
     }
     assert!(!Path::new(data).exists(), "a farm that does not start creates no files");
@@ -170,8 +170,8 @@ fn auto_uses_the_cpu_silently_without_a_driver() {
     }
     let job = jobs::quick();
     let output = finish(with(&[], &["render", "-", "-o", "-", "--device", "auto"]), job.to_string().as_bytes());
-    assert!(output.status.success() && output.stdout == render_on_cpu(&job), "{}", told(&output));
-    assert!(!told(&output).contains("CPU"), "{}", told(&output));
+    assert!(output.status.success() && output.stdout == render_on_cpu(&job), "{}", printed(&output));
+    assert!(!printed(&output).contains("CPU"), "{}", printed(&output));
 }
 
 #[test]
@@ -195,8 +195,8 @@ fn each_cuda_error_has_a_message() {
     for (fault, device, says) in faults {
         assert_fails(with_fault(fault, &["render", "-", "--device", device]), &jobs::quick(), says);
         let worker = finish(with_fault(fault, &["worker", "--server", "http://127.0.0.1:1", "--device", device]), b"");
-        assert_eq!(worker.status.code(), Some(3), "{fault}: {}", told(&worker));
-        assert!(told(&worker).contains(says[0]), "{fault}: {}", told(&worker));
+        assert_eq!(worker.status.code(), Some(3), "{fault}: {}", printed(&worker));
+        assert!(printed(&worker).contains(says[0]), "{fault}: {}", printed(&worker));
     }
 }
 
@@ -228,11 +228,11 @@ fn missing_compiler_is_reported() {
 fn auto_uses_the_cpu_and_reports_a_bad_gpu() {
     let job = jobs::quick();
     let output = finish(with_fault("wrong_bits", &["render", "-", "-o", "-"]), job.to_string().as_bytes());
-    assert!(output.status.success() && output.stdout == render_on_cpu(&job), "{}", told(&output));
+    assert!(output.status.success() && output.stdout == render_on_cpu(&job), "{}", printed(&output));
     assert!(
-        told(&output).contains("rendering on the CPU: ") && told(&output).contains("results are wrong"),
+        printed(&output).contains("rendering on the CPU: ") && printed(&output).contains("results are wrong"),
         "{}",
-        told(&output)
+        printed(&output)
     );
 }
 
@@ -309,23 +309,23 @@ fn rejected_program_is_saved_for_inspection() {
         command.env("FAKE_NVRTC", fault);
         command
     };
-    let kept = |told: &str| {
-        let (_, path) = told.split_once("saved as ").expect("a path");
+    let kept = |printed: &str| {
+        let (_, path) = printed.split_once("saved as ").expect("a path");
         let (path, _) = path.split_once(')').expect("its end");
         fs::read_to_string(path).expect("the program's text")
     };
     // First the self-test's program is rejected, then a scene's, with the self-test's cached from a successful run.
-    let told = render(with_cache("refuse"), &jobs::quick()).expect_err("it is refused");
+    let printed = render(with_cache("refuse"), &jobs::quick()).expect_err("it is refused");
     assert!(
-        told.contains("--device cuda:0: the scene's kernel could not be compiled")
-            && told.contains("as the test asks for"),
-        "{told}"
+        printed.contains("--device cuda:0: the scene's kernel could not be compiled")
+            && printed.contains("as the test asks for"),
+        "{printed}"
     );
-    assert!(kept(&told).contains("void render("));
+    assert!(kept(&printed).contains("void render("));
     render(with_cache(""), &jobs::as_png(&small("dice"))).expect("the compiler takes it");
-    let told = render(with_cache("refuse"), &jobs::quick()).expect_err("it is refused");
-    assert!(told.contains("cuda:0 could not render: the scene's kernel could not be compiled"), "{told}");
-    assert!(kept(&told).ends_with("// scene.cu(1): error: refused, as the test asks for\n"));
+    let printed = render(with_cache("refuse"), &jobs::quick()).expect_err("it is refused");
+    assert!(printed.contains("cuda:0 could not render: the scene's kernel could not be compiled"), "{printed}");
+    assert!(kept(&printed).ends_with("// scene.cu(1): error: refused, as the test asks for\n"));
 }
 
 #[test]
@@ -355,9 +355,9 @@ fn cells_that_do_not_fit_are_made_again() {
     let mut command = with_gpu(&[&ON_GPU[..], &["--cell-memory", "150KB"]].concat());
     command.arg("-o").arg(&path).env("SDFARM_LOG", "worker=debug");
     let output = finish(command, job.to_string().as_bytes());
-    let told = told(&output);
-    assert!(told.contains("the cells had no room"), "{told}");
-    assert!(output.status.success(), "{told}");
+    let printed = printed(&output);
+    assert!(printed.contains("the cells had no room"), "{printed}");
+    assert!(output.status.success(), "{printed}");
     assert!(fs::read(path).expect("a picture") == want, "the pixels differ");
     let little = with_gpu(&[&ON_GPU[..], &["--cell-memory", "10KB"]].concat());
     assert_fails(little, &job, &["do not fit into 0.", "--cell-memory"]);
@@ -389,7 +389,7 @@ fn bench_measures_a_gpu() {
     fs::write(&path, jobs::as_png(&small("csg")).to_string()).expect("written");
     let arguments = ["bench", path.to_str().expect("plain"), "--device", "cuda", "--runs", "1", "--json"];
     let output = finish(with_gpu(&arguments), b"");
-    assert!(output.status.success(), "{}", told(&output));
+    assert!(output.status.success(), "{}", printed(&output));
     let reports: Value = serde_json::from_slice(&output.stdout).expect("JSON");
     let report = &reports["gpu_renders"][0];
     assert_eq!(

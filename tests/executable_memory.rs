@@ -57,16 +57,19 @@ fn without_executable_memory_the_interpreter_renders_the_same_bytes() {
     }
     for (job, extension) in [(jobs::quick(), "png"), (jobs::as_exr(&jobs::quick()), "exr")] {
         let path = |name: &str| folder.path().join(name).with_extension(extension);
-        let Some((is_done, told)) = render_confined(&job, "auto", &path("confined")) else {
+        let Some((is_done, printed)) = render_confined(&job, "auto", &path("confined")) else {
             return skip("mdwe", "this kernel can't refuse executable memory");
         };
-        assert!(is_done, "{told}");
+        assert!(is_done, "{printed}");
         render(&job, "auto", &path("free"));
         let read = |name: &str| std::fs::read(path(name)).expect("a picture");
         assert!(read("confined") == read("free"), "the {extension} differs");
         // The picture and the sRGB curve are compiled one after the other.
-        assert_eq!(told.matches("executable memory").count(), 1, "one warning: {told}");
-        assert!(told.contains("WARN") && told.contains("interpreter") && told.contains("--simd portable"), "{told}");
+        assert_eq!(printed.matches("executable memory").count(), 1, "one warning: {printed}");
+        assert!(
+            printed.contains("WARN") && printed.contains("interpreter") && printed.contains("--simd portable"),
+            "{printed}"
+        );
     }
 }
 
@@ -75,12 +78,12 @@ fn without_executable_memory_a_request_for_machine_code_fails_clearly() {
     let folder = tempfile::tempdir().expect("a folder");
     for level in levels(folder.path()) {
         let picture = folder.path().join(level).with_extension(OsStr::new("png"));
-        let Some((is_done, told)) = render_confined(&jobs::quick(), level, &picture) else {
+        let Some((is_done, printed)) = render_confined(&jobs::quick(), level, &picture) else {
             return skip("mdwe", "this kernel can't refuse executable memory");
         };
-        assert!(!is_done && !picture.exists(), "{level} needs executable memory: {told}");
+        assert!(!is_done && !picture.exists(), "{level} needs executable memory: {printed}");
         for part in [&format!("--simd {level}"), "executable memory", "Permission denied", "--simd portable"] {
-            assert!(told.contains(part), "{part} is not in: {told}");
+            assert!(printed.contains(part), "{part} is not in: {printed}");
         }
     }
 }
@@ -91,7 +94,7 @@ fn the_interpreter_needs_no_executable_memory_and_warns_of_nothing() {
     let job = jobs::as_exr(&jobs::quick());
     for level in ["portable", "scalar"] {
         match render_confined(&job, level, &folder.path().join("picture.exr")) {
-            Some((is_done, told)) => assert!(is_done && !told.contains("WARN"), "{level}: {told}"),
+            Some((is_done, printed)) => assert!(is_done && !printed.contains("WARN"), "{level}: {printed}"),
             None => return skip("mdwe", "this kernel can't refuse executable memory"),
         }
     }

@@ -25,11 +25,11 @@ fn cannot_serve(data: &Path, arguments: &[&str]) -> String {
 
 /// Returns the standard error of a failed command, which must have a line with the error, and no panic.
 fn failed(output: &Output, code: i32) -> String {
-    let told = text(&output.stderr);
-    assert_eq!(output.status.code(), Some(code), "{told}");
-    assert!(!told.contains("panicked"), "{told}");
-    assert!(told.lines().any(|line| line.starts_with("error: ")), "{told}");
-    told
+    let printed = text(&output.stderr);
+    assert_eq!(output.status.code(), Some(code), "{printed}");
+    assert!(!printed.contains("panicked"), "{printed}");
+    assert!(printed.lines().any(|line| line.starts_with("error: ")), "{printed}");
+    printed
 }
 
 #[test]
@@ -37,16 +37,16 @@ fn used_port_is_reported_with_the_fix() {
     let holder = TcpListener::bind("127.0.0.1:0").expect("a free port");
     let address = holder.local_addr().expect("bound").to_string();
     let folder = tempfile::tempdir().expect("a folder");
-    let told = cannot_serve(&folder.path().join("data"), &["--listen", &address]);
-    assert!(told.contains(&address) && told.contains("--listen"), "{told}");
+    let printed = cannot_serve(&folder.path().join("data"), &["--listen", &address]);
+    assert!(printed.contains(&address) && printed.contains("--listen"), "{printed}");
 }
 
 #[test]
 fn data_folder_of_another_server_is_rejected() {
     let folder = tempfile::tempdir().expect("a folder");
     let farm = Farm::start_on(folder.path(), &["--workers", "0"]);
-    let told = cannot_serve(&folder.path().join("data"), &["--listen", "127.0.0.1:0"]);
-    assert!(told.contains("--data") && told.contains(&farm.process().to_string()), "{told}");
+    let printed = cannot_serve(&folder.path().join("data"), &["--listen", "127.0.0.1:0"]);
+    assert!(printed.contains("--data") && printed.contains(&farm.process().to_string()), "{printed}");
     assert_eq!(farm.get("/livez").status, 200);
 }
 
@@ -55,8 +55,8 @@ fn file_instead_of_a_data_folder_is_rejected() {
     let folder = tempfile::tempdir().expect("a folder");
     let data = folder.path().join("data");
     fs::write(&data, "no folder").expect("written");
-    let told = cannot_serve(&data, &["--listen", "127.0.0.1:0"]);
-    assert!(told.contains("--data") && told.contains(data.to_str().expect("plain")), "{told}");
+    let printed = cannot_serve(&data, &["--listen", "127.0.0.1:0"]);
+    assert!(printed.contains("--data") && printed.contains(data.to_str().expect("plain")), "{printed}");
     assert_eq!(fs::read(&data).expect("still there"), b"no folder");
 }
 
@@ -68,8 +68,8 @@ fn read_only_data_folder_is_rejected() {
     let Some(_mounted) = Mount::new(&data, "ro") else {
         return skip("mount", "a read-only folder needs a mount, which this user may not create");
     };
-    let told = cannot_serve(&data, &["--listen", "127.0.0.1:0"]);
-    assert!(told.contains("--data") && told.contains(data.to_str().expect("plain")), "{told}");
+    let printed = cannot_serve(&data, &["--listen", "127.0.0.1:0"]);
+    assert!(printed.contains("--data") && printed.contains(data.to_str().expect("plain")), "{printed}");
 }
 
 #[test]
@@ -92,9 +92,9 @@ fn damaged_database_is_rejected_and_unchanged() {
         let to = to.min(bytes.len());
         bytes[from..to].fill(0x5a);
         fs::write(&database, &bytes).expect("written");
-        let told = cannot_serve(&data, &["--listen", "127.0.0.1:0"]);
-        let says_so = told.contains("backup") && told.contains(database.to_str().expect("plain"));
-        assert!(says_so, "{name} overwritten: {told}");
+        let printed = cannot_serve(&data, &["--listen", "127.0.0.1:0"]);
+        let says_so = printed.contains("backup") && printed.contains(database.to_str().expect("plain"));
+        assert!(says_so, "{name} overwritten: {printed}");
         assert!(fs::read(&database).expect("readable") == bytes, "{name} overwritten: the file was changed");
     }
     fs::write(&database, sound).expect("written");
@@ -104,8 +104,8 @@ fn damaged_database_is_rejected_and_unchanged() {
 #[test]
 fn listening_beyond_loopback_needs_keys_or_the_flag() {
     let folder = tempfile::tempdir().expect("a folder");
-    let told = cannot_serve(&folder.path().join("data"), &["--listen", "0.0.0.0:0"]);
-    assert!(told.contains("--insecure"), "{told}");
+    let printed = cannot_serve(&folder.path().join("data"), &["--listen", "0.0.0.0:0"]);
+    assert!(printed.contains("--insecure"), "{printed}");
 }
 
 #[test]
@@ -206,8 +206,8 @@ fn picture_that_does_not_fit_leaves_no_file() {
     let script = r#"trap '' XFSZ; ulimit -f 8; exec "$0" render "$1" -o "$2""#;
     let mut command = Command::new("sh");
     clean(&mut command).args(["-c", script, PROGRAM]).arg(&job).arg(&picture);
-    let told = failed(&finish(command, b""), 1);
-    assert!(told.contains(picture.to_str().expect("plain")), "{told}");
+    let printed = failed(&finish(command, b""), 1);
+    assert!(printed.contains(picture.to_str().expect("plain")), "{printed}");
     let left: Vec<_> =
         fs::read_dir(folder.path()).expect("readable").flatten().map(|entry| entry.file_name()).collect();
     assert_eq!(left, ["job.json"], "only the job file is left");
@@ -216,8 +216,8 @@ fn picture_that_does_not_fit_leaves_no_file() {
 #[test]
 fn unreachable_server_is_reported_with_the_fix() {
     let free = TcpListener::bind("127.0.0.1:0").expect("a free port").local_addr().expect("bound");
-    let told = failed(&run(&["jobs", "--server", &format!("http://{free}")]), 1);
-    assert!(told.contains("sdfarm serve") && told.contains(&free.to_string()), "{told}");
+    let printed = failed(&run(&["jobs", "--server", &format!("http://{free}")]), 1);
+    assert!(printed.contains("sdfarm serve") && printed.contains(&free.to_string()), "{printed}");
 }
 
 /// Small or read-only file system that is unmounted on drop.

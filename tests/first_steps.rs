@@ -77,8 +77,8 @@ fn pause_is_shown_by_every_command() {
     let screen = on_farm(&["status"]);
     assert!(screen.contains("ready, paused") || screen.contains("degraded, paused"), "{screen}");
     assert!(screen.contains("alert    the farm is paused: `sdfarm resume` continues it"), "{screen}");
-    let told: Value = serde_json::from_str(&on_farm(&["status", "--json"])).expect("JSON");
-    assert_eq!(told["paused"], true);
+    let printed: Value = serde_json::from_str(&on_farm(&["status", "--json"])).expect("JSON");
+    assert_eq!(printed["paused"], true);
     assert_eq!(
         (farm.get("/v1/farm").json()["paused"].clone(), farm.get("/").json()["farm"]["paused"].clone()),
         (json!(true), json!(true))
@@ -159,10 +159,10 @@ fn messages_name_the_location_and_the_fix() {
         (&["key", "new", "host-7", "--scope", "worker", "--data", "new"], 2, &["sdfarm key new admin --scope admin"]),
     ] {
         let output = run_in(folder.path(), arguments);
-        let told = text(&output.stderr);
-        assert_eq!(output.status.code(), Some(code), "{arguments:?}: {told}");
+        let printed = text(&output.stderr);
+        assert_eq!(output.status.code(), Some(code), "{arguments:?}: {printed}");
         for word in says {
-            assert!(told.contains(word), "{arguments:?} does not contain {word}: {told}");
+            assert!(printed.contains(word), "{arguments:?} does not contain {word}: {printed}");
         }
     }
     assert_eq!(names_in(folder.path()), ["job.json", "new"], "only the requested key's folder is new");

@@ -109,13 +109,13 @@ fn all_frames_are_saved_as_files_and_as_an_archive() {
     }
     match Command::new("unzip").arg("-t").arg(folder.path().join("frames.zip")).output() {
         Ok(tested) => {
-            let told = text(&tested.stdout);
-            assert!(tested.status.success() && told.contains("walk.0002.png"), "{told}");
+            let printed = text(&tested.stdout);
+            assert!(tested.status.success() && printed.contains("walk.0002.png"), "{printed}");
         }
         Err(_) => skip("unzip", "unzip is not installed; the archive is not tested"),
     }
-    let told = good(&on(&farm, folder.path(), &["delete", &id, "--dry-run"]));
-    assert!(told.starts_with("would delete 3 pictures"), "{told}");
+    let printed = good(&on(&farm, folder.path(), &["delete", &id, "--dry-run"]));
+    assert!(printed.starts_with("would delete 3 pictures"), "{printed}");
     good(&on(&farm, folder.path(), &["delete", &id]));
     assert_eq!(farm.get(&format!("/v1/jobs/{id}")).status, 404);
 }

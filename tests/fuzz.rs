@@ -39,7 +39,7 @@ fn fuzz(target: &str, effort: Effort, corpus: &[Vec<u8>], mut run: impl FnMut(&[
         (None, Some(seconds), _) => (None, Duration::from_secs(seconds)),
         (None, None, Effort::Long) => (None, Duration::from_mins(1)),
     };
-    let mut chance = SeededRng::new(seed);
+    let mut random = SeededRng::new(seed);
     let start = Instant::now();
     let mut done = 0;
     let mut slowest = Duration::ZERO;
@@ -53,7 +53,7 @@ fn fuzz(target: &str, effort: Effort, corpus: &[Vec<u8>], mut run: impl FnMut(&[
         attempt(input);
     }
     while runs.map_or_else(|| start.elapsed() < time, |runs| done < runs) {
-        attempt(&chance.spoil(corpus, MOST_BYTES));
+        attempt(&random.spoil(corpus, MOST_BYTES));
         done += 1;
     }
     eprintln!("fuzzed {target}: {done} runs in {:.1?}, the slowest took {slowest:.1?}", start.elapsed());

@@ -117,10 +117,10 @@ fn fmt_leaves_a_file_that_is_not_json_and_formats_the_others() {
         fs::write(folder.path().join(name), content).expect("written");
     }
     let output = run_in(folder.path(), &["fmt", "a.json", "deep.json", "b.json", "absent.json"]);
-    let told = text(&output.stderr);
-    assert_eq!(output.status.code(), Some(2), "{told}");
+    let printed = text(&output.stderr);
+    assert_eq!(output.status.code(), Some(2), "{printed}");
     for says in ["a.json:2:5: ", "it was not changed", "deep.json:1:258: ", "nests deeper", "absent.json"] {
-        assert!(told.contains(says), "{told}");
+        assert!(printed.contains(says), "{printed}");
     }
     assert_eq!(fs::read_to_string(folder.path().join("a.json")).expect("there"), "{\n\"a\" 1}");
     assert_eq!(fs::read_to_string(folder.path().join("b.json")).expect("there"), "[\n  1\n]\n");
@@ -159,9 +159,9 @@ fn diff_says_what_differs_and_whether_the_pictures_do() {
     assert!(said.contains("scene.objects[0]: added (box)\n") && said.ends_with("the picture differs\n"), "{said}");
 
     let different = run_in(folder.path(), &["diff", "a.json", "b.json", "--json"]);
-    let told: Value = serde_json::from_slice(&different.stdout).expect("JSON");
-    assert_eq!(told["differences"].as_array().map(Vec::len), Some(3), "{told}");
-    assert_eq!(told["pictures"]["different"], json!([0]));
+    let printed: Value = serde_json::from_slice(&different.stdout).expect("JSON");
+    assert_eq!(printed["differences"].as_array().map(Vec::len), Some(3), "{printed}");
+    assert_eq!(printed["pictures"]["different"], json!([0]));
     let wrong = run_in(folder.path(), &["diff", "a.json", "absent.json"]);
     assert_eq!(wrong.status.code(), Some(2), "{}", text(&wrong.stderr));
 }

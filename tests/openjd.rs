@@ -122,8 +122,8 @@ fn invalid_exports_are_usage_errors() {
         (&[&path, "--device", "tpu"], "cuda"),
     ] {
         let output = run(&[&["export", "openjd"][..], arguments].concat());
-        let told = text(&output.stderr);
-        assert!(output.status.code() == Some(2) && told.contains(word), "{arguments:?}: {told}");
+        let printed = text(&output.stderr);
+        assert!(output.status.code() == Some(2) && printed.contains(word), "{arguments:?}: {printed}");
     }
     let wrong = finish(sdfarm(&["export", "openjd", "-"]), b"{}");
     assert!(wrong.status.code() == Some(2) && wrong.stdout.is_empty(), "{}", text(&wrong.stderr));

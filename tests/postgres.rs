@@ -48,8 +48,8 @@ fn a_farm_moves_to_postgresql_and_back_with_every_row() {
     assert!(text(&in_use.stderr).contains("stop it first"), "{}", text(&in_use.stderr));
     farm.terminate();
 
-    let told = succeed(&["move", "--data", word, "--to", &database]);
-    assert!(told.contains("is kept") && told.contains("--database postgres://"), "{told}");
+    let printed = succeed(&["move", "--data", word, "--to", &database]);
+    assert!(printed.contains("is kept") && printed.contains("--database postgres://"), "{printed}");
     let moved = data.join("farm.sqlite.moved");
     let before = dump(&moved);
     // Back at once: every row is as before.
@@ -76,8 +76,8 @@ fn a_farm_moves_to_postgresql_and_back_with_every_row() {
         farm.succeeded(id);
     }
     farm.terminate();
-    let told = succeed(&["doctor", "--data", word]);
-    assert!(!told.contains("ERROR"), "{told}");
+    let printed = succeed(&["doctor", "--data", word]);
+    assert!(!printed.contains("ERROR"), "{printed}");
 }
 
 #[test]
@@ -109,7 +109,10 @@ fn keys_are_not_made_in_another_database_than_the_data_folders() {
     start(folder.path(), Some(&database)).terminate();
     let key = ["key", "new", "anna", "--scope", "admin", "--data", word, "--database"];
     let refused = run(&[&key[..], &[&other]].concat());
-    let told = text(&refused.stderr);
-    assert!(told.contains("has its database in postgres://") && told.contains("leave --database out"), "{told}");
+    let printed = text(&refused.stderr);
+    assert!(
+        printed.contains("has its database in postgres://") && printed.contains("leave --database out"),
+        "{printed}"
+    );
     succeed(&[&key[..], &[&database]].concat());
 }

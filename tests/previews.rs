@@ -163,8 +163,8 @@ fn preview_and_link_commands_work() {
     assert_eq!(pixels(&farm.get(path).body).1, 64);
     let wrong = run(&["link", &id, "--server", &farm.address, "--expires", "forever"]);
     assert_eq!(wrong.status.code(), Some(2), "{}", text(&wrong.stderr));
-    let told = succeed(&["gc", "--server", &farm.address, "--dry-run", "--json"]);
-    assert_eq!(serde_json::from_str::<Value>(&told).expect("JSON")["jobs"], json!([]));
+    let printed = succeed(&["gc", "--server", &farm.address, "--dry-run", "--json"]);
+    assert_eq!(serde_json::from_str::<Value>(&printed).expect("JSON")["jobs"], json!([]));
 }
 
 #[test]

@@ -40,8 +40,8 @@ fn farm_prices_a_job_with_its_map_and_its_savings() {
     assert!(quick["map"].is_null() && quick["savings"] == serde_json::json!([]), "{quick}");
     let wrong = farm.send("POST", "/v1/price", &[], b"{}".to_vec());
     assert_eq!(wrong.status, 422, "{}", wrong.text());
-    let told = succeed(&["price", &scene("csg.json"), "--server", &farm.address]);
-    assert!(told.contains("time: about") && told.contains("CHF"), "{told}");
+    let printed = succeed(&["price", &scene("csg.json"), "--server", &farm.address]);
+    assert!(printed.contains("time: about") && printed.contains("CHF"), "{printed}");
 }
 
 #[test]
@@ -49,7 +49,7 @@ fn price_needs_no_farm() {
     let folder = tempfile::tempdir().expect("a folder");
     let file = folder.path().join("map.png");
     let name = file.to_str().expect("a plain name");
-    let told = succeed(&[
+    let printed = succeed(&[
         "price",
         &scene("menger.json"),
         "--scale",
@@ -60,7 +60,7 @@ fn price_needs_no_farm() {
         "--price-per-gpu-hour",
         "2.5",
     ]);
-    let price: Value = serde_json::from_str(&told).expect("JSON");
+    let price: Value = serde_json::from_str(&printed).expect("JSON");
     assert!(price["cost"]["amount"].as_f64().is_some_and(|amount| amount > 0.0), "{price}");
     assert_eq!(price["cost"]["currency"], "EUR");
     assert!(std::fs::read(&file).expect("drawn").starts_with(b"\x89PNG"));

@@ -108,9 +108,9 @@ fn tiles_are_kept_with_their_job_and_deleted_with_it() {
     let first = submit(&farm, "?record=true", &before);
     farm.succeeded(&first);
     assert_eq!(blobs(), 120, "60 tiles with their records");
-    let told = farm.send("DELETE", &format!("/v1/jobs/{first}?dry_run=true"), &[], Vec::new()).json();
-    assert_eq!(told["blobs"], json!(120), "{told}");
-    assert!(told["size_bytes"].as_u64().expect("a number") > 320 * 192 * 16, "{told}");
+    let printed = farm.send("DELETE", &format!("/v1/jobs/{first}?dry_run=true"), &[], Vec::new()).json();
+    assert_eq!(printed["blobs"], json!(120), "{printed}");
+    assert!(printed["size_bytes"].as_u64().expect("a number") > 320 * 192 * 16, "{printed}");
     let second = submit(&farm, &format!("?based_on={first}"), &{
         let mut edited = before.clone();
         edited["scene"]["objects"][5]["material"]["diffuse"]["kd"] = json!([0, 0, 1]);
@@ -130,9 +130,9 @@ fn a_job_is_based_on_jobs_that_its_submitter_may_see() {
     let folder = tempfile::tempdir().expect("a folder");
     let data = folder.path().join("data");
     let [ops, anna, bert] = [("ops", "admin"), ("anna", "submit"), ("bert", "submit")].map(|(name, scope)| {
-        let told = succeed(&["key", "new", name, "--scope", scope, "--data", data.to_str().expect("plain")]);
-        let start = told.find("sdf_").expect("a key");
-        format!("Bearer {}", told[start..].split_whitespace().next().expect("a word"))
+        let printed = succeed(&["key", "new", name, "--scope", scope, "--data", data.to_str().expect("plain")]);
+        let start = printed.find("sdf_").expect("a key");
+        format!("Bearer {}", printed[start..].split_whitespace().next().expect("a word"))
     });
     let farm = Farm::start_on(folder.path(), &["--workers", "0"]);
     let job = balls(2, "png").to_string();

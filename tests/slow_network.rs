@@ -19,7 +19,7 @@ struct Shared {
     longest_us: AtomicU64,
     is_cut: AtomicBool,
     /// State of the random numbers.
-    chance: AtomicU64,
+    random_state: AtomicU64,
     open: Mutex<Vec<TcpStream>>,
 }
 
@@ -91,7 +91,7 @@ impl Shared {
         let longest_us = self.longest_us.load(Ordering::Relaxed);
         // A linear congruential generator (Knuth's MMIX).
         let step = |state: u64| state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-        let state = self.chance.fetch_update(Ordering::Relaxed, Ordering::Relaxed, |state| Some(step(state)));
+        let state = self.random_state.fetch_update(Ordering::Relaxed, Ordering::Relaxed, |state| Some(step(state)));
         let random = state.unwrap_or_default() >> 33;
         let most_us = if random.is_multiple_of(50) { longest_us } else { longest_us / 100 };
         Duration::from_micros(random % most_us.max(1))

@@ -74,9 +74,9 @@ fn pictures_of_a_farm_are_verified_by_their_job_and_as_files() {
         (&json!(150), &json!(70), &json!("G"))
     );
     assert!(std::fs::read(&marked).expect("drawn").starts_with(b"\x89PNG"));
-    let told = run(&["verify", &forged, "--server", server, "--all", "--device", "cpu"]);
-    let told = text(&told.stdout);
-    assert!(told.contains("tile 32×36 at (128, 64): 1 pixel; at (150, 70), G is"), "{told}");
+    let printed = run(&["verify", &forged, "--server", server, "--all", "--device", "cpu"]);
+    let printed = text(&printed.stdout);
+    assert!(printed.contains("tile 32×36 at (128, 64): 1 pixel; at (150, 70), G is"), "{printed}");
 
     // Without a farm: by the job's file, with the right number of samples and with another.
     let job = place("job.json");

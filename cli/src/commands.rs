@@ -21,6 +21,7 @@ mod jobs;
 mod key;
 mod link;
 mod migrate;
+mod r#move;
 mod new;
 mod open;
 mod pause;
@@ -28,7 +29,6 @@ mod pool;
 mod preview;
 mod price;
 mod priority;
-mod relocate;
 mod render;
 mod reorder;
 mod restore;
@@ -160,7 +160,7 @@ pub(crate) enum Command {
     /// Apply the migrations of this release to a farm's database, without starting a server.
     Migrate(migrate::Arguments),
     /// Move the database of a stopped farm to a PostgreSQL server, its pictures to a bucket, or either back.
-    Move(relocate::Arguments),
+    Move(r#move::Arguments),
     /// Check a farm's data folder and machine, and suggest fixes.
     Doctor(doctor::Arguments),
     /// Start a farm, render a shipped scene on it, save the picture, and stop.
@@ -223,7 +223,7 @@ impl Command {
             Self::Backup(arguments) => run_async(interruptible(backup::run(arguments))),
             Self::Restore(arguments) => run_async(interruptible(restore::run(arguments))),
             Self::Migrate(arguments) => run_async(interruptible(migrate::run(arguments))),
-            Self::Move(arguments) => run_async(interruptible(relocate::run(arguments))),
+            Self::Move(arguments) => run_async(interruptible(r#move::run(arguments))),
             Self::Doctor(arguments) => run_async(interruptible(doctor::run(arguments))),
             Self::Demo(arguments) => run_async(demo::run(arguments)),
             Self::PreviewHelper => write_bytes(&helper::run()?),

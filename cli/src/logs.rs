@@ -106,6 +106,6 @@ impl LogArguments {
 
 /// Variables that give workers the log and trace settings of this process.
 pub(crate) fn child_env() -> Vec<(String, String)> {
-    let told = CHILD_ENV.get().map_or(&[][..], Vec::as_slice);
-    told.iter().map(|(name, value)| ((*name).to_owned(), value.clone())).collect()
+    let reported = CHILD_ENV.get().map_or(&[][..], Vec::as_slice);
+    reported.iter().map(|(name, value)| ((*name).to_owned(), value.clone())).collect()
 }

@@ -5,9 +5,9 @@ use sd_notify::NotifyState;
 /// Reports that the server serves, and from then on that it is alive, at the requested interval.
 pub(crate) fn serving(address: &str) {
     notify(&[NotifyState::Ready, NotifyState::Status(&format!("serving {address}"))]);
-    let Some(patience) = sd_notify::watchdog_enabled() else { return };
+    let Some(timeout) = sd_notify::watchdog_enabled() else { return };
     tokio::spawn(async move {
-        let mut ticks = tokio::time::interval(patience / 3);
+        let mut ticks = tokio::time::interval(timeout / 3);
         loop {
             ticks.tick().await;
             notify(&[NotifyState::Watchdog]);

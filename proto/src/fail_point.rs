@@ -220,8 +220,8 @@ mod tests {
     fn each_action_parses_to_what_it_prints() {
         for text in ["kill", "error", "slow:50"] {
             let trap: ArmedFailPoint = format!("claimed={text}@7").parse().expect("valid");
-            let told = (trap.point, trap.when, trap.action.to_string());
-            assert_eq!(told, (FailPoint::Claimed, Passes::Only(7), text.to_owned()));
+            let reported = (trap.point, trap.when, trap.action.to_string());
+            assert_eq!(reported, (FailPoint::Claimed, Passes::Only(7), text.to_owned()));
         }
     }
 

@@ -137,7 +137,7 @@ pub fn tiles(width: u32, height: u32) -> Vec<Rect> {
 }
 
 /// Chance that `checked` of `total` tiles, chosen at random, include one of `changed` tiles.
-pub fn chance_to_find(checked: u32, total: u32, changed: u32) -> f64 {
+pub fn probability_to_find(checked: u32, total: u32, changed: u32) -> f64 {
     // Without replacement: each checked tile misses with what is left.
     let missed: f64 = (0..checked.min(total))
         .map(|drawn| f64::from((total - drawn).saturating_sub(changed)) / f64::from(total - drawn))
@@ -147,7 +147,7 @@ pub fn chance_to_find(checked: u32, total: u32, changed: u32) -> f64 {
 
 /// Least number of changed tiles of which such a sample finds one with the chance [`SURE`].
 pub fn tiles_found_surely(checked: u32, total: u32) -> u32 {
-    (1..total).find(|&changed| chance_to_find(checked, total, changed) >= SURE).unwrap_or(total)
+    (1..total).find(|&changed| probability_to_find(checked, total, changed) >= SURE).unwrap_or(total)
 }
 
 #[cfg(test)]
@@ -156,15 +156,15 @@ mod tests {
 
     #[test]
     fn chances_are_those_of_drawing_without_replacement() {
-        assert_eq!(chance_to_find(10, 10, 1), 1.0);
-        assert_eq!(chance_to_find(0, 10, 5), 0.0);
-        assert!((chance_to_find(3, 10, 1) - 0.3).abs() < 1e-12);
+        assert_eq!(probability_to_find(10, 10, 1), 1.0);
+        assert_eq!(probability_to_find(0, 10, 5), 0.0);
+        assert!((probability_to_find(3, 10, 1) - 0.3).abs() < 1e-12);
         // 1 − C(8, 3)/C(10, 3)
-        assert!((chance_to_find(3, 10, 2) - (1.0 - 56.0 / 120.0)).abs() < 1e-12);
-        assert_eq!(chance_to_find(3, 10, 8), 1.0);
+        assert!((probability_to_find(3, 10, 2) - (1.0 - 56.0 / 120.0)).abs() < 1e-12);
+        assert_eq!(probability_to_find(3, 10, 8), 1.0);
         assert_eq!(tiles_found_surely(10, 10), 1);
         let least = tiles_found_surely(8, 510);
-        assert!(chance_to_find(8, 510, least) >= SURE && chance_to_find(8, 510, least - 1) < SURE, "{least}");
+        assert!(probability_to_find(8, 510, least) >= SURE && probability_to_find(8, 510, least - 1) < SURE, "{least}");
     }
 
     #[test]

@@ -31,16 +31,16 @@ pub struct Pick {
 /// Surface of a job at a frame and a point of its picture, each coordinate from 0 to 1, from the top left; `None` where
 /// there is none. `text` is the job's file.
 pub fn pick(text: &str, job: &Job, frame: u32, [x, y]: [f32; 2]) -> Result<Option<Pick>, FrameError> {
-    let still = job.at(frame)?;
-    let (width, height) = (still.image().width as f32, still.image().height as f32);
-    let Some(seen) = Integrator::new(&still).seen_at(x * width, y * height) else { return Ok(None) };
+    let at_frame = job.at(frame)?;
+    let (width, height) = (at_frame.image().width as f32, at_frame.image().height as f32);
+    let Some(seen) = Integrator::new(&at_frame).seen_at(x * width, y * height) else { return Ok(None) };
     let in_scene = format!("/scene/objects/{}", seen.object);
     let material = seen.slot.and_then(|slot| job.material_pointer(slot));
     let name = material.as_deref().and_then(|pointer| pointer.strip_prefix("/scene/materials/"));
     Ok(Some(Pick {
         object: seen.object,
-        name: still.scene().objects.get(seen.object).and_then(|object| object.name.clone()),
-        pointer: still.pointer_in_document(&in_scene),
+        name: at_frame.scene().objects.get(seen.object).and_then(|object| object.name.clone()),
+        pointer: at_frame.pointer_in_document(&in_scene),
         material: name.map(json_text::unescape),
         material_pointer: material.filter(|pointer| has_value(text, pointer)),
         position: seen.position,

@@ -68,20 +68,20 @@ pub fn of(job: &Job) -> Vec<String> {
     let last = job.frames.count - 1;
     let mut frames = if job.is_animated() { vec![0, last / 2, last] } else { vec![0] };
     frames.dedup();
-    let mut told: Vec<(u32, Warning)> = Vec::new();
+    let mut reported: Vec<(u32, Warning)> = Vec::new();
     let mut without_view = 0;
     for &frame in &frames {
-        let Ok(still) = job.at(frame) else { continue };
-        for warning in frame_warnings(&still) {
+        let Ok(at_frame) = job.at(frame) else { continue };
+        for warning in frame_warnings(&at_frame) {
             without_view += usize::from(warning.kind == WarningKind::NothingInView);
-            if told.iter().all(|(_, known)| known.kind != warning.kind) {
-                told.push((frame, warning));
+            if reported.iter().all(|(_, known)| known.kind != warning.kind) {
+                reported.push((frame, warning));
             }
         }
     }
     // Objects may come into view, or leave it.
-    told.retain(|(_, warning)| warning.kind != WarningKind::NothingInView || without_view == frames.len());
-    warnings.extend(told.into_iter().map(|(frame, Warning { kind, text })| {
+    reported.retain(|(_, warning)| warning.kind != WarningKind::NothingInView || without_view == frames.len());
+    warnings.extend(reported.into_iter().map(|(frame, Warning { kind, text })| {
         let is_of_all = kind == WarningKind::NothingInView || !job.is_animated();
         if is_of_all { text } else { format!("{text} (in frame {frame})") }
     }));
@@ -140,24 +140,24 @@ fn job_warnings(job: &Job) -> Vec<String> {
     warnings
 }
 
-fn frame_warnings(still: &JobAtFrame<'_>) -> Vec<Warning> {
-    let scene = still.scene();
-    let seen = view::of(still);
+fn frame_warnings(at_frame: &JobAtFrame<'_>) -> Vec<Warning> {
+    let scene = at_frame.scene();
+    let seen = view::of(at_frame);
     let known = [
         (WarningKind::HighCost, scene::high_cost(scene)),
-        (WarningKind::HighLipschitz, scene::high_lipschitz(still)),
+        (WarningKind::HighLipschitz, scene::high_lipschitz(at_frame)),
         (WarningKind::Lighting, scene::light(scene)),
         (WarningKind::EnclosedLight, scene::enclosed_lights(scene)),
         (WarningKind::DenseMedium, scene::dense_media(scene)),
         (WarningKind::TooFewBounces, scene::bounces(scene)),
         (WarningKind::Colors, numbers::colors_of_255(scene)),
-        (WarningKind::Radians, numbers::radians(still)),
-        (WarningKind::Swims, own_space::swims(still)),
-        (WarningKind::Empty, empty::difference(still)),
-        (WarningKind::Fallen, fallen::copies(still)),
+        (WarningKind::Radians, numbers::radians(at_frame)),
+        (WarningKind::Swims, own_space::swims(at_frame)),
+        (WarningKind::Empty, empty::difference(at_frame)),
+        (WarningKind::Fallen, fallen::copies(at_frame)),
         (WarningKind::Touching, clear::touching(scene)),
         (WarningKind::Mirrors, clear::nothing_to_mirror(scene)),
-        (WarningKind::Samples, samples::too_many(scene, still.image())),
+        (WarningKind::Samples, samples::too_many(scene, at_frame.image())),
     ];
     let known = known.into_iter().filter_map(|(kind, text)| Some(Warning { kind, text: text? }));
     seen.into_iter().chain(known).collect()

@@ -169,9 +169,10 @@ mod tests {
     #[test]
     fn rejections_are_limited_for_each_address_separately() {
         let limits = RateLimits::new();
-        let told = (0..MANY).find_map(|count| limits.count_rejection(Some(HERE)).err().map(|refusal| (count, refusal)));
-        let (told, refusal) = told.expect("there is a limit");
-        assert!(told >= 20, "{told} were sent with a reason");
+        let received =
+            (0..MANY).find_map(|count| limits.count_rejection(Some(HERE)).err().map(|refusal| (count, refusal)));
+        let (received, refusal) = received.expect("there is a limit");
+        assert!(received >= 20, "{received} were sent with a reason");
         assert_eq!((refusal.per_second, refusal.retry_seconds), (20, 1));
         assert!(limits.count_rejection(Some(ELSEWHERE)).is_ok());
         assert!((0..100).all(|_| limits.count_rejection(None).is_ok()));

@@ -95,7 +95,7 @@ pub(crate) struct Archive {
     content: Arc<BlobStore>,
     pictures: Arc<Pictures>,
     frames: FrameSet,
-    basket: SharedBuffer,
+    buffer: SharedBuffer,
     /// `None` once everything is written.
     writer: Option<ZipWriter<StreamWriter<SharedBuffer>>>,
     waiting: VecDeque<StoredFrame>,
@@ -106,14 +106,14 @@ pub(crate) struct Archive {
 impl Archive {
     /// Starts an archive of the stored pictures among these frames.
     pub(crate) fn new(queue: Queue, content: Arc<BlobStore>, pictures: Arc<Pictures>, frames: FrameSet) -> Self {
-        let basket = SharedBuffer::default();
-        let writer = Some(ZipWriter::new_stream(basket.clone()));
+        let buffer = SharedBuffer::default();
+        let writer = Some(ZipWriter::new_stream(buffer.clone()));
         Self {
             queue,
             content,
             pictures,
             frames,
-            basket,
+            buffer,
             writer,
             waiting: VecDeque::new(),
             next_frame: 0,
@@ -123,7 +123,7 @@ impl Archive {
 
     /// Next chunk; `None` at the end.
     pub(crate) async fn next(&mut self) -> Result<Option<Bytes>, ArchiveError> {
-        while self.basket.size_bytes() < CHUNK_BYTES {
+        while self.buffer.size_bytes() < CHUNK_BYTES {
             let Some(writer) = &mut self.writer else { break };
             if let Some(picture) = &mut self.picture {
                 let frame = picture.frame;
@@ -138,7 +138,7 @@ impl Archive {
                 writer.finish()?;
             }
         }
-        Ok(Some(self.basket.empty()).filter(|piece| !piece.is_empty()))
+        Ok(Some(self.buffer.empty()).filter(|piece| !piece.is_empty()))
     }
 
     /// Starts the next picture; false if there is none.

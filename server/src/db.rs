@@ -318,17 +318,17 @@ impl Database {
 
     /// Signal sent after every commit, and after [`Database::announce_commit`].
     pub(crate) fn commit_signal(&self) -> tokio::sync::watch::Receiver<()> {
-        self.writer.bell()
+        self.writer.changes()
     }
 
     /// Signal sent after every commit of this server.
     pub(crate) fn own_commit_signal(&self) -> tokio::sync::watch::Receiver<()> {
-        self.writer.own_bell()
+        self.writer.own_changes()
     }
 
     /// Sends the signal of a commit for one that another server has made.
     pub(crate) fn announce_commit(&self) {
-        self.writer.ring();
+        self.writer.signal();
     }
 
     /// Messages between the servers of the database; `None` if it is a file.

@@ -80,11 +80,11 @@ impl ExrSample {
 impl ExpectedPicture {
     /// Picture of a frame of a job. For an animated job this copies the scene.
     pub(crate) fn new(job: &Job, frame: u32) -> Result<Self, FrameError> {
-        let still = job.at(frame)?;
-        let image = still.image();
+        let at_frame = job.at(frame)?;
+        let image = at_frame.image();
         let format = match image.format {
             Format::Png => PictureFormat::Png {
-                opaque: !still.scene().is_transparent(),
+                opaque: !at_frame.scene().is_transparent(),
                 bits: match image.bits {
                     Bits::Eight => 8,
                     Bits::Sixteen => 16,
@@ -106,7 +106,7 @@ impl ExpectedPicture {
                 PictureFormat::Exr(channels)
             }
         };
-        let provenance = Provenance::new(&still).json();
+        let provenance = Provenance::new(&at_frame).json();
         Ok(Self { width_px: image.width, height_px: image.height, format, provenance })
     }
 

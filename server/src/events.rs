@@ -73,7 +73,7 @@ impl Topic {
 
     fn push(&self, event: &Event) {
         let mut recent = self.recent.lock().expect("no holder panics");
-        let last = recent.list.back().map_or(recent.from, |told| told.number);
+        let last = recent.list.back().map_or(recent.from, |event| event.number);
         if event.number <= last {
             return;
         }
@@ -92,7 +92,7 @@ impl Topic {
         if number < recent.from {
             return Err(recent.from);
         }
-        let known = recent.list.partition_point(|told| told.number <= number);
+        let known = recent.list.partition_point(|event| event.number <= number);
         Ok(recent.list.range(known..).cloned().collect())
     }
 }

@@ -34,12 +34,12 @@ struct State {
 #[derive(Debug)]
 struct Waiting {
     holder: String,
-    waiters: VecDeque<oneshot::Sender<Place>>,
+    waiters: VecDeque<oneshot::Sender<QueueTurn>>,
 }
 
 /// Place of a holder; it is passed on when this is dropped.
 #[derive(Debug)]
-pub(crate) struct Place(Option<(Arc<FairQueue>, String)>);
+pub(crate) struct QueueTurn(Option<(Arc<FairQueue>, String)>);
 
 /// Error returned when this many wait already.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -60,7 +60,7 @@ impl FairQueue {
     }
 
     /// Waits for a place.
-    pub(crate) async fn enter(self: &Arc<Self>, holder: &str) -> Result<Place, TooManyWaiting> {
+    pub(crate) async fn enter(self: &Arc<Self>, holder: &str) -> Result<QueueTurn, TooManyWaiting> {
         let receiver = {
             let mut state = self.state.lock().expect("no holder panics");
             if state.free > 0 {
@@ -73,9 +73,9 @@ impl FairQueue {
         receiver.await.map_err(|_| TooManyWaiting(0))
     }
 
-    fn place(self: &Arc<Self>, state: &mut State, holder: String) -> Place {
+    fn place(self: &Arc<Self>, state: &mut State, holder: String) -> QueueTurn {
         *state.busy.entry(holder.clone()).or_default() += 1;
-        Place(Some((Arc::clone(self), holder)))
+        QueueTurn(Some((Arc::clone(self), holder)))
     }
 
     /// Passes a place on to the waiting holder that has the fewest, or the longest wait among those.
@@ -105,7 +105,7 @@ impl FairQueue {
 }
 
 impl State {
-    fn wait(&mut self, holder: &str, limits: WaitingLimits) -> Result<oneshot::Receiver<Place>, TooManyWaiting> {
+    fn wait(&mut self, holder: &str, limits: WaitingLimits) -> Result<oneshot::Receiver<QueueTurn>, TooManyWaiting> {
         if self.exceeded(holder, limits).is_some() {
             // Those whose client has gone do not count.
             for waiting in &mut self.waiting {
@@ -145,7 +145,7 @@ impl State {
     }
 
     /// The next holder and its first waiter; the holder's next turn comes after those of all others.
-    fn next(&mut self) -> Option<(String, oneshot::Sender<Place>)> {
+    fn next(&mut self) -> Option<(String, oneshot::Sender<QueueTurn>)> {
         loop {
             let busy = |waiting: &Waiting| self.busy.get(&waiting.holder).copied().unwrap_or(0);
             let (turn, _) = self.waiting.iter().enumerate().min_by_key(|(_, waiting)| busy(waiting))?;
@@ -162,7 +162,7 @@ impl State {
     }
 }
 
-impl Drop for Place {
+impl Drop for QueueTurn {
     fn drop(&mut self) {
         if let Some((queue, holder)) = self.0.take() {
             queue.pass_on(&holder);

@@ -189,8 +189,8 @@ impl FarmEvents {
         if before == Some(counts) {
             return Ok(());
         }
-        let told = VisibleEvent { submitter: None, text: encode_event("farm", &counts) };
-        let _ = self.batches.send(Arc::new(Batch::Events(vec![told])));
+        let event = VisibleEvent { submitter: None, text: encode_event("farm", &counts) };
+        let _ = self.batches.send(Arc::new(Batch::Events(vec![event])));
         if before.is_some_and(|before| before.paused != counts.paused) {
             let _ = self.batches.send(Arc::new(Batch::Resync));
         }

@@ -50,7 +50,7 @@ routes::table! {
                [UnknownJob];
         PATCH  "/v1/jobs/{id}"                              CHANGE_OWN MINUTE Work    jobs::changes::patch
                [UnknownJob Finished PriorityTooHigh];
-        POST   "/v1/jobs/{id}/move"                         CHANGE_OWN MINUTE Work    jobs::changes::move_job
+        POST   "/v1/jobs/{id}/move"                         CHANGE_OWN MINUTE Work    jobs::changes::reorder_job
                [UnknownJob Finished PriorityTooHigh];
         DELETE "/v1/jobs/{id}"                              CHANGE_OWN MINUTE Work    jobs::changes::delete
                [UnknownJob Running];

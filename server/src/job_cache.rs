@@ -11,7 +11,7 @@ use tokio::sync::oneshot;
 
 use crate::db::DatabaseError;
 use crate::delivery_check::ExpectedPicture;
-use crate::fair_queue::{FairQueue, Place, TooManyWaiting, WaitingLimits};
+use crate::fair_queue::{FairQueue, QueueTurn, TooManyWaiting, WaitingLimits};
 use crate::queue::{FrameOpening, Queue};
 use crate::tile_plan::TilePlan;
 
@@ -30,7 +30,7 @@ const MAX_WAITING: usize = 256;
 
 /// Reason for which a job is parsed.
 #[derive(Clone, Copy, Debug)]
-pub(crate) enum Reader<'a> {
+pub(crate) enum ParseReason<'a> {
     /// A submission of this caller.
     Submitter(&'a str),
     /// A claim of work of the job with this number.
@@ -102,18 +102,18 @@ impl JobCache {
     /// Parses a job file on its own thread, and calls `work` with the result there.
     pub(crate) async fn parse<T: Send + 'static>(
         &self,
-        reader: Reader<'_>,
+        reader: ParseReason<'_>,
         text: bytes::Bytes,
         work: impl FnOnce(Result<scene::Job, scene::ParseError>) -> T + Send + 'static,
     ) -> Result<T, JobLoadError> {
         let is_large = text.len() > LARGE_FILE_BYTES;
         let work = move || work(scene::parse(&text));
         match reader {
-            Reader::Submitter(name) if is_large => {
+            ParseReason::Submitter(name) if is_large => {
                 let place = enter(&self.large, name).await?;
                 run_on(place, work, |task| self.start_large(task)).await
             }
-            Reader::Submitter(_) | Reader::Claim(_) => self.run(reader, work).await,
+            ParseReason::Submitter(_) | ParseReason::Claim(_) => self.run(reader, work).await,
         }
     }
 
@@ -133,7 +133,7 @@ impl JobCache {
     /// Opening of a frame of a job with this number and plan; for an animated job this copies the scene.
     pub(crate) async fn frame_opening(
         &self,
-        reader: Reader<'_>,
+        reader: ParseReason<'_>,
         job: &Arc<scene::Job>,
         number: i64,
         frame: u32,
@@ -141,7 +141,7 @@ impl JobCache {
     ) -> Result<FrameOpening, JobLoadError> {
         let (moves, at) = (job.is_animated(), Arc::clone(job));
         let keys = move || match at.at(frame) {
-            Ok(still) => (still.cache_key(), Some(still.scene_hash().to_hex().to_string())),
+            Ok(at_frame) => (at_frame.cache_key(), Some(at_frame.scene_hash().to_hex().to_string())),
             Err(_) => (at.cache_key(frame), None),
         };
         let (key, scene) = if moves { self.run(reader, keys).await? } else { keys() };
@@ -152,7 +152,7 @@ impl JobCache {
     /// Expected picture of a frame; for an animated job this copies the scene.
     pub(crate) async fn expected_picture(
         &self,
-        reader: Reader<'_>,
+        reader: ParseReason<'_>,
         job: &Arc<scene::Job>,
         frame: u32,
     ) -> Result<Result<ExpectedPicture, scene::FrameError>, JobLoadError> {
@@ -164,17 +164,17 @@ impl JobCache {
     /// Runs `work` on a thread of its own, when it is the reader's turn.
     pub(crate) async fn run<T: Send + 'static>(
         &self,
-        reader: Reader<'_>,
+        reader: ParseReason<'_>,
         work: impl FnOnce() -> T + Send + 'static,
     ) -> Result<T, JobLoadError> {
         let place = self.turn(reader).await?;
         run_on_thread(place, work).await
     }
 
-    async fn turn(&self, reader: Reader<'_>) -> Result<Place, JobLoadError> {
+    async fn turn(&self, reader: ParseReason<'_>) -> Result<QueueTurn, JobLoadError> {
         match reader {
-            Reader::Submitter(name) => enter(&self.submitters, name).await,
-            Reader::Claim(job) => enter(&self.claims, &job.to_string()).await,
+            ParseReason::Submitter(name) => enter(&self.submitters, name).await,
+            ParseReason::Claim(job) => enter(&self.claims, &job.to_string()).await,
         }
     }
 
@@ -196,7 +196,7 @@ impl JobCache {
         if let Some(job) = self.find(number) {
             return Ok(job);
         }
-        let mut place = self.turn(Reader::Claim(number)).await?;
+        let mut place = self.turn(ParseReason::Claim(number)).await?;
         // Another claim may have parsed the job in the meantime.
         if let Some(job) = self.find(number) {
             return Ok(job);
@@ -223,14 +223,14 @@ impl JobCache {
     }
 }
 
-async fn enter(queue: &Arc<FairQueue>, name: &str) -> Result<Place, JobLoadError> {
+async fn enter(queue: &Arc<FairQueue>, name: &str) -> Result<QueueTurn, JobLoadError> {
     let entered = queue.enter(name).await;
     entered.map_err(|TooManyWaiting(limit)| JobLoadError::TooManyWaiting { name: name.to_owned(), limit })
 }
 
 /// Runs `work` on a thread of its own, which has the place until it has finished, even if its caller is gone.
 async fn run_on_thread<T: Send + 'static>(
-    place: Place,
+    place: QueueTurn,
     work: impl FnOnce() -> T + Send + 'static,
 ) -> Result<T, JobLoadError> {
     let start = |task| parsing_thread().spawn(task).map(drop).map_err(|_| JobLoadError::Thread);
@@ -239,7 +239,7 @@ async fn run_on_thread<T: Send + 'static>(
 
 /// Runs `work` on a thread that `start` gives it to.
 async fn run_on<T: Send + 'static>(
-    place: Place,
+    place: QueueTurn,
     work: impl FnOnce() -> T + Send + 'static,
     start: impl FnOnce(Task) -> Result<(), JobLoadError>,
 ) -> Result<T, JobLoadError> {
@@ -300,14 +300,18 @@ mod tests {
         let large = bytes::Bytes::from(vec![b' '; LARGE_FILE_BYTES + 1]);
         let (end, ended) = mpsc::channel::<()>();
         let hold = move |_| assert!(ended.recv().is_err(), "it ends with the test");
-        let mut first = Box::pin(cache.parse(Reader::Submitter("anna"), large.clone(), hold));
+        let mut first = Box::pin(cache.parse(ParseReason::Submitter("anna"), large.clone(), hold));
         assert!(futures_util::poll!(&mut first).is_pending());
-        let mut second = Box::pin(cache.parse(Reader::Submitter("bert"), large.clone(), |_| 2));
+        let mut second = Box::pin(cache.parse(ParseReason::Submitter("bert"), large.clone(), |_| 2));
         assert!(futures_util::poll!(&mut second).is_pending());
         let waits = cache.large.enter("carl");
         let mut waits = Box::pin(waits);
         assert!(futures_util::poll!(&mut waits).is_pending(), "its place is taken");
-        assert_eq!(cache.parse(Reader::Claim(7), large, |_| 7).await.expect("a thread"), 7, "a claim needs no place");
+        assert_eq!(
+            cache.parse(ParseReason::Claim(7), large, |_| 7).await.expect("a thread"),
+            7,
+            "a claim needs no place"
+        );
         drop((end, waits));
         first.await.expect("a thread");
         assert_eq!(second.await.expect("a thread"), 2);
@@ -322,14 +326,14 @@ mod tests {
             let (end, ended) = mpsc::channel::<()>();
             ends.push(end);
             let work = move || assert!(ended.recv().is_err(), "it ends with the test");
-            let mut running = Box::pin(cache.run(Reader::Submitter("anna"), work));
+            let mut running = Box::pin(cache.run(ParseReason::Submitter("anna"), work));
             assert!(futures_util::poll!(&mut running).is_pending());
             // A client that is gone leaves its file on the thread, which stays occupied.
             drop(running);
         }
-        let mut submission = Box::pin(cache.run(Reader::Submitter("anna"), || 1));
+        let mut submission = Box::pin(cache.run(ParseReason::Submitter("anna"), || 1));
         assert!(futures_util::poll!(&mut submission).is_pending());
-        assert_eq!(cache.run(Reader::Claim(7), || 2).await.expect("a thread"), 2);
+        assert_eq!(cache.run(ParseReason::Claim(7), || 2).await.expect("a thread"), 2);
         assert!(futures_util::poll!(&mut submission).is_pending(), "every thread for submissions is occupied");
         drop(ends);
         assert_eq!(submission.await.expect("a thread"), 1);

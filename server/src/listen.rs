@@ -65,7 +65,7 @@ pub(crate) async fn serve(
     listener: TcpListener,
     tls: Option<Arc<Tls>>,
     router: axum::Router,
-    crowd: Arc<ConnectionLimit>,
+    limit: Arc<ConnectionLimit>,
     ending: CancellationToken,
 ) -> io::Result<()> {
     let connections = TaskTracker::new();
@@ -79,13 +79,13 @@ pub(crate) async fn serve(
             Err(error) if is_listener_error(&error) => break Some(error),
             Err(error) => {
                 tracing::warn!(%error, "could not accept a connection");
-                crowd.evict_idle();
+                limit.evict_idle();
                 tokio::time::sleep(ACCEPT_RETRY_DELAY).await;
                 continue;
             }
         };
         let place = tokio::select! {
-            place = crowd.acquire(canonical(address.ip())) => place,
+            place = limit.acquire(canonical(address.ip())) => place,
             () = ending.cancelled() => break None,
         };
         let Some(place) = place else {

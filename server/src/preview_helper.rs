@@ -20,7 +20,7 @@ use tokio::process::{Child, Command};
 
 use crate::blobs::{ContentError, LocalCopies};
 use crate::clock::monotonic_now;
-use crate::fair_queue::{FairQueue, Place, WaitingLimits};
+use crate::fair_queue::{FairQueue, QueueTurn, WaitingLimits};
 
 /// Maximum number of helper processes.
 const MAX_CHILDREN: usize = 2;
@@ -231,7 +231,7 @@ impl PreviewHelper {
     }
 }
 
-async fn turn(turns: &Arc<FairQueue>, submitter: &str) -> Result<Place, HelperError> {
+async fn turn(turns: &Arc<FairQueue>, submitter: &str) -> Result<QueueTurn, HelperError> {
     match tokio::time::timeout(MAX_WAIT, turns.enter(submitter)).await {
         Ok(Ok(place)) => Ok(place),
         Ok(Err(_)) | Err(_) => Err(HelperError::Busy),

@@ -42,7 +42,7 @@ pub(crate) use jobs::cleanup::RemovedContent;
 pub(crate) use jobs::finish::{CancelOutcome, DeleteOutcome};
 pub(crate) use jobs::idempotency::{IdempotencyKey, NewWebhook, SubmitOptions, SubmitOutcome};
 pub(crate) use jobs::pause::PauseOutcome;
-pub(crate) use jobs::places::{MoveOutcome, Place};
+pub(crate) use jobs::places::{QueuePosition, ReorderOutcome};
 pub(crate) use jobs::retention::FinishedJob;
 pub(crate) use jobs::submit::NewJob;
 pub(crate) use leases::sync::{NextWork, SyncInput, SyncOutcome};
@@ -154,11 +154,11 @@ impl Queue {
     /// Accepts a job; durable when it returns.
     #[cfg(test)]
     pub(crate) async fn submit(&self, job: NewJob) -> Result<i64> {
-        let moment = self.context();
+        let context = self.context();
         let number = self
             .database
             .write(Durability::Full, move |connection| {
-                Box::pin(async move { jobs::submit::submit(connection, &job, moment).await })
+                Box::pin(async move { jobs::submit::submit(connection, &job, context).await })
             })
             .await?;
         self.wake(Wake::WORK);
@@ -167,10 +167,10 @@ impl Queue {
 
     /// Stores a job's next frame from a cached picture; `OpenOutcome::Open` means that there is none.
     pub(crate) async fn reuse(&self, opening: FrameOpening) -> Result<OpenOutcome> {
-        let moment = self.context();
+        let context = self.context();
         self.database
             .write(Durability::Relaxed, move |connection| {
-                Box::pin(async move { frames::open::open_from_cache(connection, &opening, moment).await })
+                Box::pin(async move { frames::open::open_from_cache(connection, &opening, context).await })
             })
             .await
     }
@@ -184,32 +184,32 @@ impl Queue {
     /// the worker gets no work, and asks again after a while.
     pub(crate) async fn turn(&self, turn: SyncInput) -> Result<Option<SyncOutcome>> {
         let without_claim = turn.wants_work.then(|| turn.clone().without_claim());
-        let turned = match (self.turn_at_once(turn).await, without_claim) {
+        let synced = match (self.turn_at_once(turn).await, without_claim) {
             (Err(error), Some(without_claim)) if !error.is_unreachable() => {
                 let worker = without_claim.worker;
-                let turned = self.turn_at_once(without_claim).await?;
+                let synced = self.turn_at_once(without_claim).await?;
                 tracing::error!(
                     code = "claim_failed", %worker, %error, cause = ?std::error::Error::source(&error),
                     "a claim failed; its worker gets no work: run `sdfarm doctor`"
                 );
-                turned.map(SyncOutcome::after_failed_claim)
+                synced.map(SyncOutcome::after_failed_claim)
             }
-            (turned, _) => turned?,
+            (synced, _) => synced?,
         };
-        if let Some(turned) = &turned {
-            self.wake(turned.ring);
+        if let Some(synced) = &synced {
+            self.wake(synced.woken);
         }
-        Ok(turned)
+        Ok(synced)
     }
 
     async fn turn_at_once(&self, mut turn: SyncInput) -> Result<Option<SyncOutcome>> {
-        let moment = self.context();
+        let context = self.context();
         let durability = if turn.has_reports() { Durability::Full } else { Durability::Relaxed };
         self.database
             .write_for_worker(durability, move |connection| {
                 Box::pin(async move {
                     servers::doomed::save_results(connection, &mut turn).await?;
-                    leases::sync::sync(connection, turn, moment).await
+                    leases::sync::sync(connection, turn, context).await
                 })
             })
             .await
@@ -217,37 +217,37 @@ impl Queue {
 
     /// Expires overdue leases and marks lost workers; returns the number of expired leases.
     pub(crate) async fn expire_leases(&self) -> Result<u64> {
-        let moment = self.context();
-        let (count, ring) = self
+        let context = self.context();
+        let (count, woken) = self
             .database
             .write_for_worker(Durability::Relaxed, move |connection| {
-                Box::pin(async move { leases::rescue(connection, moment).await })
+                Box::pin(async move { leases::rescue(connection, context).await })
             })
             .await?;
-        self.wake(ring);
+        self.wake(woken);
         Ok(count)
     }
 
     /// Releases overdue verifications, and gives up old ones; returns the number of results that remain unverified.
     pub(crate) async fn expire_verifications(&self) -> Result<u64> {
-        let moment = self.context();
-        let (count, ring) = self
+        let context = self.context();
+        let (count, woken) = self
             .database
             .write(Durability::Relaxed, move |connection| {
-                Box::pin(async move { verification::discard_expired(connection, moment).await })
+                Box::pin(async move { verification::discard_expired(connection, context).await })
             })
             .await?;
-        self.wake(ring);
+        self.wake(woken);
         Ok(count)
     }
 
     /// Cancels a job.
     pub(crate) async fn cancel(&self, job: JobId) -> Result<CancelOutcome> {
-        let moment = self.context();
+        let context = self.context();
         let cancelled = self
             .database
             .write_for_worker(Durability::Full, move |connection| {
-                Box::pin(async move { jobs::finish::cancel(connection, job, moment).await })
+                Box::pin(async move { jobs::finish::cancel(connection, job, context).await })
             })
             .await?;
         self.wake(Wake::UPDATES);
@@ -256,10 +256,10 @@ impl Queue {
 
     /// Fails a job whose file cannot be parsed any more.
     pub(crate) async fn fail_unreadable(&self, job: i64, message: String) -> Result<()> {
-        let moment = self.context();
+        let context = self.context();
         self.database
             .write(Durability::Full, move |connection| {
-                Box::pin(async move { jobs::finish::refuse(connection, job, &message, moment).await })
+                Box::pin(async move { jobs::finish::refuse(connection, job, &message, context).await })
             })
             .await?;
         self.wake(Wake { work: true, news: true });
@@ -269,11 +269,11 @@ impl Queue {
     /// Deletes a job that is not running. It is hidden when this returns; the rows of a large job are deleted
     /// afterwards.
     pub(crate) async fn delete(&self, job: JobId) -> Result<DeleteOutcome> {
-        let moment = self.context();
+        let context = self.context();
         let deleted = self
             .database
             .write(Durability::Full, move |connection| {
-                Box::pin(async move { jobs::finish::delete(connection, job, moment).await })
+                Box::pin(async move { jobs::finish::delete(connection, job, context).await })
             })
             .await?;
         self.wake_signals.cleanup.notify_one();
@@ -282,10 +282,10 @@ impl Queue {
 
     /// Registers a worker.
     pub(crate) async fn register(&self, worker: NewWorker) -> Result<Registration> {
-        let moment = self.context();
+        let context = self.context();
         self.database
             .write_for_worker(Durability::Relaxed, move |connection| {
-                Box::pin(async move { workers::register(connection, worker, moment).await })
+                Box::pin(async move { workers::register(connection, worker, context).await })
             })
             .await
     }
@@ -310,14 +310,14 @@ impl Queue {
         cause: LeaseEnd,
         message: String,
     ) -> Result<Option<WorkerId>> {
-        let moment = self.context();
-        let (worker, ring) = self
+        let context = self.context();
+        let (worker, woken) = self
             .database
             .write_for_worker(Durability::Full, move |connection| {
-                Box::pin(async move { workers::reaped(connection, process, cause, &message, moment).await })
+                Box::pin(async move { workers::reaped(connection, process, cause, &message, context).await })
             })
             .await?;
-        self.wake(ring);
+        self.wake(woken);
         Ok(worker)
     }
 

@@ -5,7 +5,7 @@
 use std::sync::Arc;
 
 use crate::db::DatabaseError;
-use crate::job_cache::{JobCache, Reader};
+use crate::job_cache::{JobCache, ParseReason};
 use crate::queue::{NewJob, OpenOutcome, Queue, SubmitOptions, SubmitOutcome};
 
 /// Maximum number of frames of a job that are looked up in the picture cache at submission; the others are
@@ -31,7 +31,7 @@ impl Submissions {
         new: NewJob,
         job: Arc<scene::Job>,
         options: SubmitOptions,
-        reader: Reader<'_>,
+        reader: ParseReason<'_>,
     ) -> Result<SubmitOutcome, DatabaseError> {
         let (plan, fresh, text_bytes) = (new.plan, new.no_cache, new.file_text.len());
         let submitted = self.queue.submit_with(new, options).await?;

@@ -59,16 +59,16 @@ impl WorkerSync {
         let again = turn.without_reports();
         let taken = self.queue.turn(turn).await?;
         drop(gate);
-        let Some(mut turned) = taken else { return Ok(None) };
-        self.count(&turned);
-        self.orphans.sweep_later(ContentKind::Blob, std::mem::take(&mut turned.leftovers));
-        let forgotten = std::mem::take(&mut turned.verification.forgotten);
+        let Some(mut synced) = taken else { return Ok(None) };
+        self.count(&synced);
+        self.orphans.sweep_later(ContentKind::Blob, std::mem::take(&mut synced.orphans));
+        let forgotten = std::mem::take(&mut synced.verification.forgotten);
         for hash in &forgotten {
             self.preview_helper.forget(hash);
         }
         self.orphans.sweep_later(ContentKind::Picture, forgotten);
         let mut opening_turn = None;
-        while let NextWork::OpenFrame { job, frame, plan } = turned.next {
+        while let NextWork::OpenFrame { job, frame, plan } = synced.next {
             let has_waited = match opening_turn {
                 Some(_) => false,
                 None => opening_turn.insert(self.openings.turn().await).has_waited,
@@ -78,7 +78,7 @@ impl WorkerSync {
                 again.clone()
             } else {
                 let Some(opening) = self.openings.of(job, frame, plan).await? else {
-                    turned.next = NextWork::Nothing(None);
+                    synced.next = NextWork::Nothing(None);
                     break;
                 };
                 let next_openings = self.openings.following(&opening, plan, again.max_batches - 1).await?;
@@ -89,23 +89,23 @@ impl WorkerSync {
                 return Ok(None);
             };
             self.count(&more);
-            turned.next = more.next;
-            turned.more = more.more;
-            turned.drain |= more.drain;
+            synced.next = more.next;
+            synced.more = more.more;
+            synced.drain |= more.drain;
         }
-        Ok(Some(turned))
+        Ok(Some(synced))
     }
 
-    fn count(&self, turned: &SyncOutcome) {
-        self.counters.expired.fetch_add(turned.expired, Ordering::Relaxed);
-        self.counters.fenced.fetch_add(turned.fenced, Ordering::Relaxed);
-        self.counters.nondeterministic.fetch_add(turned.nondeterministic, Ordering::Relaxed);
-        self.counters.rejected.fetch_add(turned.rejected, Ordering::Relaxed);
-        self.counters.rendered_rays.fetch_add(turned.rendered.rays, Ordering::Relaxed);
-        self.counters.rendered_tiles.fetch_add(turned.rendered.tiles, Ordering::Relaxed);
-        self.counters.rendered_frames.fetch_add(turned.rendered.frames, Ordering::Relaxed);
-        self.counters.verified.fetch_add(turned.verification.agreed, Ordering::Relaxed);
-        self.counters.refuted.fetch_add(turned.verification.differed, Ordering::Relaxed);
-        self.counters.unverified.fetch_add(turned.verification.skipped, Ordering::Relaxed);
+    fn count(&self, synced: &SyncOutcome) {
+        self.counters.expired.fetch_add(synced.expired, Ordering::Relaxed);
+        self.counters.fenced.fetch_add(synced.fenced, Ordering::Relaxed);
+        self.counters.nondeterministic.fetch_add(synced.nondeterministic, Ordering::Relaxed);
+        self.counters.rejected.fetch_add(synced.rejected, Ordering::Relaxed);
+        self.counters.rendered_rays.fetch_add(synced.rendered.rays, Ordering::Relaxed);
+        self.counters.rendered_tiles.fetch_add(synced.rendered.tiles, Ordering::Relaxed);
+        self.counters.rendered_frames.fetch_add(synced.rendered.frames, Ordering::Relaxed);
+        self.counters.verified.fetch_add(synced.verification.agreed, Ordering::Relaxed);
+        self.counters.refuted.fetch_add(synced.verification.differed, Ordering::Relaxed);
+        self.counters.unverified.fetch_add(synced.verification.skipped, Ordering::Relaxed);
     }
 }

@@ -7,7 +7,7 @@ use std::time::Duration;
 use serde_json::Value;
 
 /// Time limit of a response.
-const PATIENCE: Duration = Duration::from_secs(30);
+const TIMEOUT: Duration = Duration::from_secs(30);
 /// Headers that the API guarantees.
 const KEPT: [&str; 7] =
     ["accept-encoding", "allow", "content-type", "content-range", "retry-after", "www-authenticate", "etag"];
@@ -83,7 +83,7 @@ pub(super) struct Answer {
 /// Sends bytes, and reads until the server closes the connection.
 pub(super) fn exchange(address: &str, bytes: &[u8], stops: bool) -> Answer {
     let mut connection = TcpStream::connect(address.strip_prefix("http://").expect("an address")).expect("it listens");
-    connection.set_read_timeout(Some(PATIENCE)).expect("settable");
+    connection.set_read_timeout(Some(TIMEOUT)).expect("settable");
     // A server that rejects the request early may not read all of it.
     let _ = connection.write_all(bytes);
     if stops {

@@ -23,7 +23,7 @@ struct Program {
 
 // Symbols for the stand-in driver: each kernel as a function that runs all its threads, one after
 // another, and the addresses of the uniforms and of the pointers that the host sets.
-static const char* const DOORS = R"(
+static const char* const ENTRY_POINTS = R"(
 #include <stddef.h>
 #include <utility>
 
@@ -98,7 +98,7 @@ static Result compile(Program& program) {
     std::string folder = (store ? kept : "/tmp/fake-nvrtc") + "-XXXXXX";
     if (!mkdtemp(folder.data())) return OUT_OF_MEMORY;
     const std::string source = folder + "/scene.cpp", made = folder + "/scene.so", log = folder + "/log";
-    std::ofstream(source) << program.text << DOORS;
+    std::ofstream(source) << program.text << ENTRY_POINTS;
     const char* compiler = std::getenv("CXX");
     const std::string command = std::string(compiler ? compiler : "c++") +
                                 " -std=c++17 -O1 -ffp-contract=off -fPIC -shared -o " + made + " " + source + " 2> " + log;

@@ -60,9 +60,9 @@ fn starts(folder: &Path, point: &str, pass: u64) -> bool {
         return true;
     }
     let output = child.wait_with_output().expect("a child process");
-    let told = text(&output.stderr);
-    assert_eq!(output.status.code(), Some(1), "{point}@{pass}: {told}");
-    assert!(told.contains("error: ") && !told.contains("panicked"), "{point}@{pass}: {told}");
+    let printed = text(&output.stderr);
+    assert_eq!(output.status.code(), Some(1), "{point}@{pass}: {printed}");
+    assert!(printed.contains("error: ") && !printed.contains("panicked"), "{point}@{pass}: {printed}");
     false
 }
 
@@ -171,6 +171,6 @@ fn slow_store_only_delays_a_job() {
     let (id, picture) = insist(&farm, &job);
     assert!(picture == rendered_here(&job, 0));
     farm.succeeded(&id);
-    let told = finish(sdfarm(&["jobs", "--server", &farm.address]), b"");
-    assert!(told.status.success(), "{}", text(&told.stderr));
+    let printed = finish(sdfarm(&["jobs", "--server", &farm.address]), b"");
+    assert!(printed.status.success(), "{}", text(&printed.stderr));
 }

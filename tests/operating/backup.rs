@@ -50,30 +50,30 @@ fn running_farm_is_backed_up_and_restored_completely() {
     let first = farm.accept(&job(1, 3));
     farm.succeeded(&first);
     fs::write(data.join("secret"), "of a webhook").expect("writes");
-    let told = succeed(&["backup", word(&copy), "--data", word(&data)]);
-    assert!(told.starts_with("3 pictures are in ") && told.contains(": 3 copied now"), "{told}");
+    let printed = succeed(&["backup", word(&copy), "--data", word(&data)]);
+    assert!(printed.starts_with("3 pictures are in ") && printed.contains(": 3 copied now"), "{printed}");
 
     // Only new pictures are copied, and pictures that no job uses are dropped.
     let second = farm.accept(&job(2, 2));
     farm.succeeded(&second);
     let dropped = farm.accept(&job(3, 1));
     farm.succeeded(&dropped);
-    let told = succeed(&["backup", word(&copy), "--data", word(&data)]);
-    assert!(told.starts_with("6 pictures") && told.contains(": 3 copied now"), "{told}");
+    let printed = succeed(&["backup", word(&copy), "--data", word(&data)]);
+    assert!(printed.starts_with("6 pictures") && printed.contains(": 3 copied now"), "{printed}");
     assert_eq!(farm.send("DELETE", &format!("/v1/jobs/{dropped}"), &[], Vec::new()).status, 204);
-    let told = succeed(&["backup", word(&copy), "--data", word(&data)]);
-    assert!(told.starts_with("5 pictures") && told.contains("0 copied now (0 bytes), 1 dropped"), "{told}");
+    let printed = succeed(&["backup", word(&copy), "--data", word(&data)]);
+    assert!(printed.starts_with("5 pictures") && printed.contains("0 copied now (0 bytes), 1 dropped"), "{printed}");
     let wanted: Vec<Vec<u8>> = (0..3).map(|number| frame(&farm, &first, number)).collect();
     drop(farm);
 
-    let told = succeed(&["restore", word(&copy), "--data", word(&new)]);
-    assert!(told.contains("5 pictures are intact"), "{told}");
+    let printed = succeed(&["restore", word(&copy), "--data", word(&new)]);
+    assert!(printed.contains("5 pictures are intact"), "{printed}");
     assert_eq!(fs::read_to_string(new.join("secret")).expect("restored"), "of a webhook");
     let again = run(&["restore", word(&copy), "--data", word(&new)]);
     assert_eq!(again.status.code(), Some(1));
     assert!(text(&again.stderr).contains("is not empty"), "{}", text(&again.stderr));
-    let (told, code) = doctor(&new, &["--deep"]);
-    assert_eq!(code, Some(0), "{told}");
+    let (printed, code) = doctor(&new, &["--deep"]);
+    assert_eq!(code, Some(0), "{printed}");
 
     let farm = start(&folder.path().join("new"));
     let got: Vec<Vec<u8>> = (0..3).map(|number| frame(&farm, &first, number)).collect();
@@ -155,9 +155,9 @@ fn doctor_finds_lost_pictures_and_requeues_them() {
     let id = farm.accept(&job(1, 3));
     farm.succeeded(&id);
     let wanted: Vec<Vec<u8>> = (0..3).map(|number| frame(&farm, &id, number)).collect();
-    let (told, code) = doctor(&data, &[]);
-    assert_eq!(code, Some(0), "{told}");
-    assert!(told.contains("a server (pid "), "{told}");
+    let (printed, code) = doctor(&data, &[]);
+    assert_eq!(code, Some(0), "{printed}");
+    assert!(printed.contains("a server (pid "), "{printed}");
     let output = run(&["doctor", "--repair", "--data", word(&data)]);
     assert!(text(&output.stderr).contains("stop it first"), "{}", text(&output.stderr));
     assert!(farm.terminate().success());
@@ -168,26 +168,29 @@ fn doctor_finds_lost_pictures_and_requeues_them() {
     let length = fs::metadata(&there[1]).expect("there").len();
     fs::write(&there[1], vec![0; length as usize]).expect("writes");
     fs::write(data.join("pictures").join("f".repeat(64)), "an orphan").expect("writes");
-    let (told, code) = doctor(&data, &[]);
-    assert_eq!(code, Some(1), "{told}");
-    assert!(told.contains("1 pictures are missing") && !told.contains("are damaged"), "{told}");
-    let (told, code) = doctor(&data, &["--deep", "--repair"]);
-    assert_eq!(code, Some(0), "{told}");
+    let (printed, code) = doctor(&data, &[]);
+    assert_eq!(code, Some(1), "{printed}");
+    assert!(printed.contains("1 pictures are missing") && !printed.contains("are damaged"), "{printed}");
+    let (printed, code) = doctor(&data, &["--deep", "--repair"]);
+    assert_eq!(code, Some(0), "{printed}");
     for line in ["1 pictures are missing", "1 pictures are damaged", "2 frames will be rendered again", "removed"] {
-        assert!(told.contains(line), "{line}: {told}");
+        assert!(printed.contains(line), "{line}: {printed}");
     }
-    let (told, code) = doctor(&data, &["--deep", "--json"]);
-    assert_eq!(code, Some(0), "{told}");
-    let findings: Vec<serde_json::Value> = serde_json::from_str(&told).expect("JSON");
-    assert!(findings.iter().all(|finding| finding["severity"] != "error" && finding["subject"].is_string()), "{told}");
+    let (printed, code) = doctor(&data, &["--deep", "--json"]);
+    assert_eq!(code, Some(0), "{printed}");
+    let findings: Vec<serde_json::Value> = serde_json::from_str(&printed).expect("JSON");
+    assert!(
+        findings.iter().all(|finding| finding["severity"] != "error" && finding["subject"].is_string()),
+        "{printed}"
+    );
 
     let farm = start(folder.path());
     farm.succeeded(&id);
     let got: Vec<Vec<u8>> = (0..3).map(|number| frame(&farm, &id, number)).collect();
     assert_eq!(got, wanted, "the pictures are the same as before");
     assert!(farm.terminate().success());
-    let (told, code) = doctor(&data, &["--deep"]);
-    assert_eq!(code, Some(0), "{told}");
+    let (printed, code) = doctor(&data, &["--deep"]);
+    assert_eq!(code, Some(0), "{printed}");
 }
 
 #[test]
@@ -206,9 +209,9 @@ fn doctor_reports_a_damaged_database_and_a_used_port() {
     let half = bytes.len() / 2;
     bytes[half..half + 4096].fill(0x5a);
     fs::write(&file, bytes).expect("writes");
-    let (told, code) = doctor(&data, &[]);
-    assert_eq!(code, Some(1), "{told}");
-    assert!(told.contains("ERROR    database") && told.contains("sdfarm restore"), "{told}");
+    let (printed, code) = doctor(&data, &[]);
+    assert_eq!(code, Some(1), "{printed}");
+    assert!(printed.contains("ERROR    database") && printed.contains("sdfarm restore"), "{printed}");
 }
 
 /// While jobs are submitted, rendered, and deleted, each backup is a complete farm.
@@ -226,8 +229,8 @@ fn backups_of_a_busy_farm_are_complete() {
         assert!(output.status.success(), "{}", text(&output.stderr));
         let new = folder.path().join(format!("restored-{round}"));
         succeed(&["restore", word(&copy), "--data", word(&new)]);
-        let (told, code) = doctor(&new, &["--deep"]);
-        assert_eq!(code, Some(0), "{told}");
+        let (printed, code) = doctor(&new, &["--deep"]);
+        assert_eq!(code, Some(0), "{printed}");
     }
     eventually("every job ends", || {
         let list = farm.get("/v1/jobs").json();

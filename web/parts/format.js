@@ -96,7 +96,7 @@ export function ago(time, now = Date.now()) {
  * Date and time, for titles and tables.
  * @param {string | number | Date} time
  */
-export function moment(time) {
+export function dateTime(time) {
   const date = new Date(time);
   return Number.isNaN(date.getTime())
     ? ''

@@ -3,7 +3,7 @@
 import { Problem, getJson, messageOf } from '/ui/api.js';
 import { farmEvents, follow } from '/ui/events.js';
 import { append, h, setText } from '/ui/parts/dom.js';
-import { count, counted, duration, moment, percent } from '/ui/parts/format.js';
+import { count, counted, duration, dateTime, percent } from '/ui/parts/format.js';
 import { icon } from '/ui/parts/icons.js';
 import { openMenu } from '/ui/parts/menu.js';
 import { Room, emptyState, heading } from '/ui/parts/room.js';
@@ -193,9 +193,9 @@ class JobRoom extends Room {
       ['Frames', job.frames.total > 1 ? `${count(job.frames.total)}${this.film ? `, ${this.film.fps} a second` : ''}` : null],
       ['Kept tiles', job.based_on === null ? null : this.#kept(job, job.based_on)],
       ['Recorded', job.based_on === null && job.recorded ? 'its tiles are kept for edits' : null],
-      ['Submitted', moment(job.created_at)],
-      ['Started', job.started_at ? moment(job.started_at) : null],
-      ['Finished', job.finished_at ? moment(job.finished_at) : null],
+      ['Submitted', dateTime(job.created_at)],
+      ['Started', job.started_at ? dateTime(job.started_at) : null],
+      ['Finished', job.finished_at ? dateTime(job.finished_at) : null],
       ['Took', job.started_at && job.finished_at ? duration((Date.parse(job.finished_at) - Date.parse(job.started_at)) / 1000) : null],
     ];
     this.facts?.replaceChildren(...facts.flatMap(([name, value]) => (value === null ? [] : [h('dt', {}, name), h('dd', {}, value)])));

@@ -65,7 +65,7 @@ export function axes(view) {
  * @param {number} pitch
  * @returns {Vec3}
  */
-function turned(direction, up, yaw, pitch) {
+function rotated(direction, up, yaw, pitch) {
   const side = cross(direction, up);
   const right = unit(length(side) > 1e-9 ? side : [1, 0, 0]);
   const polar = Math.acos(Math.min(1, Math.max(-1, dot(unit(direction), up))));
@@ -81,7 +81,7 @@ function turned(direction, up, yaw, pitch) {
  * @returns {View}
  */
 export function orbit(view, yaw, pitch) {
-  return { ...view, position: add(view.lookAt, turned(subtract(view.position, view.lookAt), view.up, yaw, pitch)) };
+  return { ...view, position: add(view.lookAt, rotated(subtract(view.position, view.lookAt), view.up, yaw, pitch)) };
 }
 
 /**
@@ -92,7 +92,7 @@ export function orbit(view, yaw, pitch) {
  * @returns {View}
  */
 export function look(view, yaw, pitch) {
-  return { ...view, lookAt: add(view.position, turned(subtract(view.lookAt, view.position), view.up, yaw, pitch)) };
+  return { ...view, lookAt: add(view.position, rotated(subtract(view.lookAt, view.position), view.up, yaw, pitch)) };
 }
 
 /**

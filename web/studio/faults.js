@@ -60,7 +60,7 @@ export class Checker extends EventTarget {
     } catch (error) {
       if (isAbort(error) || running.signal.aborted) return;
       if (error instanceof Problem && error.errors.length > 0) {
-        this.told(text, error);
+        this.report(text, error);
       } else {
         const message = error instanceof Error ? error.message : String(error);
         this.#tell({ marks: [], plan: null, state: 'unknown', message });
@@ -76,7 +76,7 @@ export class Checker extends EventTarget {
    * @param {string} text
    * @param {Problem} problem
    */
-  told(text, problem) {
+  report(text, problem) {
     const tree = this.tree();
     this.#tell({ marks: problem.errors.map((fault) => markOf(text, tree, fault)), plan: null, state: 'invalid', message: '' });
   }

@@ -10,7 +10,7 @@ import { stages } from './stages.js';
 /** @typedef {{wanted: Wanted, stage: Stage, blob: Blob, milliseconds: number, isLast: boolean}} Shown `stage` is what was rendered */
 
 /** A first picture that takes longer than this is given up for a newer text. */
-const PATIENCE_MS = 1500;
+const MAX_WAIT_MS = 1500;
 const RETRY_MS = [500, 1000, 2000, 4000, 8000];
 
 /** Asks for pictures. Events: `picture` with `Shown`, `problem` with a `Problem` and the text, `state`. */
@@ -19,7 +19,7 @@ export class Previewer extends EventTarget {
   #wanted = null;
   #isDrag = false;
   /** Number of the newest wish. */
-  #wish = 0;
+  #version = 0;
   /** @type {{controller: AbortController, isFirst: boolean, since: number} | null} */
   #running = null;
   /** @type {number | null} */
@@ -43,12 +43,12 @@ export class Previewer extends EventTarget {
   show(wanted, isDrag) {
     this.#wanted = wanted;
     this.#isDrag = isDrag;
-    this.#wish += 1;
+    this.#version += 1;
     clearTimeout(this.#retry);
     const running = this.#running;
     if (running === null) {
       void this.#run();
-    } else if (!running.isFirst || performance.now() - running.since > PATIENCE_MS) {
+    } else if (!running.isFirst || performance.now() - running.since > MAX_WAIT_MS) {
       running.controller.abort();
     }
   }
@@ -56,7 +56,7 @@ export class Previewer extends EventTarget {
   /** Asks for nothing until the next wish. */
   pause() {
     this.#wanted = null;
-    this.#wish += 1;
+    this.#version += 1;
     clearTimeout(this.#retry);
     this.#running?.controller.abort();
   }
@@ -69,7 +69,7 @@ export class Previewer extends EventTarget {
   async #run() {
     const wanted = this.#wanted;
     if (wanted === null || this.#isStopped) return;
-    const wish = this.#wish;
+    const version = this.#version;
     let sharpest = 0;
     const list = stages(wanted, this.#perRay, this.#overhead, this.#isDrag, this.aspect);
     for (const [index, stage] of list.entries()) {
@@ -89,15 +89,15 @@ export class Previewer extends EventTarget {
         sharpest = width;
         this.dispatchEvent(new CustomEvent('picture', { detail: { wanted, stage: rendered, blob, milliseconds, isLast: index === list.length - 1 } }));
       } catch (error) {
-        if (!isAbort(error) && !controller.signal.aborted) this.#fail(wanted, wish, error);
+        if (!isAbort(error) && !controller.signal.aborted) this.#fail(wanted, version, error);
         break;
       } finally {
         this.#running = null;
       }
-      if (wish !== this.#wish) break;
+      if (version !== this.#version) break;
     }
     this.dispatchEvent(new Event('state'));
-    if (wish !== this.#wish) void this.#run();
+    if (version !== this.#version) void this.#run();
   }
 
   /**
@@ -116,10 +116,10 @@ export class Previewer extends EventTarget {
    * @param {number} wish
    * @param {unknown} error
    */
-  #fail(wanted, wish, error) {
+  #fail(wanted, version, error) {
     this.dispatchEvent(new CustomEvent('problem', { detail: { error, text: wanted.text } }));
     const isTemporary = !(error instanceof Problem) || error.status === 0 || error.status >= 500 || error.status === 429;
-    if (!isTemporary || wish !== this.#wish) return;
+    if (!isTemporary || version !== this.#version) return;
     const wait = error instanceof Problem && error.retryAfter !== null ? error.retryAfter * 1000 : (RETRY_MS[Math.min(this.#failures, RETRY_MS.length - 1)] ?? 8000);
     this.#failures += 1;
     this.#retry = setTimeout(() => void this.#run(), wait);

@@ -342,7 +342,7 @@ export class Studio {
   /** @param {{error: unknown, text: string}} detail */
   #failed({ error, text }) {
     if (error instanceof Problem && error.errors.length > 0) {
-      if (text === this.editor.text) this.checker.told(text, error);
+      if (text === this.editor.text) this.checker.report(text, error);
       this.picture.showOld('Last valid', 'The text has errors: this is the picture of the last valid text.');
     } else {
       this.picture.showOld('Not live', messageOf(error));
@@ -412,7 +412,7 @@ export class Studio {
       await this.drafts.flush();
       location.hash = `#/jobs/${encodeURIComponent(job.id)}`;
     } catch (error) {
-      if (error instanceof Problem && error.errors.length > 0) this.checker.told(text, error);
+      if (error instanceof Problem && error.errors.length > 0) this.checker.report(text, error);
       toastError('The job was not submitted', error);
     } finally {
       this.toolbar.setRendering(false);

@@ -103,7 +103,7 @@ async fn register(
         process: std::process::id(),
     };
     let mut back_off = BackOff::new(Duration::from_millis(50), Duration::from_secs(2));
-    let mut is_told = false;
+    let mut is_reported = false;
     loop {
         match link.register(&hello).await {
             Ok(welcome) => {
@@ -111,9 +111,9 @@ async fn register(
                 return Ok(welcome);
             }
             Err(error) if error.is_transient() => {
-                if !is_told {
+                if !is_reported {
                     tracing::warn!(error = %error, server = link.address(), "waiting for a server: start one with `sdfarm serve`, or pass another address with --server");
-                    is_told = true;
+                    is_reported = true;
                 }
                 back_off.pause().await;
             }

@@ -43,10 +43,10 @@ impl KnownCells {
     const MOST: usize = 4;
 
     /// A table with the cells of a frame: a known one, or else this one, which is new.
-    pub(crate) fn share(&self, still: &JobAtFrame<'_>, table: &Table) -> Table {
+    pub(crate) fn share(&self, at_frame: &JobAtFrame<'_>, table: &Table) -> Table {
         // A still has no other frame, so its shapes need no key.
-        let Some(division) = table.division().filter(|_| still.is_animated()) else { return table.clone() };
-        let key = still.shapes_cache_key();
+        let Some(division) = table.division().filter(|_| at_frame.is_animated()) else { return table.clone() };
+        let key = at_frame.shapes_cache_key();
         let known = recent::find(&self.0, |other| *other == key);
         // Where the cells are depends on the camera, too.
         let is_same = |known: &Table| known.division() == Some(division) && known.capacity() == table.capacity();

@@ -202,15 +202,15 @@ impl Renderer for CpuRenderer {
         progress: &(dyn Fn(u64) + Sync),
     ) -> Result<(TilePixels, Option<Visited>), RenderError> {
         let exposure = run.job.exposure(run.frame)?;
-        let still = exposure.last();
-        let Some(program) = Integrator::recording(still) else {
+        let at_frame = exposure.last();
+        let Some(program) = Integrator::recording(at_frame) else {
             return Ok((self.render(run, cancel, progress)?, None));
         };
         let visits = program.visits().expect("it records").clone();
         let (kernel, visits) = match self.simd {
-            Simd::Scalar => (Kernel::Reference(vec![program], still.image()), visits),
+            Simd::Scalar => (Kernel::Reference(vec![program], at_frame.image()), visits),
             simd => {
-                let (prepared, visits) = self.kernels.recordable(still, &program, &visits, simd)?.kernel();
+                let (prepared, visits) = self.kernels.recordable(at_frame, &program, &visits, simd)?.kernel();
                 (Kernel::Prepared(prepared), visits)
             }
         };

@@ -56,7 +56,7 @@ pub fn devices() -> Result<usize, RenderError> {
     match device::count() {
         Ok(0) => Err(unavailable("cuda", &CudaError::NoDevice)),
         Ok(count) => Ok(count),
-        Err(trouble) => Err(unavailable("cuda", &trouble)),
+        Err(error) => Err(unavailable("cuda", &error)),
     }
 }
 
@@ -125,7 +125,7 @@ impl CudaRenderer {
     /// stored in `cache`. Threads of blocks of these dimensions render a pixel each; `None` means the fastest layout.
     pub fn new(ordinal: usize, cache: Option<&Path>, block: Option<BlockDim>) -> Result<Self, RenderError> {
         let name = format!("cuda:{ordinal}");
-        let refused = |trouble: CudaError| unavailable(&name, &trouble);
+        let refused = |error: CudaError| unavailable(&name, &error);
         let device = Device::open(ordinal).map_err(refused)?;
         let compiler = Compiler::find().map_err(refused)?;
         tracing::debug!(device = name, gpu = device.name, compiler = compiler.version, "found a GPU");
@@ -180,14 +180,14 @@ impl CudaRenderer {
 
     /// Prepares the kernel of a tile, and reports the time that took.
     pub fn compile(&self, run: &TileRequest<'_>) -> Result<CompileReport, RenderError> {
-        let sources = self.sources(run).map_err(|trouble| self.render_error(&trouble))?;
+        let sources = self.sources(run).map_err(|error| self.render_error(&error))?;
         let source = &sources[0];
         let start = Instant::now();
         let (program, was_kept) =
-            self.program(source, run, &CancelFlag::new()).map_err(|trouble| self.render_error(&trouble))?;
+            self.program(source, run, &CancelFlag::new()).map_err(|error| self.render_error(&error))?;
         let time = start.elapsed();
         let resources =
-            self.device.resources(&program.loaded, program.block).map_err(|trouble| self.render_error(&trouble))?;
+            self.device.resources(&program.loaded, program.block).map_err(|error| self.render_error(&error))?;
         let (block, threads_of_pixel) = (program.block, source.together);
         Ok(CompileReport { time, was_cached: was_kept, block, threads_of_pixel, resources })
     }
@@ -273,7 +273,7 @@ impl CudaRenderer {
 
     fn compile_text(&self, text: &str, cancel: &CancelFlag) -> Result<Vec<u8>, CudaError> {
         compiler::compile_until_cancelled(&self.compiler, text, self.device.architecture, cancel)
-            .map_err(|trouble| compiler::save_rejected_source(trouble, text, self.cache.folder()))
+            .map_err(|error| compiler::save_rejected_source(error, text, self.cache.folder()))
     }
 
     /// Kernel sources of a frame, one for each of its instants, with its cells; those of the last frames are kept.
@@ -290,22 +290,22 @@ impl CudaRenderer {
             return Err(CudaError::TooLarge { nodes, most: MAX_NODES });
         }
         let mut sources = KernelSource::of_exposure(&exposure, self.block.map(|_| 1), self.cell_builder)?;
-        for (source, still) in sources.iter_mut().zip(&exposure.instants) {
-            source.table = source.table.take().map(|table| self.known_cells.share(still, &table));
+        for (source, at_frame) in sources.iter_mut().zip(&exposure.instants) {
+            source.table = source.table.take().map(|table| self.known_cells.share(at_frame, &table));
         }
         Ok(recent::insert(&self.sources, key, Arc::new(sources), MAX_SOURCES))
     }
 
     /// Records a lost GPU; returns the CUDA error as a render error.
-    fn render_error(&self, trouble: &CudaError) -> RenderError {
-        if trouble.is_lost() {
-            *lock(&self.lost_reason) = Some(format!("{}: {trouble}", self.name));
+    fn render_error(&self, error: &CudaError) -> RenderError {
+        if error.is_lost() {
+            *lock(&self.lost_reason) = Some(format!("{}: {error}", self.name));
         }
-        match trouble {
+        match error {
             CudaError::Cancelled => RenderError::Cancelled,
             CudaError::InvalidFrame(refusal) => RenderError::InvalidFrame(refusal.clone()),
             CudaError::InvalidTape(refusal) => RenderError::InvalidTape(*refusal),
-            _ => RenderError::Device { device: self.name.clone(), reason: trouble.to_string() },
+            _ => RenderError::Device { device: self.name.clone(), reason: error.to_string() },
         }
     }
 }
@@ -343,11 +343,11 @@ impl Renderer for CudaRenderer {
     ) -> Result<Vec<TilePixels>, RenderError> {
         let mut finished = Vec::with_capacity(runs.len());
         let rendered = self.render_groups(runs, cancel, progress, on_device_free, &mut finished);
-        rendered.map(|()| finished).map_err(|trouble| self.render_error(&trouble))
+        rendered.map(|()| finished).map_err(|error| self.render_error(&error))
     }
 
     fn prepare(&self, run: &TileRequest<'_>) -> Result<(), RenderError> {
-        self.sources(run).map(drop).map_err(|trouble| self.render_error(&trouble))
+        self.sources(run).map(drop).map_err(|error| self.render_error(&error))
     }
 
     fn overlapping(&self) -> usize {
@@ -389,8 +389,8 @@ impl Renderer for CudaRenderer {
     }
 }
 
-fn unavailable(wanted: &str, trouble: &CudaError) -> RenderError {
-    RenderError::Unavailable { requested: format!("--device {wanted}"), reason: trouble.to_string() }
+fn unavailable(wanted: &str, error: &CudaError) -> RenderError {
+    RenderError::Unavailable { requested: format!("--device {wanted}"), reason: error.to_string() }
 }
 
 /// Locks a mutex; poisoning is ignored because a panic elsewhere leaves no partial state here.

@@ -63,8 +63,8 @@ pub struct PictureSpec {
 
 impl PictureSpec {
     /// Picture settings of a job at a frame.
-    pub fn new(still: &JobAtFrame<'_>) -> Self {
-        let image = still.image();
+    pub fn new(at_frame: &JobAtFrame<'_>) -> Self {
+        let image = at_frame.image();
         Self {
             width: image.width,
             height: image.height,
@@ -74,11 +74,11 @@ impl PictureSpec {
             bits: image.bits,
             precision: image.precision,
             display_transform: DisplayTransform::new(image),
-            opaque: !still.scene().is_transparent(),
+            opaque: !at_frame.scene().is_transparent(),
             finish: Finish::of(image),
-            mattes: still.mattes(),
-            metadata: Metadata::new(still),
-            provenance: Provenance::new(still),
+            mattes: at_frame.mattes(),
+            metadata: Metadata::new(at_frame),
+            provenance: Provenance::new(at_frame),
         }
     }
 

@@ -2,7 +2,7 @@
 
 use scene::color::{level_of_256, srgb_from_linear};
 use scene::film::DisplayTransform;
-use scene::integrator::{Aovs, Coverage, Guides, Rank, Ranks};
+use scene::integrator::{Coverage, Guides, LayerValues, Rank, Ranks};
 use scene::real::{Real, vec3};
 use scene::sampling::thresholds;
 use scene::{Image, Integrator, JobAtFrame, Layer};
@@ -27,15 +27,15 @@ pub(crate) const EVALUATIONS: &str = "evaluations";
 pub const DISTANCE: &str = "distance_at_point";
 
 /// Records the entries [`ACCUMULATE`], [`MEAN`] and, if the job requests layers, [`LAYERS`].
-pub(crate) fn record_picture(still: &JobAtFrame<'_>, cells: FastBuilder) -> Tape {
-    record_entries(&Integrator::of_picture(still, &cells), still)
+pub(crate) fn record_picture(at_frame: &JobAtFrame<'_>, cells: FastBuilder) -> Tape {
+    record_entries(&Integrator::of_picture(at_frame, &cells), at_frame)
 }
 
 /// Records the entries of [`record_picture`] of an integrator.
-pub(crate) fn record_entries(program: &Integrator<'_>, still: &JobAtFrame<'_>) -> Tape {
+pub(crate) fn record_entries(program: &Integrator<'_>, at_frame: &JobAtFrame<'_>) -> Tape {
     record(|recording| {
-        accumulate(recording, program, still.image());
-        finish(recording, program, still.image());
+        accumulate(recording, program, at_frame.image());
+        finish(recording, program, at_frame.image());
     })
 }
 
@@ -56,12 +56,12 @@ pub(crate) fn accumulate(recording: &Recording, program: &Integrator<'_>, image:
 }
 
 /// Records the entries [`ACCUMULATE`] and [`LEVELS`].
-pub(crate) fn record_shown_picture(still: &JobAtFrame<'_>, cells: FastBuilder) -> Tape {
-    let still = &still.without_parts_of_light();
-    let program = Integrator::of_picture(still, &cells);
-    let transform = DisplayTransform::new(still.image());
+pub(crate) fn record_shown_picture(at_frame: &JobAtFrame<'_>, cells: FastBuilder) -> Tape {
+    let at_frame = &at_frame.without_parts_of_light();
+    let program = Integrator::of_picture(at_frame, &cells);
+    let transform = DisplayTransform::new(at_frame.image());
     record(|recording| {
-        accumulate(recording, &program, still.image());
+        accumulate(recording, &program, at_frame.image());
         recording.entry(LEVELS, |[red, green, blue, x, y]| {
             let level = |linear, threshold| level_of_256(srgb_from_linear(transform.apply(linear)), threshold);
             let [at_red, at_green, at_blue] = thresholds(x, y);
@@ -71,8 +71,8 @@ pub(crate) fn record_shown_picture(still: &JobAtFrame<'_>, cells: FastBuilder) -
 }
 
 /// Records the entry [`EVALUATIONS`].
-pub(crate) fn record_evaluations(still: &JobAtFrame<'_>) -> Tape {
-    let program = Integrator::of_picture(still, &FastBuilder::UNLIMITED);
+pub(crate) fn record_evaluations(at_frame: &JobAtFrame<'_>) -> Tape {
+    let program = Integrator::of_picture(at_frame, &FastBuilder::UNLIMITED);
     record(|recording| {
         recording.entry(EVALUATIONS, |[x, y, first, end]| {
             vec![program.accumulate(x, y, first, end, program.no_light(x.constant(0.0))).evaluations]
@@ -81,8 +81,8 @@ pub(crate) fn record_evaluations(still: &JobAtFrame<'_>) -> Tape {
 }
 
 /// Records the entry [`DISTANCE`].
-pub fn record_distance(still: &JobAtFrame<'_>) -> Tape {
-    let program = Integrator::of_picture(still, &FastBuilder::UNLIMITED);
+pub fn record_distance(at_frame: &JobAtFrame<'_>) -> Tape {
+    let program = Integrator::of_picture(at_frame, &FastBuilder::UNLIMITED);
     record(|recording| recording.entry(DISTANCE, |[x, y, z]| vec![program.distance(vec3(x, y, z))]))
 }
 
@@ -91,7 +91,7 @@ pub(crate) fn layer_channels<R: Real>(program: &Integrator<'_>, image: &Image, x
     let mut channels = Vec::new();
     if !image.layers.is_empty() {
         let coverage = image.layers.iter().any(|layer| layer.is_matte()).then(|| program.coverage(x, y));
-        channels.extend(channels_of(&program.aovs(x, y), coverage.as_ref(), &image.layers));
+        channels.extend(channels_of(&program.layer_values(x, y), coverage.as_ref(), &image.layers));
     }
     if image.is_reweighted() {
         channels.push(x.uniform(image.samples.max() as f32));
@@ -106,7 +106,7 @@ pub(crate) fn layer_channels<R: Real>(program: &Integrator<'_>, image: &Image, x
     channels
 }
 
-fn channels_of<R: Real>(met: &Aovs<R>, coverage: Option<&Coverage<R>>, layers: &[Layer]) -> Vec<R> {
+fn channels_of<R: Real>(met: &LayerValues<R>, coverage: Option<&Coverage<R>>, layers: &[Layer]) -> Vec<R> {
     let matte = |of: fn(&Coverage<R>) -> Option<Ranks<R>>| {
         let Ranks(ranks) = coverage.and_then(of).expect("a layer of mattes has its coverage");
         ranks.into_iter().flat_map(|Rank { id, coverage }| [id, coverage]).collect()

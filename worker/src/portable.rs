@@ -8,7 +8,7 @@ mod masks;
 use std::collections::{HashMap, HashSet};
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use crate::tape::{Allocation, Linear, LinearTape, Operation, PAUSE, Place, Registers, Step, Var, allocate};
+use crate::tape::{Allocation, Linear, LinearTape, Location, Operation, PAUSE, Registers, Step, Var, allocate};
 #[cfg(target_arch = "x86_64")]
 use crate::x86::{AVX2, AVX512};
 pub(crate) use arithmetic::LANES;
@@ -60,7 +60,7 @@ struct Function {
     live: usize,
     arguments: Vec<usize>,
     /// Its results, and the slots where the caller finds them.
-    results: Vec<(Source, usize)>,
+    results: Vec<(Operand, usize)>,
     /// Words of its row, and the inputs that they are.
     row: Vec<(u32, usize)>,
 }
@@ -77,7 +77,7 @@ enum Input {
 
 /// An operand: a slot of the frame, or an input by its index.
 #[derive(Clone, Copy, Debug)]
-enum Source {
+enum Operand {
     Slot(usize),
     Input(usize),
 }
@@ -85,15 +85,15 @@ enum Source {
 /// A step on slots, with branch targets as indices of instructions. Moves of a call are pairs of a target and a source.
 #[derive(Debug)]
 enum Instruction {
-    Compute { to: usize, operation: Operation, operands: [Source; 3] },
-    Move { to: usize, from: Source },
-    MoveWhere { mask: Source, to: usize, from: Source },
-    SkipIfNone { mask: Source, end: usize },
+    Compute { to: usize, operation: Operation, operands: [Operand; 3] },
+    Move { to: usize, from: Operand },
+    MoveWhere { mask: Operand, to: usize, from: Operand },
+    SkipIfNone { mask: Operand, end: usize },
     Count { counter: usize, limit: u32 },
-    CountLanes { counter: usize, mask: Source },
-    RepeatWhileAny { mask: Source, counter: usize, top: usize, pauses: bool },
-    Call { callee: usize, moves: Vec<(usize, Source)>, results: Vec<(usize, usize)> },
-    Make { live: Source, to: usize, missing: Source },
+    CountLanes { counter: usize, mask: Operand },
+    RepeatWhileAny { mask: Operand, counter: usize, top: usize, pauses: bool },
+    Call { callee: usize, moves: Vec<(usize, Operand)>, results: Vec<(usize, usize)> },
+    Make { live: Operand, to: usize, missing: Operand },
     Fold(Box<Fold>),
 }
 
@@ -230,14 +230,17 @@ fn inputs(allocations: &[Option<Allocation>]) -> Vec<Input> {
 }
 
 impl Input {
-    fn at(place: Place) -> Option<Self> {
+    fn at(place: Location) -> Option<Self> {
         match place {
-            Place::Constant(bits) => Some(Self::Constant(bits)),
-            Place::Uniform(index) => Some(Self::Uniform(index)),
-            Place::Row(word) => Some(Self::Row(word)),
-            Place::Slot(_) | Place::Argument(_) | Place::Live | Place::Vector(_) | Place::Mask(_) | Place::Nowhere => {
-                None
-            }
+            Location::Constant(bits) => Some(Self::Constant(bits)),
+            Location::Uniform(index) => Some(Self::Uniform(index)),
+            Location::Row(word) => Some(Self::Row(word)),
+            Location::Slot(_)
+            | Location::Argument(_)
+            | Location::Live
+            | Location::Vector(_)
+            | Location::Mask(_)
+            | Location::Nowhere => None,
         }
     }
 }
@@ -250,25 +253,25 @@ struct Places<'a> {
 }
 
 impl Places<'_> {
-    fn source(&self, var: Var) -> Source {
+    fn source(&self, var: Var) -> Operand {
         let place = self.allocation.places[var as usize];
         match Input::at(place) {
-            Some(input) => Source::Input(self.inputs[&input]),
-            None => Source::Slot(self.in_frame(place).expect("there are no registers")),
+            Some(input) => Operand::Input(self.inputs[&input]),
+            None => Operand::Slot(self.in_frame(place).expect("there are no registers")),
         }
     }
 
-    fn in_frame(&self, place: Place) -> Option<usize> {
+    fn in_frame(&self, place: Location) -> Option<usize> {
         match place {
-            Place::Slot(slot) => Some(self.layout.slots + slot as usize),
-            Place::Argument(argument) => Some(self.layout.arguments + argument as usize),
-            Place::Live => Some(self.layout.live),
-            Place::Vector(_)
-            | Place::Mask(_)
-            | Place::Constant(_)
-            | Place::Uniform(_)
-            | Place::Row(_)
-            | Place::Nowhere => None,
+            Location::Slot(slot) => Some(self.layout.slots + slot as usize),
+            Location::Argument(argument) => Some(self.layout.arguments + argument as usize),
+            Location::Live => Some(self.layout.live),
+            Location::Vector(_)
+            | Location::Mask(_)
+            | Location::Constant(_)
+            | Location::Uniform(_)
+            | Location::Row(_)
+            | Location::Nowhere => None,
         }
     }
 
@@ -314,12 +317,12 @@ impl Places<'_> {
             Step::Compute { to, operation, operands } => {
                 let (to, count) = (self.target(*to)?, operation.operand_count());
                 // Those that it does not have are not read.
-                let mut sources = [Source::Slot(to); 3];
+                let mut sources = [Operand::Slot(to); 3];
                 for (source, &var) in sources.iter_mut().zip(&operands[..count]) {
                     *source = self.source(var);
                 }
                 let is_product = matches!(operation, Operation::Fma);
-                if let [Source::Input(_), Source::Slot(_), _] = sources
+                if let [Operand::Input(_), Operand::Slot(_), _] = sources
                     && (is_product || operation.is_commutative())
                 {
                     sources.swap(0, 1);
@@ -409,7 +412,7 @@ impl Run<'_> {
                 Instruction::Compute { to, operation, operands } => self.compute::<HAS_FMA>(*to, *operation, *operands),
                 Instruction::Move { to, from } => self.copy(*to, *from),
                 Instruction::MoveWhere { mask, to, from } => {
-                    let operands = [*mask, *from, Source::Slot(*to)];
+                    let operands = [*mask, *from, Operand::Slot(*to)];
                     self.compute::<HAS_FMA>(*to, Operation::Select, operands);
                 }
                 Instruction::SkipIfNone { mask, end } => {
@@ -433,7 +436,7 @@ impl Run<'_> {
                     }
                     self.call(*callee);
                     for &(to, from) in results {
-                        self.copy(to, Source::Slot(from));
+                        self.copy(to, Operand::Slot(from));
                     }
                 }
                 Instruction::Make { live, to, missing } => self.make(*live, *to, *missing),
@@ -446,20 +449,20 @@ impl Run<'_> {
     }
 
     #[inline(always)]
-    fn copy(&mut self, to: usize, from: Source) {
+    fn copy(&mut self, to: usize, from: Operand) {
         match from {
-            Source::Slot(from) => {
+            Operand::Slot(from) => {
                 let Frame { slots, spare, .. } = &mut *self.frame;
                 spare.0.copy_from_slice(&slots[from].0);
                 std::mem::swap(&mut slots[to], spare);
             }
-            Source::Input(index) => self.frame.slots[to].0.fill(self.frame.inputs[index]),
+            Operand::Input(index) => self.frame.slots[to].0.fill(self.frame.inputs[index]),
         }
     }
 
     #[inline(always)]
-    fn compute<const HAS_FMA: bool>(&mut self, to: usize, operation: Operation, [a, b, c]: [Source; 3]) {
-        use Source::{Input, Slot};
+    fn compute<const HAS_FMA: bool>(&mut self, to: usize, operation: Operation, [a, b, c]: [Operand; 3]) {
+        use Operand::{Input, Slot};
         let Frame { slots, spare, inputs, .. } = &mut *self.frame;
         let a = match a {
             Slot(a) => a,

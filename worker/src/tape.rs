@@ -21,12 +21,12 @@ mod wgsl_source;
 
 use scene::real::Table;
 
-pub(crate) use allocate::{Allocation, Place, Registers, allocate};
+pub(crate) use allocate::{Allocation, Location, Registers, allocate};
 pub use expr::{BoolExpr, Expr, U32Expr};
 pub(crate) use fold_step::{FoldStep, ListFunctionLayout};
 pub(crate) use linear::{Class, Linear, LinearTape, PAUSE, Step, Var};
 pub use recorder::{Recording, record};
-pub use source::Source;
+pub use source::SourceText;
 pub use verify::InvalidTape;
 
 /// A value of the tape.

@@ -45,8 +45,8 @@ pub enum ShaderError {
 
 impl Shader {
     /// Program of a job's frame.
-    pub fn new(still: &JobAtFrame<'_>) -> Result<Self, ShaderError> {
-        let tape = record_shown_picture(still, FastBuilder::UNLIMITED);
+    pub fn new(at_frame: &JobAtFrame<'_>) -> Result<Self, ShaderError> {
+        let tape = record_shown_picture(at_frame, FastBuilder::UNLIMITED);
         let words = match tape.table() {
             None => Vec::new(),
             Some(table) if table.used() > MAX_WORDS => return Err(ShaderError::ManyShapes(table.used())),
@@ -61,7 +61,7 @@ impl Shader {
         let text = format!(
             "const NUMBER_COUNT = {}u;\nconst IS_TRANSPARENT = {};\n{before}{code}{after}",
             numbers.len().max(1),
-            still.scene().is_transparent()
+            at_frame.scene().is_transparent()
         );
         Ok(Self { text, numbers, words })
     }

@@ -15,14 +15,14 @@ pub(crate) struct Arguments {
     #[arg(value_name = "JOB")]
     id: JobName,
     #[command(flatten)]
-    place: Place,
+    place: Target,
     #[command(flatten)]
     server: ServerArguments,
 }
 
 #[derive(Debug, Args)]
 #[group(required = true, multiple = false)]
-struct Place {
+struct Target {
     /// Right before this job, with its priority.
     #[arg(long, value_name = "JOB", env = "SDFARM_BEFORE")]
     before: Option<JobName>,
@@ -37,7 +37,7 @@ struct Place {
 /// Moves the job.
 pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     let client = arguments.server.client()?;
-    let Place { before, after, first } = arguments.place;
+    let Target { before, after, first } = arguments.place;
     let mut place = JobMove { first, ..JobMove::default() };
     if let Some(before) = before {
         place.before = Some(before.find(&client).await?);
@@ -45,6 +45,6 @@ pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     if let Some(after) = after {
         place.after = Some(after.find(&client).await?);
     }
-    let job = client.move_job(arguments.id.find(&client).await?, &place).await?;
+    let job = client.reorder_job(arguments.id.find(&client).await?, &place).await?;
     print_line(&follow::line(&job))
 }

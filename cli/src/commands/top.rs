@@ -36,7 +36,7 @@ pub(crate) struct Arguments {
 #[derive(Debug, Default)]
 struct Screen {
     overview: Option<Overview>,
-    trouble: Option<String>,
+    failure: Option<String>,
     speeds: Vec<u64>,
 }
 
@@ -47,7 +47,7 @@ impl Screen {
             self.speeds.remove(0);
         }
         self.overview = Some(overview);
-        self.trouble = None;
+        self.failure = None;
     }
 }
 
@@ -68,7 +68,7 @@ pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
             tokio::select! {
                 _ = ticks.tick() => match fetch(&client).await {
                     Ok(overview) => screen.show(overview),
-                    Err(error) => screen.trouble = Some(error.to_string()),
+                    Err(error) => screen.failure = Some(error.to_string()),
                 },
                 _ = keys.tick() => if is_quit_requested()? {
                     return Ok(());
@@ -97,7 +97,7 @@ fn is_quit_requested() -> anyhow::Result<bool> {
 
 fn draw(frame: &mut Frame<'_>, screen: &Screen) {
     let Some(overview) = &screen.overview else { return };
-    let concerns = screen.trouble.iter().chain(&overview.warnings).collect::<Vec<_>>();
+    let concerns = screen.failure.iter().chain(&overview.warnings).collect::<Vec<_>>();
     let rows = [
         Constraint::Length(4),
         Constraint::Length(3),
@@ -250,7 +250,7 @@ mod tests {
     fn unreachable_server_is_reported_with_the_last_values() {
         let mut screen = Screen::default();
         screen.show(crate::overview::tests::unhealthy());
-        screen.trouble = Some("no server responds".to_owned());
+        screen.failure = Some("no server responds".to_owned());
         let text = shown(&screen, 80, 24);
         assert!(text.contains("no server responds") && text.contains("fjord"), "{text}");
     }

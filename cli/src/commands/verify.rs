@@ -8,13 +8,13 @@ use std::path::Path;
 use anyhow::Context;
 use clap::Args;
 use helper::verify::{Checked, Extent, Original, draw, unreadable};
-use proto::verify::{Comparison, Maker, Verification, chance_to_find, tiles_found_surely};
+use proto::verify::{Comparison, Maker, Verification, probability_to_find, tiles_found_surely};
 use proto::{Client, rounding};
 use scene::PICTURE_VERSION;
 use worker::image::stored::{FoundProvenance, StoredPicture, UnreadablePicture};
 use worker::{CancelFlag, Renderer};
 
-use self::find::{Candidate, Source};
+use self::find::{Candidate, VerifiedPicture};
 use crate::arguments::{RendererArguments, ServerArguments};
 use crate::error::{PictureDiffers, UsageError};
 use crate::output_file::OutputFile;
@@ -117,7 +117,7 @@ struct Outcome {
 
 impl Outcome {
     /// Verifies a picture.
-    fn of(source: Source, extent: Extent, renderer: &dyn Renderer) -> anyhow::Result<Self> {
+    fn of(source: VerifiedPicture, extent: Extent, renderer: &dyn Renderer) -> anyhow::Result<Self> {
         let cancel = CancelFlag::new();
         let stored = StoredPicture::read(&source.file);
         if let Err(UnreadablePicture::NotAPicture) = stored {
@@ -139,7 +139,7 @@ impl Outcome {
             ))
             .into());
         }
-        let Source { name, file, frame, mut jobs, client } = source;
+        let VerifiedPicture { name, file, frame, mut jobs, client } = source;
         let closest = match &stored {
             Ok(stored) if jobs.len() > 1 => closest(&jobs, frame, &file, stored, renderer, &cancel)?,
             Ok(_) | Err(_) => 0,
@@ -160,7 +160,7 @@ impl Outcome {
             same: self.checked.comparison.is_same(),
             tiles_checked: *tiles_checked,
             tiles_total: *tiles_total,
-            finds_one_tile: rounding::fraction(chance_to_find(*tiles_checked, *tiles_total, 1)),
+            finds_one_tile: rounding::fraction(probability_to_find(*tiles_checked, *tiles_total, 1)),
             finds_tiles: tiles_found_surely(*tiles_checked, *tiles_total),
             pixels_different: *pixels_different,
             differs: differs.clone(),

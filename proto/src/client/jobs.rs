@@ -130,7 +130,7 @@ impl Client {
     }
 
     /// Moves a job in the queue.
-    pub async fn move_job(&self, id: JobId, place: &JobMove) -> Result<JobView, ClientError> {
+    pub async fn reorder_job(&self, id: JobId, place: &JobMove) -> Result<JobView, ClientError> {
         self.json(self.request(Method::POST, &format!("/v1/jobs/{id}/move")).json(place)).await
     }
 

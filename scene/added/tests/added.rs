@@ -121,7 +121,7 @@ fn a_job_may_have_one_of_each_added_kind() {
         ] }, "image": { "width": 16, "height": 16 } }"#;
     let job = added::parse(text.as_bytes()).expect("every kind parses");
     assert_eq!(added::warnings(&job), [""; 0]);
-    let still = job.at(0).expect("the job is valid");
-    let seen = added::Integrator::new(&still).pixel(8.0_f32, 8.0);
+    let at_frame = job.at(0).expect("the job is valid");
+    let seen = added::Integrator::new(&at_frame).pixel(8.0_f32, 8.0);
     assert!(seen.color.y > 0.1 && seen.color.x == 0.0, "{seen:?}");
 }

@@ -63,13 +63,13 @@ impl Bounds {
     /// Box around this box after its rotation by the matrix of these columns.
     pub fn rotated(self, columns: [Vec3<f32>; 3]) -> Self {
         let ends = [(self.min.x, self.max.x), (self.min.y, self.max.y), (self.min.z, self.max.z)];
-        let mut turned = Self { min: vec3(0.0, 0.0, 0.0), max: vec3(0.0, 0.0, 0.0) };
+        let mut rotated = Self { min: vec3(0.0, 0.0, 0.0), max: vec3(0.0, 0.0, 0.0) };
         for (column, (low, high)) in columns.into_iter().zip(ends) {
             let least = column.map(|c| product(c, low).min(product(c, high)));
             let most = column.map(|c| product(c, low).max(product(c, high)));
-            turned = Self { min: zip(turned.min, least, |a, b| a + b), max: zip(turned.max, most, |a, b| a + b) };
+            rotated = Self { min: zip(rotated.min, least, |a, b| a + b), max: zip(rotated.max, most, |a, b| a + b) };
         }
-        turned
+        rotated
     }
 
     /// Box expanded by a fraction of its size and of its distance from `origin`, so that rounding along a ray from

@@ -199,8 +199,8 @@ mod tests {
             for columns in [1, 8, 64, 512, 4096] {
                 let rows = SAMPLES / columns;
                 let mut cells = vec![0; SAMPLES as usize];
-                for dice in samplers(x, y) {
-                    let (u, v) = dice.get_2d(7);
+                for sampler in samplers(x, y) {
+                    let (u, v) = sampler.get_2d(7);
                     assert!((0.0..1.0).contains(&u) && (0.0..1.0).contains(&v));
                     cells[(u * columns as f32) as usize + (columns as usize) * (v * rows as f32) as usize] += 1;
                 }
@@ -214,9 +214,9 @@ mod tests {
         let mut cells = [0; 256];
         for pixel in 0..64 {
             let (x, y) = ((pixel % 8) as f32 + 24.0, (pixel / 8) as f32 + 40.0);
-            let dice = PixelSampler::new(x, y, 4, frame_key(3, 4));
+            let sampler = PixelSampler::new(x, y, 4, frame_key(3, 4));
             for sample in 0..4 {
-                let (u, v) = dice.sample(sample as f32).get_2d(1);
+                let (u, v) = sampler.sample(sample as f32).get_2d(1);
                 cells[(u * 16.0) as usize + 16 * (v * 16.0) as usize] += 1;
             }
         }
@@ -231,7 +231,7 @@ mod tests {
         let streams: Vec<Vec<f32>> = (0..BOUNCES)
             .flat_map(|bounce| (0..PURPOSES).map(move |purpose| (bounce, purpose)))
             .flat_map(|(bounce, purpose)| {
-                let pairs = samplers(5.0, 9.0).map(move |dice| dice.after(bounce as f32).get_2d(purpose));
+                let pairs = samplers(5.0, 9.0).map(move |sampler| sampler.after(bounce as f32).get_2d(purpose));
                 let (u, v): (Vec<f32>, Vec<f32>) = pairs.unzip();
                 [u, v]
             })
@@ -242,11 +242,11 @@ mod tests {
                     continue;
                 }
                 let mut cells = [0_u32; 64];
-                let (mut below, mut bell) = (0_u32, 0.0_f64);
+                let (mut below, mut gaussian) = (0_u32, 0.0_f64);
                 for (&u, &v) in one.iter().zip(other) {
                     cells[(u * 8.0) as usize + 8 * (v * 8.0) as usize] += 1;
                     below += u32::from(u + v < 1.0);
-                    bell += f64::from((-((u - 0.5).powi(2) + (v - 0.5).powi(2)) * 8.0).exp());
+                    gaussian += f64::from((-((u - 0.5).powi(2) + (v - 0.5).powi(2)) * 8.0).exp());
                 }
                 // 64 expected in each. Two samples in succession are in opposite halves of both, so that the sum is 56 ± 20
                 // with independent nested permutations, at most 250 in a hundred thousand. Points on lines give thousands.
@@ -255,7 +255,7 @@ mod tests {
                 let share = f64::from(below) / f64::from(SAMPLES);
                 assert!((share - 0.5).abs() < 7.0 * 0.5 / f64::from(SAMPLES).sqrt(), "{index}: {share}");
                 // π/8·erf(√2)².
-                let (mean, wanted) = (bell / f64::from(SAMPLES), f64::from(PI) / 8.0 * 0.911_07);
+                let (mean, wanted) = (gaussian / f64::from(SAMPLES), f64::from(PI) / 8.0 * 0.911_07);
                 assert!((mean / wanted - 1.0).abs() < 0.06, "{index}: {mean} {wanted}");
             }
         }
@@ -265,10 +265,10 @@ mod tests {
     fn integrals_over_two_bounces_converge() {
         let error_of = |samples: u32| {
             let pixels = (0..64).map(|pixel| {
-                let dice = PixelSampler::new(pixel as f32, 3.0, samples, frame_key(0, 0));
+                let sampler = PixelSampler::new(pixel as f32, 3.0, samples, frame_key(0, 0));
                 let inside = (0..samples).filter(|&sample| {
-                    let dice = dice.sample(sample as f32);
-                    dice.after(1.0).get_2d(0).0 * dice.after(2.0).get_2d(0).0 < 0.25
+                    let sampler = sampler.sample(sample as f32);
+                    sampler.after(1.0).get_2d(0).0 * sampler.after(2.0).get_2d(0).0 < 0.25
                 });
                 // ∫ of [u·v < ¼] is ¼·(1 + ln 4).
                 let wanted = 0.25 * (1.0 + 4.0_f64.ln());

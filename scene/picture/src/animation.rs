@@ -72,11 +72,11 @@ impl JobAtFrame<'_> {
 
     /// The same frame of a picture whose light is summed as a whole alone: not by light groups, nor by brightness.
     pub fn without_parts_of_light(&self) -> Self {
-        let mut still = self.clone();
-        if still.image.has_parts_of_light() {
-            still.image.to_mut().clear_parts_of_light();
+        let mut at_frame = self.clone();
+        if at_frame.image.has_parts_of_light() {
+            at_frame.image.to_mut().clear_parts_of_light();
         }
-        still
+        at_frame
     }
 
     /// The picture's size and file format, with every number evaluated at this frame.

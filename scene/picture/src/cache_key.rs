@@ -67,7 +67,7 @@ impl Job {
     /// Hash of everything that decides the bytes of a frame's picture.
     pub fn cache_key(&self, frame: u32) -> blake3::Hash {
         match self.at(frame) {
-            Ok(still) => still.cache_key(),
+            Ok(at_frame) => at_frame.cache_key(),
             // A frame that fails here gets no picture, so its key only has to differ from those of other frames.
             Err(error) => hash(&(&self.scene, frame, error.to_string())),
         }

@@ -31,13 +31,13 @@ pub struct Provenance {
 
 impl Provenance {
     /// Provenance of a job's frame.
-    pub fn new(still: &JobAtFrame<'_>) -> Self {
+    pub fn new(at_frame: &JobAtFrame<'_>) -> Self {
         Self {
-            scene: still.scene_hash().to_hex().to_string(),
+            scene: at_frame.scene_hash().to_hex().to_string(),
             picture_version: PICTURE_VERSION,
-            frame: still.frame(),
-            seed: still.image().seed,
-            objects: still.stored_object_names(),
+            frame: at_frame.frame(),
+            seed: at_frame.image().seed,
+            objects: at_frame.stored_object_names(),
         }
     }
 

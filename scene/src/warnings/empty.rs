@@ -14,13 +14,13 @@ const MAX_ALL_BOXES: usize = 8192;
 const MAX_EVALUATIONS: f32 = 2000.0;
 
 /// A difference that is empty.
-pub(super) fn difference(still: &JobAtFrame<'_>) -> Option<String> {
-    let scene = still.scene();
+pub(super) fn difference(at_frame: &JobAtFrame<'_>) -> Option<String> {
+    let scene = at_frame.scene();
     let mut boxes_left = MAX_ALL_BOXES;
     scene.objects.iter().enumerate().find_map(|(index, object)| {
         let mut pointer = format!("/scene/objects/{index}/shape");
         let place = empty_difference(&object.shape, &mut pointer, &mut boxes_left)?;
-        let place = still.pointer_in_document(&place);
+        let place = at_frame.pointer_in_document(&place);
         Some(format!(
             "{place} is empty: the shapes subtracted from the first one remove all of it; change their order or their sizes"
         ))
@@ -44,11 +44,11 @@ fn empty_difference(node: &Node, pointer: &mut String, boxes_left: &mut usize) -
 /// factor, is more than half its diagonal. Other boxes are halved.
 fn is_empty(node: &Node, boxes_left: &mut usize) -> bool {
     let bounds = node.bounds(0.0);
-    let stretch = node.lipschitz();
+    let lipschitz = node.lipschitz();
     if !bounds.is_finite()
         || node.exactness() == Exactness::Estimate
         || node.evaluation_cost() > MAX_EVALUATIONS
-        || stretch.is_nan()
+        || lipschitz.is_nan()
     {
         return false;
     }
@@ -62,7 +62,7 @@ fn is_empty(node: &Node, boxes_left: &mut usize) -> bool {
         if distance <= 0.0 || distance.is_nan() {
             return false;
         }
-        if distance > stretch * half.length() {
+        if distance > lipschitz * half.length() {
             continue;
         }
         boxes.extend(halves(low, high, half));

@@ -5,11 +5,11 @@ use picture::nodes::Node;
 use picture::scene::child_pointers;
 
 /// A scatter of which some copies are far below most others.
-pub(super) fn copies(still: &JobAtFrame<'_>) -> Option<String> {
-    still.scene().objects.iter().enumerate().find_map(|(index, object)| {
+pub(super) fn copies(at_frame: &JobAtFrame<'_>) -> Option<String> {
+    at_frame.scene().objects.iter().enumerate().find_map(|(index, object)| {
         let mut pointer = format!("/scene/objects/{index}/shape");
         let (middle, lowest) = fallen(&object.shape, &mut pointer)?;
-        let place = still.pointer_in_document(&pointer);
+        let place = at_frame.pointer_in_document(&pointer);
         Some(format!(
             "{place} puts copies at a height of {lowest}, but most at {middle} or above: they missed what the others are on; make `within` smaller, or `on` larger"
         ))

@@ -68,8 +68,8 @@ fn color_of_255(value: &Value, pointer: &mut String, is_reflectance: bool) -> Op
 }
 
 /// Angles that are in radians.
-pub(super) fn radians(still: &JobAtFrame<'_>) -> Option<String> {
-    let scene = still.scene();
+pub(super) fn radians(at_frame: &JobAtFrame<'_>) -> Option<String> {
+    let scene = at_frame.scene();
     if let Some(fov) = scene.camera.fov.as_ref().and_then(FieldOfView::constant).filter(|&fov| fov < MIN_FOV) {
         let degrees = f64::from(fov).to_degrees().round();
         return Some(format!(
@@ -79,7 +79,7 @@ pub(super) fn radians(still: &JobAtFrame<'_>) -> Option<String> {
     scene.objects.iter().enumerate().find_map(|(index, object)| {
         let mut pointer = format!("/scene/objects/{index}/shape");
         let (place, rest) = rotation_in_radians(&object.shape, &mut pointer)?;
-        Some(format!("{}{rest}", still.pointer_in_document(&place)))
+        Some(format!("{}{rest}", at_frame.pointer_in_document(&place)))
     })
 }
 
@@ -115,9 +115,9 @@ fn angles_of(node: &Node) -> Option<Vec<f64>> {
 
 /// Whether all angles other than 0 are unusual in degrees and fractions of π in radians.
 fn are_radians(angles: &[f64]) -> bool {
-    let mut turned = angles.iter().filter(|angle| **angle != 0.0).peekable();
-    turned.peek().is_some()
-        && turned.all(|angle| {
+    let mut nonzero = angles.iter().filter(|angle| **angle != 0.0).peekable();
+    nonzero.peek().is_some()
+        && nonzero.all(|angle| {
             let parts = angle / std::f64::consts::PI * PARTS_OF_PI;
             angle.abs() < 6.3
                 && angle.fract() != 0.0

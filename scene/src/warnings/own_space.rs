@@ -5,15 +5,15 @@ use picture::nodes::Node;
 use picture::scene::child_pointers;
 
 /// Animated shapes whose texture is fixed in another space.
-pub(super) fn swims(still: &JobAtFrame<'_>) -> Option<String> {
-    let scene = still.scene();
+pub(super) fn swims(at_frame: &JobAtFrame<'_>) -> Option<String> {
+    let scene = at_frame.scene();
     scene.objects.iter().enumerate().find_map(|(index, object)| {
         let is_textured = |slot: u32| {
             scene.used_materials().get(slot as usize).is_some_and(|material| material.is_textured() && !material.is_medium())
         };
         let mut pointer = format!("/scene/objects/{index}/shape");
         let place = moves_under(&object.shape, is_textured(object.material.slot()), &is_textured, &mut pointer)?;
-        let place = still.pointer_in_document(&place);
+        let place = at_frame.pointer_in_document(&place);
         Some(format!(
             "the texture does not follow {place}, which is animated: put a `paint` with the material inside the animated node"
         ))

@@ -16,8 +16,8 @@ const MAX_OUT_OF_STEPS: f32 = 0.01;
 const MAX_COST: f32 = 200_000.0;
 
 /// Warning about the view. If nothing is in view, only that is reported.
-pub(super) fn of(still: &JobAtFrame<'_>) -> Option<Warning> {
-    let (scene, image) = (still.scene(), still.image());
+pub(super) fn of(at_frame: &JobAtFrame<'_>) -> Option<Warning> {
+    let (scene, image) = (at_frame.scene(), at_frame.image());
     let [width, height] = image.full_size();
     let view = scene.camera.view(width, height);
     if let Some(text) = nothing_in_view(scene, &view) {
@@ -30,7 +30,7 @@ pub(super) fn of(still: &JobAtFrame<'_>) -> Option<Warning> {
     if let Some(text) = inside(scene, image, &view) {
         return Some(Warning { kind: WarningKind::CameraInside, text });
     }
-    let program = Integrator::new(still);
+    let program = Integrator::new(at_frame);
     let share = program.fraction_out_of_steps(width, height, work)?;
     (share > MAX_OUT_OF_STEPS).then(|| Warning { kind: WarningKind::OutOfSteps, text: out_of_steps(scene, share) })
 }

@@ -22,7 +22,7 @@ fn numbers(value: &Value, pointer: &str, found: &mut Vec<String>) {
 fn each_number(mut check: impl FnMut(&str, &Node, f64, &dyn Fn(Value) -> Result<Node, serde_json::Error>)) {
     for Example { kind, index: number, json: node, .. } in Node::examples() {
         let value: Value = serde_json::from_str(&node).unwrap();
-        let still: Node = serde_json::from_str(&node).unwrap();
+        let constant: Node = serde_json::from_str(&node).unwrap();
         let mut found = Vec::new();
         numbers(&value, "", &mut found);
         for pointer in found {
@@ -32,7 +32,7 @@ fn each_number(mut check: impl FnMut(&str, &Node, f64, &dyn Fn(Value) -> Result<
                 *changed.pointer_mut(&pointer).unwrap() = other;
                 serde_json::from_value(changed)
             };
-            check(&format!("{kind} {number} {pointer}"), &still, own, &with);
+            check(&format!("{kind} {number} {pointer}"), &constant, own, &with);
         }
     }
 }
@@ -52,10 +52,10 @@ fn every_number_can_be_animated_or_says_that_it_is_constant() {
 
 #[test]
 fn animated_and_constant_numbers_give_the_same_distance() {
-    each_number(|name, still, own, with| {
+    each_number(|name, constant, own, with| {
         let Ok(moving) = with(json!({ "keys": [[0, own]] })) else { return };
         for p in points() {
-            let (got, want) = (moving.distance(p), still.distance(p));
+            let (got, want) = (moving.distance(p), constant.distance(p));
             let rounding = 2e-5 * want.abs().max(1.0);
             assert!((got - want).abs() <= rounding, "{name}: {got} at {p:?}, which is {want} where nothing moves");
         }

@@ -46,9 +46,9 @@ fn each_setting_of_the_image_changes_the_cache_key() {
     }
     let distinct: std::collections::HashSet<_> = keys.iter().collect();
     assert_eq!(distinct.len(), keys.len());
-    let still = png.at(0).unwrap();
-    assert_eq!(still.pixels_cache_key(), still.instant_key_of_version(PICTURE_VERSION));
-    assert_ne!(still.pixels_cache_key(), still.instant_key_of_version(PICTURE_VERSION + 1));
+    let at_frame = png.at(0).unwrap();
+    assert_eq!(at_frame.pixels_cache_key(), at_frame.instant_key_of_version(PICTURE_VERSION));
+    assert_ne!(at_frame.pixels_cache_key(), at_frame.instant_key_of_version(PICTURE_VERSION + 1));
 }
 
 #[test]

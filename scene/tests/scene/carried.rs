@@ -98,9 +98,9 @@ fn a_point_keeps_its_place_in_its_shape() {
             "frames": { "count": 2, "fps": 1 },
         });
         let job = parse(text.to_string().as_bytes()).unwrap_or_else(|refusal| panic!("{refusal}: {text}"));
-        let still = job.at(0).expect("a valid frame");
+        let at_frame = job.at(0).expect("a valid frame");
         let [now, next] =
-            [still.scene(), still.next_scene().expect("the next one")].map(|scene| &scene.objects[0].shape);
+            [at_frame.scene(), at_frame.next_scene().expect("the next one")].map(|scene| &scene.objects[0].shape);
         let points = surface_points(now);
         assert!(points.len() > 20, "{shape}: {} rays meet it", points.len());
         let mut longest: f32 = 0.0;
@@ -111,8 +111,8 @@ fn a_point_keeps_its_place_in_its_shape() {
             let distance = next.distance(p + way);
             assert!(distance.abs() < 2e-5, "{shape}: {p:?} leaves the surface by {way:?}, {distance} away");
             longest = longest.max(way.length());
-            let still = now.carry(now, p).way().expect("the same numbers are animated");
-            assert_eq!(<[f32; 3]>::from(still), [0.0; 3], "{shape}: nothing moves at {p:?}");
+            let at_frame = now.carry(now, p).way().expect("the same numbers are animated");
+            assert_eq!(<[f32; 3]>::from(at_frame), [0.0; 3], "{shape}: nothing moves at {p:?}");
         }
         assert!(longest > 0.05, "{shape}: something moves");
     }
@@ -128,8 +128,9 @@ fn the_way_across_a_smooth_seam_is_between_those_of_its_shapes() {
         "frames": { "count": 2, "fps": 1 },
     });
     let job = parse(text.to_string().as_bytes()).expect("a valid job");
-    let still = job.at(0).expect("a valid frame");
-    let [now, next] = [still.scene(), still.next_scene().expect("the next one")].map(|scene| &scene.objects[0].shape);
+    let at_frame = job.at(0).expect("a valid frame");
+    let [now, next] =
+        [at_frame.scene(), at_frame.next_scene().expect("the next one")].map(|scene| &scene.objects[0].shape);
     let way = |x: f32| now.carry(next, vec3(x, 1.0, 0.0)).way().expect("one moves").y;
     let ways: Vec<f32> = [-0.5, 0.3, 0.5, 0.7, 1.5].map(way).into();
     assert!(ways.is_sorted() && ways[1] > 0.0 && ways[3] < 0.5, "{ways:?}");

@@ -57,8 +57,8 @@ fn ball_of_spheres(count: u32, others: &[&str]) -> Job {
 #[test]
 fn shapes_that_matter_only_in_their_groups_are_left_out() {
     let job = ball_of_spheres(600, &[]);
-    let still = job.at(0).expect("the first frame");
-    let program = Program::new(still.scene(), &[(0, None)]).expect("few families");
+    let at_frame = job.at(0).expect("the first frame");
+    let program = Program::new(at_frame.scene(), &[(0, None)]).expect("few families");
     let cells = Cells::new(program, around(1.2), &ScalarBuilder);
     let words = cells.tree().words().used();
     println!("{words} words");
@@ -74,8 +74,8 @@ fn small_shapes_among_large_and_distant_ones_have_short_lists() {
     for (others, reach) in [(&[][..], 1.2), (&[floor][..], 1000.0), (&[moon][..], 3001.0), (&[floor, moon][..], 3001.0)]
     {
         let job = ball_of_spheres(600, others);
-        let still = job.at(0).expect("the first frame");
-        let program = Program::new(still.scene(), &[(0, None)]).expect("few families");
+        let at_frame = job.at(0).expect("the first frame");
+        let program = Program::new(at_frame.scene(), &[(0, None)]).expect("few families");
         let cells = Cells::new(program, around(reach), &ScalarBuilder);
         let mut random = Random(8);
         let longest = (0..2000).map(|_| cells.list_length(random.point(1.0))).max();
@@ -86,9 +86,9 @@ fn small_shapes_among_large_and_distant_ones_have_short_lists() {
 
 /// Compares cells with the whole program at random points, and on the faces of cells.
 fn check(name: &str, job: &Job, points: u32) {
-    let still = job.at(0).expect("the first frame");
-    let objects: Vec<_> = (0..still.scene().objects.len()).map(|index| (index, None)).collect();
-    let Some(program) = Program::new(still.scene(), &objects) else { return };
+    let at_frame = job.at(0).expect("the first frame");
+    let objects: Vec<_> = (0..at_frame.scene().objects.len()).map(|index| (index, None)).collect();
+    let Some(program) = Program::new(at_frame.scene(), &objects) else { return };
     let cells = Cells::new(program, around(REACH), &ScalarBuilder);
     let mut random = Random(3);
     for index in 0..points {
@@ -106,7 +106,7 @@ fn check(name: &str, job: &Job, points: u32) {
             let (whole, listed, bound) = (cells.whole_distance(p), cells.distance(p), cell.bound());
             assert_eq!(whole.to_bits(), listed.to_bits(), "{name} at {p:?}: {whole}, and {listed} by cells");
             assert!(bound <= whole.max(0.0), "{name} at {p:?}: {whole}, bound {bound}");
-            check_materials(name, still.scene(), &cells, p);
+            check_materials(name, at_frame.scene(), &cells, p);
             if bound > 0.0 { empty += 1 } else { near += 1 }
         }
     }
@@ -173,9 +173,9 @@ fn shape(random: &mut Random, depth: u32, most: u32) -> String {
         ),
         _ => format!(r#"{{ "sphere": {{ "radius": {size} }} }}"#),
     };
-    let turned =
+    let rotated =
         format!(r#"{{ "rotate": {{ "degrees": [{}, 20, 0], "child": {solid} }} }}"#, random.between(-90.0, 90.0));
-    let inner = if depth == 0 { turned } else { union(random, depth - 1, most) };
+    let inner = if depth == 0 { rotated } else { union(random, depth - 1, most) };
     let inner = match (random.next() * 12.0) as usize {
         paint @ 0..3 => {
             format!(r#"{{ "paint": {{ "material": "{}", "child": {inner} }} }}"#, ["red", "blue", "tiles"][paint])

@@ -8,7 +8,7 @@ use scene::real::{Vec3, vec3};
 use serde_json::{Number, Value, json};
 
 /// A number of an example: its pointer, and the ends of its range.
-struct Place {
+struct ExampleNumber {
     pointer: String,
     ends: Vec<Number>,
 }
@@ -29,7 +29,7 @@ fn alternatives<'s>(root: &'s Value, schema: &'s Value) -> Vec<&'s Value> {
 }
 
 /// Pointers and ranges of all numbers in `value`, which the schemas describe.
-fn places<'s>(root: &'s Value, schemas: &[&'s Value], value: &Value, pointer: &str, found: &mut Vec<Place>) {
+fn places<'s>(root: &'s Value, schemas: &[&'s Value], value: &Value, pointer: &str, found: &mut Vec<ExampleNumber>) {
     match value {
         Value::Object(map) => {
             // The alternatives of a choice that have all of the value's keys.
@@ -48,7 +48,7 @@ fn places<'s>(root: &'s Value, schemas: &[&'s Value], value: &Value, pointer: &s
                 places(root, &inner_schemas, inner, &format!("{pointer}/{index}"), found);
             }
         }
-        Value::Number(_) => found.push(Place { pointer: pointer.to_owned(), ends: ends(schemas) }),
+        Value::Number(_) => found.push(ExampleNumber { pointer: pointer.to_owned(), ends: ends(schemas) }),
         Value::Null | Value::Bool(_) | Value::String(_) => {}
     }
 }
@@ -130,17 +130,17 @@ fn wrong_with_changes(example: &Value, changes: &[(&str, &Number)]) -> Option<St
 }
 
 /// Pointers and ranges of an example's numbers, each of which must have a range.
-fn places_of(example: &Value) -> Vec<Place> {
+fn places_of(example: &Value) -> Vec<ExampleNumber> {
     let schema = scene::schema();
     let mut found = Vec::new();
     places(&schema, &alternatives(&schema, &schema["$defs"]["Node"]), example, "", &mut found);
-    for Place { pointer, ends } in &found {
+    for ExampleNumber { pointer, ends } in &found {
         assert!(!ends.is_empty(), "the schema gives {pointer} of {example} no range");
     }
     found
 }
 
-fn each_example(mut check: impl FnMut(&Value, &[Place]) -> Vec<String>) {
+fn each_example(mut check: impl FnMut(&Value, &[ExampleNumber]) -> Vec<String>) {
     let mut wrong = Vec::new();
     for Example { kind, index: number, json: node, .. } in Node::examples() {
         let example: Value = serde_json::from_str(&node).expect("an example is JSON");

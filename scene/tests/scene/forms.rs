@@ -13,7 +13,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use scene::{ParseError, parse};
 use serde_json::{Value, json};
 
-use places::{Kind, Place, Schema};
+use places::{JobValue, Kind, Schema};
 
 /// Whether a form has the same value in all frames as what it replaces.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -46,7 +46,7 @@ fn keys(value: &Value) -> Value {
 }
 
 /// The forms of the value at a place.
-fn forms(job: &Value, place: &Place) -> Vec<Form> {
+fn forms(job: &Value, place: &JobValue) -> Vec<Form> {
     let with = |written: Value, meaning: Meaning| {
         let mut job = job.clone();
         *job.pointer_mut(&place.pointer).expect("the place") = written.clone();
@@ -120,7 +120,7 @@ impl Form {
     }
 
     /// The error in how the form is read.
-    fn check(&self, schema: &Schema, place: &Place, key: &str, counts: &Counts) -> Option<String> {
+    fn check(&self, schema: &Schema, place: &JobValue, key: &str, counts: &Counts) -> Option<String> {
         let is_allowed = schema.allows(&place.schema, &self.written);
         let errors = match parse(self.job.to_string().as_bytes()) {
             Ok(job) => {
@@ -136,25 +136,25 @@ impl Form {
             Err(ParseError::Invalid(errors)) => errors,
         };
         counts.refused.fetch_add(1, Ordering::Relaxed);
-        let told: Vec<String> = errors.iter().map(ToString::to_string).collect();
-        let told = told.join("; ");
+        let reported: Vec<String> = errors.iter().map(ToString::to_string).collect();
+        let reported = reported.join("; ");
         let is_here = errors.iter().all(|error| {
             error.pointer.starts_with(&place.pointer)
                 || place.pointer.starts_with(&error.pointer)
                 || error.pointer.starts_with("/scene/shapes")
         });
-        let is_clear = ["must be", "write", "use ", "cannot be a track"].iter().any(|cure| told.contains(cure));
+        let is_clear = ["must be", "write", "use ", "cannot be a track"].iter().any(|cure| reported.contains(cure));
         // The schema cannot say what holds between several values, such as that placements do not move.
         let is_rule = self.meaning == Meaning::Moving
             && ["animated", "the same in all frames", "the same for all frames"]
                 .iter()
-                .any(|words| told.contains(words));
-        (!(is_here && is_clear && (!is_allowed || is_rule))).then(|| format!("is refused: {told}"))
+                .any(|words| reported.contains(words));
+        (!(is_here && is_clear && (!is_allowed || is_rule))).then(|| format!("is refused: {reported}"))
     }
 }
 
 /// Checks all forms of the values of some jobs at places that `is_chosen`.
-fn check(jobs: &[Value], is_chosen: impl Fn(&Place) -> bool + Sync) -> Counts {
+fn check(jobs: &[Value], is_chosen: impl Fn(&JobValue) -> bool + Sync) -> Counts {
     let (schema, counts, next) = (Schema::new(scene::schema()), Counts::default(), AtomicUsize::new(0));
     let wrong = std::sync::Mutex::new(Vec::new());
     let check_jobs = || {

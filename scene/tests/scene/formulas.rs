@@ -210,7 +210,7 @@ fn all_errors_of_formulas_and_of_the_rest_are_reported_at_once() {
     ] } }"#;
     let text = text(numbers, "", shape, "");
     let all = errors(&text);
-    let told: Vec<String> = all.iter().map(|error| format!("{} {}", error.pointer, error.message)).collect();
+    let reported: Vec<String> = all.iter().map(|error| format!("{} {}", error.pointer, error.message)).collect();
     for words in [
         "/scene/numbers/b is computed from itself (a → b → a): break this cycle",
         "/scene/numbers/c ends too early: write a number, a name or a parenthesis here",
@@ -222,9 +222,9 @@ fn all_errors_of_formulas_and_of_the_rest_are_reported_at_once() {
         "/scene/objects/0/shape/union/of/1/sphere/radius must be a size",
         "/scene/objects/0/shape/union/of/2/cube",
     ] {
-        assert!(told.iter().any(|told| told.starts_with(words)), "{words} is missing: {told:#?}");
+        assert!(reported.iter().any(|reported| reported.starts_with(words)), "{words} is missing: {reported:#?}");
     }
-    assert_eq!(all.len(), 9, "{told:#?}");
+    assert_eq!(all.len(), 9, "{reported:#?}");
 }
 
 #[test]

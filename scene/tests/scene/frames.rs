@@ -24,8 +24,8 @@ fn a_frame_has_numbers_at_its_time() {
     let job = job(GROWS, r#", "frames": { "count": 9, "fps": 4 }"#);
     assert!(job.is_animated());
     let reach = |frame| {
-        let still = job.at(frame).unwrap();
-        let seen: f32 = still.scene().objects[0].shape.bounds(0.0).max.x;
+        let at_frame = job.at(frame).unwrap();
+        let seen: f32 = at_frame.scene().objects[0].shape.bounds(0.0).max.x;
         seen
     };
     assert_eq!([0, 1, 2, 4, 8].map(reach), [1.0, 1.5, 2.0, 3.0, 3.0]);

@@ -73,8 +73,8 @@ fn each(mut check: impl FnMut(&str, &Family, &Example, &Value)) {
 
 /// Every channel of the job's picture, computed in `f32`.
 fn pixels(job: &Job) -> Vec<f32> {
-    let still = job.at(0).expect("the job is valid");
-    let program = Integrator::new(&still);
+    let at_frame = job.at(0).expect("the job is valid");
+    let program = Integrator::new(&at_frame);
     let mut channels = Vec::new();
     for (x, y) in (0..job.image.height).flat_map(|y| (0..job.image.width).map(move |x| (x, y))) {
         let seen = program.pixel(x as f32, y as f32);

@@ -58,8 +58,8 @@ fn time_ran() -> Duration {
 }
 
 fn box_at([x, y, z, a, b, c]: &[f64; 6]) -> String {
-    let turned = format!(r#"{{"rotate":{{"degrees":[{a},{b},{c}],"child":{{"box":{{"size":[0.1,0.2,0.3]}}}}}}}}"#);
-    format!(r#"{{"translate":{{"by":[{x},{y},{z}],"child":{turned}}}}}"#)
+    let rotated = format!(r#"{{"rotate":{{"degrees":[{a},{b},{c}],"child":{{"box":{{"size":[0.1,0.2,0.3]}}}}}}}}"#);
+    format!(r#"{{"translate":{{"by":[{x},{y},{z}],"child":{rotated}}}}}"#)
 }
 
 fn capsule([x, y, z, a, b, c]: &[f64; 6]) -> String {
@@ -144,10 +144,11 @@ fn read_one(index: usize) {
     let memory = (peak_bytes() - before_bytes) as f64 / text.len() as f64;
     assert_eq!(read.is_err(), name.starts_with("refused"), "{name}: {:?}", read.err());
     let begun = time_ran();
-    let told = read.map_or_else(|_| String::new(), |job| format!("{} nodes, key {}", job.nodes(), job.cache_key(0)));
+    let reported =
+        read.map_or_else(|_| String::new(), |job| format!("{} nodes, key {}", job.nodes(), job.cache_key(0)));
     let (megabytes, seconds, key_seconds) =
         (text.len() as f64 / 1e6, time.as_secs_f64(), time_ran().saturating_sub(begun).as_secs_f64());
-    eprintln!("{name}: {megabytes:.1} MB in {seconds:.2} s, {memory:.1} times its size; {told} {key_seconds:.2} s");
+    eprintln!("{name}: {megabytes:.1} MB in {seconds:.2} s, {memory:.1} times its size; {reported} {key_seconds:.2} s");
     let limit = if name.starts_with("refused") { MAX_REFUSAL_TIME } else { MAX_TIME };
     let is_in_time = time <= limit || std::env::var_os("SDFARM_CHECK_TIMES").is_none();
     assert!(is_in_time && memory <= MAX_MEMORY, "{name}: {seconds} s, {memory} times its size");

@@ -30,8 +30,8 @@ fn with_lens(lens: &Value) -> Job {
 
 /// Bits of all pixels of a frame.
 fn pixels(job: &Job, frame: u32) -> Vec<[u32; 4]> {
-    let still = job.at(frame).expect("a frame");
-    let integrator = Integrator::new(&still);
+    let at_frame = job.at(frame).expect("a frame");
+    let integrator = Integrator::new(&at_frame);
     let pixel = |index: u32| {
         let seen = integrator.pixel((index % SIZE) as f32, (index / SIZE) as f32);
         [seen.color.x, seen.color.y, seen.color.z, seen.alpha].map(f32::to_bits)
@@ -55,8 +55,8 @@ fn a_lens_of_aperture_0_is_a_pinhole_to_the_bit() {
 
 #[test]
 fn turning_a_circle_changes_no_key() {
-    let turned = |turn: f32| with_lens(&json!({ "aperture": 0.3, "focus": 3, "turn": turn })).cache_key(0);
-    assert_eq!(turned(0.0), turned(25.0));
+    let rotated = |turn: f32| with_lens(&json!({ "aperture": 0.3, "focus": 3, "turn": turn })).cache_key(0);
+    assert_eq!(rotated(0.0), rotated(25.0));
 }
 
 #[test]
@@ -87,16 +87,16 @@ fn an_f_stop_and_a_focal_length_are_an_aperture() {
 fn every_number_of_a_lens_moves() {
     let keys = |from: Value, to: Value| json!({ "keys": [[0, from], [2, to]] });
     let formula = |text: &str| json!({ "expr": text });
-    let still = json!({ "aperture": 0.4, "focus": 3, "blades": 6, "turn": 10 });
+    let constant = json!({ "aperture": 0.4, "focus": 3, "blades": 6, "turn": 10 });
     let cases = [
-        ("aperture", keys(json!(0.6), json!(0.2)), still.clone()),
-        ("aperture", formula("0.6 - 0.2 * t"), still.clone()),
-        ("focus", keys(json!(2), json!(4)), still.clone()),
-        ("focus", formula("2 + t"), still.clone()),
-        ("focus", keys(json!([0, 1, 4]), json!([0, 1, 2])), still.clone()),
-        ("focus", json!([0, 1, { "expr": "4 - t" }]), still.clone()),
-        ("focus", json!({ "path": { "through": [[0, 0, 5], [0, 0, 1]], "keys": [[0, 0], [2, 1]] } }), still.clone()),
-        ("turn", keys(json!(0), json!(20)), still.clone()),
+        ("aperture", keys(json!(0.6), json!(0.2)), constant.clone()),
+        ("aperture", formula("0.6 - 0.2 * t"), constant.clone()),
+        ("focus", keys(json!(2), json!(4)), constant.clone()),
+        ("focus", formula("2 + t"), constant.clone()),
+        ("focus", keys(json!([0, 1, 4]), json!([0, 1, 2])), constant.clone()),
+        ("focus", json!([0, 1, { "expr": "4 - t" }]), constant.clone()),
+        ("focus", json!({ "path": { "through": [[0, 0, 5], [0, 0, 1]], "keys": [[0, 0], [2, 1]] } }), constant.clone()),
+        ("turn", keys(json!(0), json!(20)), constant.clone()),
         ("f_stop", formula("1 + t"), json!({ "f_stop": 2, "focal_length": 0.8, "focus": 3, "blades": 6, "turn": 10 })),
         (
             "focal_length",
@@ -104,15 +104,15 @@ fn every_number_of_a_lens_moves() {
             json!({ "f_stop": 2, "focal_length": 0.8, "focus": 3, "blades": 6, "turn": 10 }),
         ),
     ];
-    for (key, motion, still) in cases {
-        let mut lens = still.clone();
+    for (key, motion, constant) in cases {
+        let mut lens = constant.clone();
         lens[key] = motion;
         let moving = job(&json!({ "lens": lens }), &[[0.0; 3]], 3);
         assert!(moving.is_animated(), "{lens}");
         let frames = [0, 1, 2].map(|frame| pixels(&moving, frame));
         assert!(frames[0] != frames[1] && frames[1] != frames[2], "{lens}");
         // The seed of a frame is its number.
-        assert_eq!(frames[1], pixels(&job(&json!({ "lens": still }), &[[0.0; 3]], 3), 1), "{lens}");
+        assert_eq!(frames[1], pixels(&job(&json!({ "lens": constant }), &[[0.0; 3]], 3), 1), "{lens}");
     }
 }
 
@@ -136,16 +136,16 @@ fn a_group_places_the_lens_and_its_focus() {
     };
     let job = |groups: Value| scene::parse(text(groups).as_bytes()).expect("a job");
     let ray = |job: &Job| {
-        let still = job.at(0).expect("a frame");
-        let ray = still.scene().camera.view(SIZE, SIZE).ray_through_lens(5.0_f32, 9.0, || (0.2, 0.7));
+        let at_frame = job.at(0).expect("a frame");
+        let ray = at_frame.scene().camera.view(SIZE, SIZE).ray_through_lens(5.0_f32, 9.0, || (0.2, 0.7));
         (ray.origin, ray.direction)
     };
     let (origin, direction) = ray(&job(json!([])));
     let (placed_origin, placed_direction) =
         ray(&job(json!([{ "by": [1, 2, 3], "degrees": 90, "axis": [0, 1, 0], "camera": true }])));
-    let turned = |v: Vec3<f32>| vec3(v.z, v.y, -v.x);
-    assert!((turned(origin) + vec3(1.0, 2.0, 3.0) - placed_origin).length() < 1e-5);
-    assert!((turned(direction) - placed_direction).length() < 1e-6);
+    let rotated = |v: Vec3<f32>| vec3(v.z, v.y, -v.x);
+    assert!((rotated(origin) + vec3(1.0, 2.0, 3.0) - placed_origin).length() < 1e-5);
+    assert!((rotated(direction) - placed_direction).length() < 1e-6);
 }
 
 #[test]
@@ -157,8 +157,8 @@ fn a_tile_of_a_region_has_the_rays_of_the_whole_picture() {
     let whole = pixels(&scene::parse(text.to_string().as_bytes()).expect("a job"), 0);
     text["image"]["region"] = json!([7, 5, 9, 11]);
     let region = scene::parse(text.to_string().as_bytes()).expect("a job");
-    let still = region.at(0).expect("a frame");
-    let part = Integrator::new(&still).pixel(2.0_f32, 3.0);
+    let at_frame = region.at(0).expect("a frame");
+    let part = Integrator::new(&at_frame).pixel(2.0_f32, 3.0);
     let index = ((5 + 3) * SIZE + 7 + 2) as usize;
     assert_eq!([part.color.x, part.color.y, part.color.z, part.alpha].map(f32::to_bits), whole[index]);
 }
@@ -167,8 +167,8 @@ fn a_tile_of_a_region_has_the_rays_of_the_whole_picture() {
 fn the_layers_are_those_of_a_pinhole() {
     let (lens, pinhole) = (with_lens(&json!({ "aperture": 1, "focus": 3 })), job(&json!({}), &[[0.0; 3]], 1));
     let of = |job: &Job| {
-        let still = job.at(0).expect("a frame");
-        let seen = Integrator::new(&still).aovs(12.0_f32, 10.0);
+        let at_frame = job.at(0).expect("a frame");
+        let seen = Integrator::new(&at_frame).layer_values(12.0_f32, 10.0);
         (seen.depth, seen.normal, seen.object)
     };
     let ((depth, normal, object), (pinhole_depth, pinhole_normal, pinhole_object)) = (of(&lens), of(&pinhole));
@@ -193,8 +193,8 @@ fn a_lens_that_reaches_into_an_object_is_reported() {
     let near = [[0.0; 3], [0.0, 0.7, 6.0]];
     let of = |aperture: f32| scene::warnings(&job(&json!({ "lens": { "aperture": aperture, "focus": 5 } }), &near, 1));
     assert_eq!(of(0.1), [""; 0]);
-    let told = of(0.6);
-    assert!(told.len() == 1 && told[0].contains("part of the lens is inside object 1"), "{told:?}");
+    let reported = of(0.6);
+    assert!(reported.len() == 1 && reported[0].contains("part of the lens is inside object 1"), "{reported:?}");
 }
 
 #[test]

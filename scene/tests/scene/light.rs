@@ -12,8 +12,8 @@ pub(crate) fn estimate(job: &Value, samples: u32, seeds: u32) -> ([f64; 3], [f64
         let mut job = job.clone();
         job["image"] = json!({ "width": 8, "height": 8, "samples": samples, "seed": seed });
         let job = parse(job.to_string().as_bytes()).expect("valid");
-        let still = job.at(0).expect("a frame");
-        let seen = Integrator::new(&still).pixel(3.0_f32, 4.0);
+        let at_frame = job.at(0).expect("a frame");
+        let seen = Integrator::new(&at_frame).pixel(3.0_f32, 4.0);
         for (index, channel) in <[f32; 3]>::from(seen.color).into_iter().enumerate() {
             sum[index] += f64::from(channel);
             squares[index] += f64::from(channel).powi(2);
@@ -249,8 +249,8 @@ fn rays_at_right_angles_do_not_pass_walls() {
         let mut scene = scene.clone();
         scene["scene"]["camera"]["position"][2] = json!(1.5 + 0.013 * f64::from(distance));
         let job = parse(scene.to_string().as_bytes()).expect("valid");
-        let still = job.at(0).expect("a frame");
-        let depth = f64::from(Integrator::new(&still).aovs(4.0_f32, 4.0).depth);
+        let at_frame = job.at(0).expect("a frame");
+        let depth = f64::from(Integrator::new(&at_frame).layer_values(4.0_f32, 4.0).depth);
         assert!((depth - (2.5 + 0.013 * f64::from(distance))).abs() < 1e-4, "{depth} at {distance}");
     }
 }
@@ -288,7 +288,7 @@ fn light_goes_straight_through_glass_if_wished() {
     // Two surfaces that reflect a twenty-fifth each, and the color of the glass.
     let glass = json!({ "base_color": [0.9, 0.5, 0.3], "transmission": 1, "ior": 1.5, "roughness": 0 });
     let sun = json!({ "directional": { "direction": [0, 1, 0], "color": [2, 2, 2] } });
-    let through = |tint: f64| 0.8 * 2.0 * 0.96_f64.powi(2) * tint;
+    let through = |filter: f64| 0.8 * 2.0 * 0.96_f64.powi(2) * filter;
     let job = under_glass(&glass, &sun, true);
     let mut direct = job.clone();
     direct["scene"]["integrator"]["path"]["max_bounces"] = json!(0);

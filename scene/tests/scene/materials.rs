@@ -296,7 +296,7 @@ fn animated_and_constant_numbers_give_the_same_color() {
         .map(|example| Example { json: format!(r#"{{ "flat": {{ "color": {} }} }}"#, example.json), ..example });
     for example in Material::examples().into_iter().chain(textures) {
         let value: Value = serde_json::from_str(&example.json).unwrap();
-        let still: Material = parsed(&example);
+        let constant: Material = parsed(&example);
         let mut found = Vec::new();
         numbers(&value, "", &mut found);
         for pointer in found {
@@ -319,7 +319,7 @@ fn animated_and_constant_numbers_give_the_same_color() {
                     ambient_visibility: None,
                     shadow: None,
                 };
-                let (got, want) = (moving.shade(&place, &light), still.shade(&place, &light));
+                let (got, want) = (moving.shade(&place, &light), constant.shade(&place, &light));
                 let off = (got - want).length();
                 assert!(off <= 1e-4 * want.length().max(1.0), "{} {pointer}: {got:?} for {want:?}", example.kind);
             }

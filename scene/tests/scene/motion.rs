@@ -80,11 +80,11 @@ fn compare(
     project: fn(Eye, Point) -> [f64; 2],
     carry: impl Fn(Point, f32) -> Point,
 ) -> usize {
-    let still = job.at(1).expect("a valid frame");
-    let integrator = Integrator::new(&still);
+    let at_frame = job.at(1).expect("a valid frame");
+    let integrator = Integrator::new(&at_frame);
     let mut hits = 0;
     for (x, y) in (0..job.image.height).flat_map(|y| (0..job.image.width).map(move |x| (x, y))) {
-        let seen = integrator.aovs(x as f32, y as f32);
+        let seen = integrator.layer_values(x as f32, y as f32);
         let places = if seen.depth.is_finite() {
             hits += 1;
             let p = <[f32; 3]>::from(seen.position).map(f64::from);
@@ -108,8 +108,8 @@ fn compare(
 
 /// Direction through a pixel's center in frame 1.
 fn integrator_ray(job: &Job, x: u32, y: u32) -> Point {
-    let still = job.at(1).expect("a valid frame");
-    let view = still.scene().camera.view(job.image.width, job.image.height);
+    let at_frame = job.at(1).expect("a valid frame");
+    let view = at_frame.scene().camera.view(job.image.width, job.image.height);
     <[f32; 3]>::from(view.ray(x as f32 + 0.5, y as f32 + 0.5).direction).map(f64::from)
 }
 
@@ -134,9 +134,9 @@ fn motion_to_the_right_and_up_is_positive() {
     let moving = json!([{ "shape": { "translate": { "by": [steps(0.0, 0.3), steps(0.0, 0.2), 0],
         "child": { "sphere": { "radius": 1 } } } } }]);
     let job = job(&camera, &moving);
-    let still = job.at(1).expect("a valid frame");
+    let at_frame = job.at(1).expect("a valid frame");
     // A pixel is 0.1 wide.
-    let (x, y) = Integrator::new(&still).aovs(24.0_f32, 18.0).motion;
+    let (x, y) = Integrator::new(&at_frame).layer_values(24.0_f32, 18.0).motion;
     assert!((x - 3.0).abs() < 1e-4 && (y - 2.0).abs() < 1e-4, "({x}, {y})");
 }
 
@@ -154,21 +154,21 @@ fn a_box_turns_about_an_axis() {
 #[test]
 fn a_camera_pans_moves_and_zooms() {
     let floor = json!([{ "shape": { "sphere": { "radius": 1 } } }, { "shape": { "plane": { "normal": [0, 1, 0], "offset": -1 } } }]);
-    let still = |p: Point, _: f32| p;
+    let fixed = |p: Point, _: f32| p;
     let pan = json!({ "position": [0.5, 1, 5], "look_at": [steps(-0.3, 0.3), 0.2, 0] });
     let next = Eye { look_at: [0.3, 0.2, 0.0], ..EYE };
-    assert!(compare(&job(&pan, &floor), [EYE, next], perspective, still) > 900);
+    assert!(compare(&job(&pan, &floor), [EYE, next], perspective, fixed) > 900);
     let truck = json!({ "position": [steps(0.4, 0.1), 1, steps(5.2, -0.2)], "look_at": [0, 0.2, 0] });
     let next = Eye { position: [0.6, 1.0, 4.8], ..EYE };
-    assert!(compare(&job(&truck, &floor), [EYE, next], perspective, still) > 900);
+    assert!(compare(&job(&truck, &floor), [EYE, next], perspective, fixed) > 900);
     let zoom = json!({ "position": [0.5, 1, 5], "look_at": [0, 0.2, 0], "fov": steps(38.0, 2.0) });
-    assert!(compare(&job(&zoom, &floor), [EYE, Eye { fov: 42.0, ..EYE }], perspective, still) > 900);
+    assert!(compare(&job(&zoom, &floor), [EYE, Eye { fov: 42.0, ..EYE }], perspective, fixed) > 900);
     let turntable = json!({ "position": [0, 0, 5], "look_at": [0, 0, 0], "turntable": { "turns": 0.25 } });
     let at = |degrees: f64| {
         let (sin, cos) = degrees.to_radians().sin_cos();
         Eye { position: [5.0 * sin, 0.0, 5.0 * cos], look_at: [0.0; 3], fov: 40.0 }
     };
-    assert!(compare(&job(&turntable, &floor), [at(30.0), at(60.0)], perspective, still) > 900);
+    assert!(compare(&job(&turntable, &floor), [at(30.0), at(60.0)], perspective, fixed) > 900);
 }
 
 #[test]
@@ -190,10 +190,10 @@ fn parallel_rays_show_a_background_that_stands_still() {
         &camera,
         &json!([{ "shape": { "translate": { "by": [0, 1, 0], "child": { "sphere": { "radius": 1 } } } } }]),
     );
-    let still = job.at(1).expect("a valid frame");
-    let integrator = Integrator::new(&still);
-    assert_eq!(integrator.aovs(0.0_f32, 0.0).motion, (0.0, 0.0));
-    let (x, y) = integrator.aovs(24.0_f32, 18.0).motion;
+    let at_frame = job.at(1).expect("a valid frame");
+    let integrator = Integrator::new(&at_frame);
+    assert_eq!(integrator.layer_values(0.0_f32, 0.0).motion, (0.0, 0.0));
+    let (x, y) = integrator.layer_values(24.0_f32, 18.0).motion;
     assert!((x + 2.0).abs() < 1e-4 && y.abs() < 1e-4, "({x}, {y})");
 }
 
@@ -227,8 +227,8 @@ fn the_last_frame_moves_on_and_a_frame_alone_moves() {
     let moving = json!([{ "shape": { "translate": { "by": [steps(0.0, 0.2), 0, 0], "child": { "sphere": { "radius": 1 } } } } }]);
     for frames in [1, 2] {
         let job = job_in(WIDTH, &camera(), &moving, frames);
-        let still = job.at(frames - 1).expect("a valid frame");
-        let (x, _) = Integrator::new(&still).aovs(24.0_f32, 18.0).motion;
+        let at_frame = job.at(frames - 1).expect("a valid frame");
+        let (x, _) = Integrator::new(&at_frame).layer_values(24.0_f32, 18.0).motion;
         assert!(x > 1.0, "frame {} of {frames}: {x}", frames - 1);
         assert_eq!(scene::warnings(&job), Vec::<String>::new());
     }
@@ -239,15 +239,15 @@ fn nothing_moves_where_nothing_is_animated() {
     let objects = json!([{ "shape": { "sphere": { "radius": 1 } } }, { "shape": { "translate": { "by": [0, steps(8.0, 0.1), 0],
         "child": { "sphere": { "radius": 1 } } } } }]);
     let job = job(&camera(), &objects);
-    let still = job.at(1).expect("a valid frame");
-    let integrator = Integrator::new(&still);
+    let at_frame = job.at(1).expect("a valid frame");
+    let integrator = Integrator::new(&at_frame);
     for (x, y) in [(24.0_f32, 18.0), (0.0, 0.0), (47.0, 30.0)] {
-        assert_eq!(integrator.aovs(x, y).motion, (0.0, 0.0));
+        assert_eq!(integrator.layer_values(x, y).motion, (0.0, 0.0));
     }
     let without = job_in(WIDTH, &camera(), &json!([{ "shape": { "sphere": { "radius": 1 } } }]), 1);
     assert!(scene::warnings(&without)[0].contains("motion is 0 everywhere"), "{:?}", scene::warnings(&without));
-    let still = without.at(0).expect("a valid frame");
-    assert_eq!(Integrator::new(&still).aovs(24.0_f32, 18.0).motion, (0.0, 0.0));
+    let at_frame = without.at(0).expect("a valid frame");
+    assert_eq!(Integrator::new(&at_frame).layer_values(24.0_f32, 18.0).motion, (0.0, 0.0));
 }
 
 #[test]
@@ -273,8 +273,8 @@ fn keys_depend_on_the_next_frame_with_the_layer_alone() {
             "image": { "width": 8, "height": 8, "format": "exr", "layers": layers }, "frames": { "count": 3, "fps": 1 } });
         let job = scene::parse(text.to_string().as_bytes()).expect("a valid job");
         [0, 1].map(|frame| {
-            let still = job.at(frame).expect("a valid frame");
-            (still.cache_key(), still.pixels_cache_key(), still.scene_hash())
+            let at_frame = job.at(frame).expect("a valid frame");
+            (at_frame.cache_key(), at_frame.pixels_cache_key(), at_frame.scene_hash())
         })
     };
     let (with, without) = (|last| keys(last, json!(["motion"])), |last| keys(last, json!(["depth"])));
@@ -306,12 +306,12 @@ fn cells_give_the_same_motion() {
         { "shape": { "plane": { "normal": [0, 1, 0], "offset": -0.4 } } }]);
     let camera = json!({ "position": [0, 3, steps(7.0, -0.2)], "look_at": [0, 0, 0] });
     let job = job(&camera, &objects);
-    let still = job.at(1).expect("a valid frame");
-    let (by_cells, without) = (Integrator::of_picture(&still, &ScalarBuilder), Integrator::new(&still));
+    let at_frame = job.at(1).expect("a valid frame");
+    let (by_cells, without) = (Integrator::of_picture(&at_frame, &ScalarBuilder), Integrator::new(&at_frame));
     assert!(by_cells.table().is_some(), "the scene is rendered by cells");
     let mut moved = 0;
     for (x, y) in (0..HEIGHT).flat_map(|y| (0..WIDTH).map(move |x| (x as f32, y as f32))) {
-        let (got, want) = (by_cells.aovs(x, y), without.aovs(x, y));
+        let (got, want) = (by_cells.layer_values(x, y), without.layer_values(x, y));
         if (got.depth / want.depth - 1.0).abs() > 1e-4 {
             continue;
         }

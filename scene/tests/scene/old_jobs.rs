@@ -34,8 +34,9 @@ fn old_jobs_say_what_they_said() {
             .expect("writing to a string");
         for frame in [0, job.frames.count - 1].into_iter().take(if job.is_animated() { 2 } else { 1 }) {
             match job.at(frame) {
-                Ok(still) => {
-                    write!(answers, "\n  frame {frame}: {}", still.scene_hash().to_hex()).expect("writing to a string");
+                Ok(at_frame) => {
+                    write!(answers, "\n  frame {frame}: {}", at_frame.scene_hash().to_hex())
+                        .expect("writing to a string");
                 }
                 Err(error) => wrong.push(format!("{name}, frame {frame}: {error}")),
             }

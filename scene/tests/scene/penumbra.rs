@@ -39,8 +39,8 @@ fn job(light: &str, samples: u32) -> Job {
 /// Sampled x coordinates, and the light on the floor there, averaged over the rows.
 fn floor(light: &str, samples: u32) -> Vec<(f64, f64)> {
     let job = job(light, samples);
-    let still = job.at(0).expect("a still job");
-    let program = Integrator::new(&still);
+    let at_frame = job.at(0).expect("a still job");
+    let program = Integrator::new(&at_frame);
     (0..WIDTH_PX)
         .step_by(STRIDE_PX)
         .map(|x| {
@@ -106,8 +106,8 @@ fn a_wall_takes_half_of_the_skys_light_from_a_floor() {
             { "material": "white", "shape": { "plane": { "normal": [0, 0, 1], "offset": -0.5 } } } ] },
         "image": { "width": 8, "height": 8, "samples": 1024 } }"#;
     let job = scene::parse(text.as_bytes()).unwrap_or_else(|fault| panic!("{fault:?}"));
-    let still = job.at(0).expect("a still job");
-    let program = Integrator::new(&still);
+    let at_frame = job.at(0).expect("a still job");
+    let program = Integrator::new(&at_frame);
     let pixels = (0..64_u16).map(|index| program.pixel(f32::from(index % 8), f32::from(index / 8)).color.y);
     let mean = pixels.map(f64::from).sum::<f64>() / 64.0;
     // 0.5055 where rays without steps left count as unoccluded.

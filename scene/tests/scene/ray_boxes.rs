@@ -47,10 +47,10 @@ fn heaps(are_large: bool, camera: &Value) -> Vec<Met> {
         "image": { "width": SIZE, "height": SIZE, "samples": 1 } })
     .to_string();
     let job = scene::parse(text.as_bytes()).unwrap_or_else(|refusal| panic!("{refusal}\n{text}"));
-    let still = job.at(0).expect("a frame");
-    let integrator = Integrator::new(&still);
+    let at_frame = job.at(0).expect("a frame");
+    let integrator = Integrator::new(&at_frame);
     let met = |index: u32| {
-        let seen = integrator.aovs((index % SIZE) as f32, (index / SIZE) as f32);
+        let seen = integrator.layer_values((index % SIZE) as f32, (index / SIZE) as f32);
         Met { depth: seen.depth, normal: seen.normal, steps: seen.steps }
     };
     (0..SIZE * SIZE).map(met).collect()

@@ -78,11 +78,11 @@ fn a_ring_is_the_union_of_its_copies() {
         let moved = format!(r#"{{ "translate": {{ "by": [{by}], "child": {shape} }} }}"#);
         for count in [1, 2, 5, 12] {
             let ring = node(&format!(r#"{{ "polar_repeat": {{ "count": {count}, "child": {moved} }} }}"#));
-            let turned = |copy: u32| {
+            let rotated = |copy: u32| {
                 let angle = 360.0 * f64::from(copy) / f64::from(count);
                 format!(r#"{{ "rotate": {{ "degrees": [0, {angle}, 0], "child": {moved} }} }}"#)
             };
-            assert_same(&ring, &union(&(0..count).map(turned).collect::<Vec<_>>()), 2.0);
+            assert_same(&ring, &union(&(0..count).map(rotated).collect::<Vec<_>>()), 2.0);
         }
     }
 }

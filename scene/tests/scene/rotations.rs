@@ -38,10 +38,10 @@ fn one_angle_about_an_axis_is_the_rotation_about_it() {
         same(&one, &three, 0);
     }
     // A third of a turn about the diagonal moves each axis to the next.
-    let turned = job(&format!(r#"{{ "rotate": {{ "degrees": 120, "axis": [1, 1, 1], "child": {CHILD} }} }}"#));
+    let rotated = job(&format!(r#"{{ "rotate": {{ "degrees": 120, "axis": [1, 1, 1], "child": {CHILD} }} }}"#));
     let plain = job(CHILD);
     for [x, y, z] in POINTS {
-        let (a, b) = (distance(&turned, 0, [z, x, y]), distance(&plain, 0, [x, y, z]));
+        let (a, b) = (distance(&rotated, 0, [z, x, y]), distance(&plain, 0, [x, y, z]));
         assert!((a - b).abs() < 1e-5, "{a} and {b}");
     }
 }

@@ -104,8 +104,9 @@ fn a_shape_that_no_object_uses_gets_a_warning() {
 
 #[test]
 fn warnings_point_into_the_shape() {
-    let turned = r#""ball": { "union": { "of": [{ "rotate": { "degrees": [0, 1.5708, 0], "child": { "box": { "size": [1, 1, 1] } } } }] } }"#;
-    let warnings = scene::warnings(&job(turned, r#"{ "translate": { "by": [1, 0, 0], "child": { "use": "ball" } } }"#));
+    let rotated = r#""ball": { "union": { "of": [{ "rotate": { "degrees": [0, 1.5708, 0], "child": { "box": { "size": [1, 1, 1] } } } }] } }"#;
+    let warnings =
+        scene::warnings(&job(rotated, r#"{ "translate": { "by": [1, 0, 0], "child": { "use": "ball" } } }"#));
     let place = "/scene/shapes/ball/union/of/0/rotate/degrees is [0, 1.5708, 0]";
     assert!(warnings.iter().any(|warning| warning.starts_with(place)), "{warnings:?}");
 }

@@ -62,7 +62,7 @@ fn instants_are_evenly_spread_and_end_in_the_middle() {
         let job = job(&json!({ "count": 2, "fps": 1, "shutter": 0.5 }), samples);
         let exposure = job.exposure(1).expect("a valid frame");
         // The right edge of the square is at the time since the start of the frame.
-        let at = |still: &JobAtFrame<'_>| (still.scene().objects[0].shape.bounds(0.0).max.x * 1e4).round() / 1e4;
+        let at = |at_frame: &JobAtFrame<'_>| (at_frame.scene().objects[0].shape.bounds(0.0).max.x * 1e4).round() / 1e4;
         let times: Vec<f32> = exposure.instants.iter().map(at).collect();
         (times, exposure.samples().concat())
     };
@@ -111,12 +111,15 @@ fn errors_while_the_shutter_is_open_name_the_instant() {
     let frames = |shutter: f64| json!({ "count": 1, "fps": 1, "shutter": shutter });
     let x = json!({ "expr": "1 / (t - 0.25)" });
     assert!(parsed(&x, &frames(0.0), 1).is_ok());
-    let told = parsed(&x, &frames(0.5), 1).expect_err("it divides by 0 at 0.25 s");
-    assert!(told.contains("at 0.25 seconds"), "{told}");
-    let told = parsed(&json!(1), &json!({ "shutter": 2 }), 1).expect_err("it is out of range");
-    assert!(told.contains("/frames/shutter") && told.contains("a fraction of a frame from 0 to 1"), "{told}");
-    let told = parsed(&json!(1), &json!({ "shutter": { "keys": [[0, 0.5]] } }), 1).expect_err("it is constant");
-    assert!(told.contains("/frames/shutter"), "{told}");
+    let reported = parsed(&x, &frames(0.5), 1).expect_err("it divides by 0 at 0.25 s");
+    assert!(reported.contains("at 0.25 seconds"), "{reported}");
+    let reported = parsed(&json!(1), &json!({ "shutter": 2 }), 1).expect_err("it is out of range");
+    assert!(
+        reported.contains("/frames/shutter") && reported.contains("a fraction of a frame from 0 to 1"),
+        "{reported}"
+    );
+    let reported = parsed(&json!(1), &json!({ "shutter": { "keys": [[0, 0.5]] } }), 1).expect_err("it is constant");
+    assert!(reported.contains("/frames/shutter"), "{reported}");
 }
 
 #[test]

@@ -255,8 +255,8 @@ fn light_and_viewer_may_be_exchanged() {
     .map(surface);
     for (a, b) in COSINES.into_iter().flat_map(|a| COSINES.map(|b| (a, b))) {
         for azimuth in [0.1_f64, 1.0, 2.0, 3.0, PI - 1e-3] {
-            let turned = at_cosine(b);
-            let (one, other) = (at_cosine(a), [turned[0] * azimuth.cos(), turned[0] * azimuth.sin(), b]);
+            let rotated = at_cosine(b);
+            let (one, other) = (at_cosine(a), [rotated[0] * azimuth.cos(), rotated[0] * azimuth.sin(), b]);
             for material in &materials {
                 let there = answer(material, one, other) / b;
                 let back = answer(material, other, one) / a;
@@ -280,8 +280,8 @@ fn grazing_directions_give_finite_light() {
         });
         for (a, b) in heights.into_iter().flat_map(|a| heights.map(|b| (a, b))) {
             for azimuth in [0.0_f64, 1e-6, 1.0, PI / 2.0, PI - 1e-6, PI] {
-                let turned = at_cosine(b);
-                let light = [turned[0] * azimuth.cos(), turned[0] * azimuth.sin(), b];
+                let rotated = at_cosine(b);
+                let light = [rotated[0] * azimuth.cos(), rotated[0] * azimuth.sin(), b];
                 for (material, below) in materials.iter().flat_map(|material| [(material, 1.0), (material, -1.0)]) {
                     let got = answer(material, at_cosine(a), [light[0], light[1], light[2] * below]);
                     assert!(got.is_finite() && got >= 0.0, "{got} at {a}, {b}, {azimuth}, roughness {roughness}");

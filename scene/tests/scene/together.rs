@@ -21,8 +21,8 @@ fn errors(job: &Value) -> Vec<String> {
 
 /// Red, green, blue and alpha of a pixel of a frame.
 fn pixel(job: &Job, frame: u32, x: u16, y: u16) -> [f32; 4] {
-    let still = job.at(frame).unwrap();
-    let seen = Integrator::new(&still).pixel(f32::from(x), f32::from(y));
+    let at_frame = job.at(frame).unwrap();
+    let seen = Integrator::new(&at_frame).pixel(f32::from(x), f32::from(y));
     [seen.color.x, seen.color.y, seen.color.z, seen.alpha]
 }
 
@@ -125,7 +125,7 @@ fn errors_in_groups_point_into_them() {
         { "degrees": 30, "objects": [{ "material": "gold", "shape": ball([0.0, 0.0, 0.0], 1.0) }, { "shape": ball([0.0, 0.0, 1.0], 1.0) }] },
         {}
     ] }));
-    let told = errors(&wrong);
+    let reported = errors(&wrong);
     for (place, words) in [
         ("/scene/groups/0/name", "is empty"),
         ("/scene/groups/0/axis", "without `degrees`"),
@@ -135,8 +135,8 @@ fn errors_in_groups_point_into_them() {
         ("/scene/groups/1/objects/0/material", "gold"),
         ("/scene/groups/2", "is empty"),
     ] {
-        let found = told.iter().filter(|error| error.starts_with(&format!("{place}: "))).collect::<Vec<_>>();
-        assert!(found.len() == 1 && found[0].contains(words), "{place}, {words}: {told:#?}");
+        let found = reported.iter().filter(|error| error.starts_with(&format!("{place}: "))).collect::<Vec<_>>();
+        assert!(found.len() == 1 && found[0].contains(words), "{place}, {words}: {reported:#?}");
     }
 }
 
@@ -144,8 +144,8 @@ fn errors_in_groups_point_into_them() {
 fn an_error_in_a_later_frame_of_a_group_points_into_it() {
     let late = json!({ "expr": "10 / (1 - t)" });
     let wrong = scene(json!({ "groups": [{ "by": [late, 0, 0], "objects": [{ "shape": ball([0.0; 3], 1.0) }] }] }));
-    let told = errors(&wrong);
-    assert!(told[0].starts_with("/scene/groups/0/by/0") && told[0].contains("frame 1"), "{told:?}");
+    let reported = errors(&wrong);
+    assert!(reported[0].starts_with("/scene/groups/0/by/0") && reported[0].contains("frame 1"), "{reported:?}");
 }
 
 #[test]
@@ -157,8 +157,8 @@ fn a_camera_on_a_path_looks_ahead_and_leans_into_turns() {
         job(&scene(json!({ "camera": { "position": { "path": path }, "look_at": look_at, "fov": 60 } })))
     };
     let view = |job: &Job, frame| {
-        let still = job.at(frame).unwrap();
-        let view = still.scene().camera.view(100, 100);
+        let at_frame = job.at(frame).unwrap();
+        let view = at_frame.scene().camera.view(100, 100);
         let [middle, top] = [(50.0_f32, 50.0), (50.0, 0.0)].map(|(x, y)| view.ray(x, y).direction);
         (view.origin(), middle, (top - middle * top.dot(middle)).normalize())
     };
@@ -170,8 +170,8 @@ fn a_camera_on_a_path_looks_ahead_and_leans_into_turns() {
     let (_, _, leaning) = view(&around(0.5, 0.2), 1);
     let degrees = Real::atan2((leaning.x * leaning.x + leaning.z * leaning.z).sqrt(), leaning.y) * 180.0 / PI;
     assert!((18.0..27.0).contains(&degrees) && leaning.z > 0.0, "{leaning:?} {degrees}");
-    let told = errors(&scene(json!({ "camera": { "position": [0, 1, 5], "look_at": { "ahead": 1 } } })));
-    assert!(told[0].starts_with("/scene/camera/look_at: ") && told[0].contains("path"), "{told:?}");
+    let reported = errors(&scene(json!({ "camera": { "position": [0, 1, 5], "look_at": { "ahead": 1 } } })));
+    assert!(reported[0].starts_with("/scene/camera/look_at: ") && reported[0].contains("path"), "{reported:?}");
 }
 
 #[test]
@@ -201,8 +201,8 @@ fn mirrors_meet_the_environment_and_the_camera_the_background() {
         let [r, g, b, a] = pixel(&job, 0, 6, 4);
         assert!((r - 0.2).abs() < 0.01 && (g - 0.9).abs() < 0.01 && (b - 0.3).abs() < 0.01 && a == 1.0);
     }
-    let told = errors(&scene(json!({ "environment": "transparent" })));
-    assert_eq!(told, ["/scene/environment: emits no light: choose a color, a gradient or a day"]);
+    let reported = errors(&scene(json!({ "environment": "transparent" })));
+    assert_eq!(reported, ["/scene/environment: emits no light: choose a color, a gradient or a day"]);
 }
 
 #[test]
@@ -257,15 +257,15 @@ fn a_shadow_catcher_shows_shadows_alone() {
 #[test]
 fn errors_and_warnings_name_objects() {
     let far = json!([{ "name": "left leg", "shape": { "sphere": { "radius": -1 } } }, { "shape": { "sphere": {} } }]);
-    let told = errors(&scene(json!({ "objects": far })));
-    assert!(told.iter().any(|error| error.ends_with("(in object \"left leg\")")), "{told:?}");
-    assert!(told.iter().any(|error| !error.contains("in object")), "{told:?}");
+    let reported = errors(&scene(json!({ "objects": far })));
+    assert!(reported.iter().any(|error| error.ends_with("(in object \"left leg\")")), "{reported:?}");
+    assert!(reported.iter().any(|error| !error.contains("in object")), "{reported:?}");
     let inside = json!([{ "name": "the moon", "shape": { "sphere": { "radius": 20 } } }]);
     let warnings = scene::warnings(&job(&scene(json!({ "objects": inside }))));
     assert!(warnings.iter().any(|warning| warning.contains("object 0 (\"the moon\")")), "{warnings:?}");
     for wrong in ["", "two\nlines"] {
-        let told = errors(&scene(json!({ "objects": [{ "name": wrong, "shape": ball([0.0; 3], 1.0) }] })));
-        assert!(told[0].starts_with("/scene/objects/0/name: "), "{told:?}");
+        let reported = errors(&scene(json!({ "objects": [{ "name": wrong, "shape": ball([0.0; 3], 1.0) }] })));
+        assert!(reported[0].starts_with("/scene/objects/0/name: "), "{reported:?}");
     }
 }
 
@@ -285,7 +285,10 @@ fn a_region_has_the_pixels_of_the_whole_picture() {
     {
         let mut wrong = scene(json!({}));
         wrong["image"]["region"] = region;
-        let told = errors(&wrong);
-        assert!(told.len() == 1 && told[0].starts_with("/image/region") && told[0].contains(words), "{told:?}");
+        let reported = errors(&wrong);
+        assert!(
+            reported.len() == 1 && reported[0].starts_with("/image/region") && reported[0].contains(words),
+            "{reported:?}"
+        );
     }
 }

@@ -59,14 +59,14 @@ fn shipped_scenes_have_no_warnings() {
     let mut files = Vec::new();
     job_files(&Path::new(env!("CARGO_MANIFEST_DIR")).join("../scenes"), &mut files);
     assert!(files.len() > 10, "{files:?}");
-    let told: Vec<String> = files
+    let reported: Vec<String> = files
         .iter()
         .flat_map(|file| {
             let warnings = scene::warnings(&job(&std::fs::read_to_string(file).unwrap()));
             warnings.into_iter().map(|warning| format!("{}: {warning}", file.display()))
         })
         .collect();
-    assert!(told.is_empty(), "{}", told.join("\n"));
+    assert!(reported.is_empty(), "{}", reported.join("\n"));
 }
 
 #[test]
@@ -277,8 +277,8 @@ fn glass_needs_two_bounces() {
 #[test]
 fn colors_up_to_255_are_reported_with_the_fix() {
     let of = |material: &str| filled(material, "");
-    let told = of(r#"{ "surface": { "base_color": [255, 51, 0] } }"#);
-    one(&told, &["/surface/base_color", "object 0", "[1, 0.2, 0]", "\"#ff3300\""]);
+    let reported = of(r#"{ "surface": { "base_color": [255, 51, 0] } }"#);
+    one(&reported, &["/surface/base_color", "object 0", "[1, 0.2, 0]", "\"#ff3300\""]);
     one(
         &of(r#"{ "diffuse": { "kd": { "checker": { "cell": 1, "colors": [[0, 0, 0], [200, 200, 200]] } } } }"#),
         &["colors/1"],
@@ -290,15 +290,15 @@ fn colors_up_to_255_are_reported_with_the_fix() {
 
 #[test]
 fn angles_in_radians_are_reported_with_their_degrees() {
-    let turned = |degrees: &str| {
+    let rotated = |degrees: &str| {
         of_objects(&format!(
             r#"{{ "shape": {{ "rotate": {{ "degrees": {degrees}, "child": {{ "sphere": {{ "radius": 1 }} }} }} }} }}"#
         ))
     };
-    one(&turned("[0, 1.5708, 0]"), &["/scene/objects/0/shape/rotate/degrees", "[0, 90, 0]"]);
-    one(&turned("[0.7854, 0, 3.14159]"), &["[45, 0, 180]"]);
+    one(&rotated("[0, 1.5708, 0]"), &["/scene/objects/0/shape/rotate/degrees", "[0, 90, 0]"]);
+    one(&rotated("[0.7854, 0, 3.14159]"), &["[45, 0, 180]"]);
     for degrees in ["[0, 90, 0]", "[0, 0, 0]", "[1, 2, 3]", "[0.5, 0, 0]", "[0, 1.5708, 30]", "[7.5, 0, 0]"] {
-        none(&turned(degrees));
+        none(&rotated(degrees));
     }
     let seen = |fov: f32| {
         scene::warnings(&seen_from(&format!(r#"{CAMERA}, "fov": {fov}"#), &format!(r#""objects": [{SPHERE}]"#), ""))

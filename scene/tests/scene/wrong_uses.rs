@@ -145,7 +145,7 @@ fn files() -> Vec<(PathBuf, String)> {
 
 #[test]
 fn each_wrong_use_has_the_recorded_errors() {
-    let (mut titles, mut told, mut wrong) = (BTreeSet::new(), BTreeSet::new(), Vec::new());
+    let (mut titles, mut reported, mut wrong) = (BTreeSet::new(), BTreeSet::new(), Vec::new());
     for (path, kept) in files() {
         let mut cases = kept.split("\n## ");
         let mut text = cases.next().unwrap_or_default().trim_end().to_owned();
@@ -161,7 +161,7 @@ fn each_wrong_use_has_the_recorded_errors() {
                 if !CURES.iter().any(|cure| message.contains(cure)) {
                     wrong.push(format!("{}: {message} has no cure", case.title));
                 }
-                told.insert(message);
+                reported.insert(message);
             }
         }
         text.push('\n');
@@ -175,5 +175,10 @@ fn each_wrong_use_has_the_recorded_errors() {
         }
     }
     assert!(wrong.is_empty(), "{} wrong:\n{}", wrong.len(), wrong.join("\n"));
-    assert!(titles.len() >= LEAST && told.len() >= LEAST, "only {} cases, {} messages", titles.len(), told.len());
+    assert!(
+        titles.len() >= LEAST && reported.len() >= LEAST,
+        "only {} cases, {} messages",
+        titles.len(),
+        reported.len()
+    );
 }

@@ -142,7 +142,7 @@ pub struct Radiance<R> {
 
 /// Layer (AOV) values at a pixel's center.
 #[derive(Clone, Copy, Debug)]
-pub struct Aovs<R> {
+pub struct LayerValues<R> {
     /// Distance along the ray; infinite where nothing is hit.
     pub depth: R,
     /// Normal, toward the viewer's side; 0 where nothing is hit.
@@ -211,9 +211,9 @@ fn shading_point<R: Real>(hit: &Hit<R>, ray: &Ray<R>, footprint: [Vec3<R>; 2]) -
 
 impl<'a> Integrator<'a> {
     /// Prepares the integrator for one frame, without cells: every formula is written out.
-    pub fn new(still: &'a JobAtFrame<'_>) -> Self {
-        let scene = still.scene();
-        let seen_by = |rays| Self::seen_by(still, rays);
+    pub fn new(at_frame: &'a JobAtFrame<'_>) -> Self {
+        let scene = at_frame.scene();
+        let seen_by = |rays| Self::seen_by(at_frame, rays);
         let differ = |one, other| scene.objects.iter().any(|object| object.visible.to(one) != object.visible.to(other));
         let of_shadows = |rays| differ(rays, RayKind::Shadow).then(|| Box::new(seen_by(RayKind::Shadow)));
         let of_reflections = differ(RayKind::Camera, RayKind::Reflection).then(|| {
@@ -224,13 +224,13 @@ impl<'a> Integrator<'a> {
     }
 
     /// Prepares the integrator for one frame and the objects that rays of a kind see.
-    fn seen_by(still: &'a JobAtFrame<'_>, rays: RayKind) -> Self {
-        let (scene, image, moves) = (still.scene(), still.image(), still.is_animated());
+    fn seen_by(at_frame: &'a JobAtFrame<'_>, rays: RayKind) -> Self {
+        let (scene, image, moves) = (at_frame.scene(), at_frame.image(), at_frame.is_animated());
         let [full_width, full_height] = image.full_size();
         let view = scene.camera.view(full_width, full_height);
-        let clothes = MaterialTable::new(scene);
-        let is_worn = |of: fn(&Material) -> bool| clothes.slots().any(|slot| of(&scene.used_materials()[slot]));
-        let (sends_on, lets_through) = (is_worn(Material::is_specular), is_worn(Material::is_transmissive));
+        let table = MaterialTable::new(scene);
+        let is_any = |of: fn(&Material) -> bool| table.slots().any(|slot| of(&scene.used_materials()[slot]));
+        let (sends_on, lets_through) = (is_any(Material::is_specular), is_any(Material::is_transmissive));
         let surfaces: Vec<usize> = surfaces_of(scene).filter(|&index| scene.objects[index].visible.to(rays)).collect();
         let boxes: Vec<Option<Bounds>> =
             scene.objects.iter().map(|object| object.shape.culling_bounds(moves)).collect();
@@ -244,8 +244,8 @@ impl<'a> Integrator<'a> {
         Self {
             scene,
             cells: None,
-            next_frame: NextFrame::of(still),
-            matte_ids: MatteIds::of(still),
+            next_frame: NextFrame::of(at_frame),
+            matte_ids: MatteIds::of(at_frame),
             visits: None,
             names: CallNames::of(rays),
             of_shadows: None,
@@ -257,11 +257,11 @@ impl<'a> Integrator<'a> {
             step_scales,
             media: Media::new(scene, rays, &view),
             emitters: Emitters::new(scene, &surfaces),
-            light_groups: still.light_groups().map(GroupPlaces::new),
+            light_groups: at_frame.light_groups().map(GroupPlaces::new),
             levels: if image.is_reweighted() { BRIGHTNESS_LEVELS } else { 0 },
             sends_on,
             lets_through,
-            materials: clothes,
+            materials: table,
             max_past: if has_fractal { MAX_PAST_FRACTALS } else { MAX_PAST },
             fine: surfaces.iter().copied().filter(|&index| scene.objects[index].shape.is_fine()).collect(),
             surfaces,
@@ -272,7 +272,7 @@ impl<'a> Integrator<'a> {
             view,
             origin: image.origin(),
             samples: image.samples.max(),
-            frame_key: frame_key(image.seed, still.frame()),
+            frame_key: frame_key(image.seed, at_frame.frame()),
         }
     }
 
@@ -346,7 +346,7 @@ impl<'a> Integrator<'a> {
     }
 
     /// Layer (AOV) values of the ray through the center of the pixel in column `x` and row `y`.
-    pub fn aovs<R: Real>(&self, x: R, y: R) -> Aovs<R> {
+    pub fn layer_values<R: Real>(&self, x: R, y: R) -> LayerValues<R> {
         let [x, y] = self.in_whole_picture(x, y);
         let ray = self.view.ray(x + 0.5, y + 0.5);
         let marched = if self.fine.is_empty() { self.march(&ray) } else { self.march_to_depth(&ray) };
@@ -362,31 +362,31 @@ impl<'a> Integrator<'a> {
         });
         let samples = x.uniform(self.samples as f32);
         let motion = motion.unwrap_or((zero, zero));
-        Aovs { depth, normal, position, albedo, object, steps: marched.steps, samples, motion }
+        LayerValues { depth, normal, position, albedo, object, steps: marched.steps, samples, motion }
     }
 
     /// Ray of a sample of a pixel: through its center if it is the only one.
-    fn ray_of_sample<R: Real>(&self, pixel: &PixelSampler<R>, dice: &Sampler<R>) -> Ray<R> {
+    fn ray_of_sample<R: Real>(&self, pixel: &PixelSampler<R>, sampler: &Sampler<R>) -> Ray<R> {
         let [x, y] = pixel.pixel();
         let (jx, jy) =
-            if self.samples == 1 { (x.constant(0.5), x.constant(0.5)) } else { dice.get_2d(lighting::IN_PIXEL) };
-        self.view.ray_through_lens(x + jx, y + jy, || dice.get_2d(lighting::ON_LENS))
+            if self.samples == 1 { (x.constant(0.5), x.constant(0.5)) } else { sampler.get_2d(lighting::IN_PIXEL) };
+        self.view.ray_through_lens(x + jx, y + jy, || sampler.get_2d(lighting::ON_LENS))
     }
 
     /// Radiance along the ray of a sample of a pixel.
-    fn radiance<R: Real>(&self, pixel: &PixelSampler<R>, dice: &Sampler<R>) -> Radiance<R> {
-        let ray = self.ray_of_sample(pixel, dice);
+    fn radiance<R: Real>(&self, pixel: &PixelSampler<R>, sampler: &Sampler<R>) -> Radiance<R> {
+        let ray = self.ray_of_sample(pixel, sampler);
         let zero = ray.direction.x.constant(0.0);
         if let Transport::Path(PathSettings { max_bounces, straight_shadows: _ }) = self.scene.integrator {
-            return self.light_path(&ray, max_bounces, dice);
+            return self.light_path(&ray, max_bounces, sampler);
         }
         if self.sends_on || self.materials.catches_shadows || self.media.is_some() || self.scene.fog.is_some() {
-            return self.path(&ray, dice);
+            return self.path(&ray, sampler);
         }
         let marched = self.march(&ray);
         let (background, alpha) = self.background(ray.direction);
         let (color, alpha, evaluations) = R::when(marched.hit.0, (background, alpha, marched.evaluations), || {
-            let (color, evaluations) = self.surface(&ray, &marched, dice);
+            let (color, evaluations) = self.surface(&ray, &marched, sampler);
             (color, zero.constant(1.0), marched.evaluations + evaluations)
         });
         let farthest = zero.uniform(self.scene.march.max_distance.get());
@@ -431,6 +431,6 @@ fn surfaces_of(scene: &Scene) -> impl Iterator<Item = usize> + '_ {
 }
 
 /// Factor of an object's distance, `None` if it is 1 in all frames.
-fn shrink(stretch: f32, moves: bool) -> Option<f32> {
-    (stretch != 1.0 || moves).then(|| 1.0 / stretch)
+fn shrink(lipschitz: f32, moves: bool) -> Option<f32> {
+    (lipschitz != 1.0 || moves).then(|| 1.0 / lipschitz)
 }

@@ -33,7 +33,7 @@ struct Last {
     /// This machine's time at the reading.
     machine_ms: i64,
     /// The latest time that was returned.
-    told_ms: i64,
+    returned_ms: i64,
 }
 
 impl FarmTime {
@@ -44,7 +44,7 @@ impl FarmTime {
 
     fn at(reading: TimeReading, machine_ms: i64) -> Self {
         let farm_ms = reading.clock_ms + reading.offset_ms;
-        Self(Mutex::new(Last { reading, farm_ms, machine_ms, told_ms: farm_ms }))
+        Self(Mutex::new(Last { reading, farm_ms, machine_ms, returned_ms: farm_ms }))
     }
 
     /// Takes a reading. Returns the offset that the transaction must store, if the database's clock has jumped.
@@ -62,7 +62,7 @@ impl FarmTime {
             farm_ms = expected_ms;
             reading.offset_ms - jump_ms
         });
-        *last = Last { reading, farm_ms, machine_ms, told_ms: last.told_ms };
+        *last = Last { reading, farm_ms, machine_ms, returned_ms: last.returned_ms };
         if offset_ms.is_some() {
             tracing::warn!(
                 jump_seconds = jump_ms / 1000,
@@ -81,8 +81,8 @@ impl FarmTime {
         let mut last = self.0.lock().expect("no holder panics");
         let now_ms = last.farm_ms + (machine_ms - last.machine_ms);
         // Readings differ by rounding.
-        last.told_ms = if now_ms < last.told_ms - JUMP_MS { now_ms } else { last.told_ms.max(now_ms) };
-        last.told_ms
+        last.returned_ms = if now_ms < last.returned_ms - JUMP_MS { now_ms } else { last.returned_ms.max(now_ms) };
+        last.returned_ms
     }
 
     /// Milliseconds since 1970 by the database's clock; for display only.

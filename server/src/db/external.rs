@@ -9,9 +9,9 @@ use sqlx::sqlite::{SqliteConnectOptions, SqliteJournalMode, SqliteSynchronous};
 use super::{Connection, Database, DatabaseError, DatabaseLocation, postgres, query, query_scalar};
 
 impl Connection {
-    /// Connects to an existing database for an occasional write; in a file, it waits at most `patience` for another
+    /// Connects to an existing database for an occasional write; in a file, it waits at most `timeout` for another
     /// process's write.
-    pub(crate) async fn beside_server(location: &DatabaseLocation, patience: Duration) -> Result<Self, DatabaseError> {
+    pub(crate) async fn beside_server(location: &DatabaseLocation, timeout: Duration) -> Result<Self, DatabaseError> {
         if let Some(address) = &location.postgres {
             return Ok(Self::Postgres(postgres::connect_external(address).await?));
         }
@@ -20,7 +20,7 @@ impl Connection {
             .journal_mode(SqliteJournalMode::Wal)
             .synchronous(SqliteSynchronous::Full)
             .foreign_keys(true)
-            .busy_timeout(patience)
+            .busy_timeout(timeout)
             .disable_statement_logging()
             .connect()
             .await?;

@@ -55,11 +55,11 @@ const PREPARED_STATEMENTS: usize = 512;
 /// Oldest version, as `server_version_num` gives it.
 const OLDEST_VERSION: i32 = 150_000;
 /// A server that has failed is asked again for this long; then operations fail.
-const PATIENCE: Duration = Duration::from_secs(30);
+const RECONNECT_TIMEOUT: Duration = Duration::from_secs(30);
 /// Time for the database's server to notice that the farm's last server is gone.
-const LOCK_PATIENCE: Duration = Duration::from_secs(2);
+const LOCK_TIMEOUT: Duration = Duration::from_secs(2);
 /// A read waits for this long; a client that is told to retry waits better than a request.
-const READ_PATIENCE: Duration = Duration::from_secs(3);
+const READ_TIMEOUT: Duration = Duration::from_secs(3);
 const PAUSE: Duration = Duration::from_millis(100);
 /// An answer that takes longer does not come: the server's machine, or the network, is gone.
 pub(super) const ANSWER_TIMEOUT: Duration = Duration::from_secs(30);
@@ -124,7 +124,7 @@ pub(super) async fn open(
         return Err(OpenError::Replica);
     }
     // The process of a server that was killed may not have noticed yet that its client is gone.
-    let deadline = monotonic_now() + LOCK_PATIENCE;
+    let deadline = monotonic_now() + LOCK_TIMEOUT;
     while !lock_farm(&mut connection, sharing).await? {
         if monotonic_now() > deadline {
             return Err(OpenError::InUse);
@@ -136,7 +136,7 @@ pub(super) async fn open(
     let time = Arc::new(FarmTime::new(time_reading(&read, 0)?));
     let readers = PgPoolOptions::new()
         .max_connections(READER_CONNECTIONS)
-        .acquire_timeout(READ_PATIENCE)
+        .acquire_timeout(READ_TIMEOUT)
         .connect_lazy_with(options.clone());
     let session = Session { options, sharing, time: Arc::clone(&time), connections_lost, transaction: None };
     Ok(OpenedDatabase { connection, session, readers, time })
@@ -212,7 +212,7 @@ impl Session {
 
     /// Whether the transaction whose commit was not answered is committed.
     async fn has_committed(&self, connection: &mut PgConnection) -> Result<bool, DatabaseError> {
-        let deadline = monotonic_now() + PATIENCE;
+        let deadline = monotonic_now() + RECONNECT_TIMEOUT;
         loop {
             let status = sqlx::query_scalar("SELECT pg_xact_status(CAST($1 AS xid8))").bind(&self.transaction);
             let status: Option<String> = answered(status.fetch_one(&mut *connection)).await?;
@@ -228,7 +228,7 @@ impl Session {
     pub(super) async fn reconnect(&self, connection: &mut PgConnection) -> Result<(), DatabaseError> {
         tracing::warn!("the connection to the database has ended: connecting again");
         self.connections_lost.inc();
-        let deadline = monotonic_now() + PATIENCE;
+        let deadline = monotonic_now() + RECONNECT_TIMEOUT;
         loop {
             let attempt = async {
                 let mut new = connect(&self.options).await?;

@@ -91,12 +91,12 @@ struct Senders {
 pub(super) struct Writer {
     operations: std::sync::Mutex<Option<Senders>>,
     task: Mutex<Option<JoinHandle<()>>>,
-    bells: Bells,
+    signals: ChangeSignals,
 }
 
 /// Signals of commits.
 #[derive(Clone, Debug, Default)]
-struct Bells {
+struct ChangeSignals {
     /// Every commit that is known.
     every: watch::Sender<()>,
     /// Commits of this writer.
@@ -109,11 +109,11 @@ impl Writer {
         let (worker, urgent) = mpsc::channel(QUEUE_CAPACITY);
         let (ordinary, rest) = mpsc::channel(QUEUE_CAPACITY);
         let waiting = Waiting { urgent: WaitingQueue::new(urgent), ordinary: WaitingQueue::new(rest) };
-        let bells = Bells::default();
-        let task = WriterTask { connection, times, bells: bells.clone() };
+        let signals = ChangeSignals::default();
+        let task = WriterTask { connection, times, signals: signals.clone() };
         let task = tokio::spawn(task.run(waiting));
         let operations = Senders { worker, ordinary };
-        Self { operations: std::sync::Mutex::new(Some(operations)), task: Mutex::new(Some(task)), bells }
+        Self { operations: std::sync::Mutex::new(Some(operations)), task: Mutex::new(Some(task)), signals }
     }
 
     /// Runs one operation; see [`super::Database::write`].
@@ -139,18 +139,18 @@ impl Writer {
     }
 
     /// Signal sent after every commit, and by [`Writer::ring`].
-    pub(super) fn bell(&self) -> watch::Receiver<()> {
-        self.bells.every.subscribe()
+    pub(super) fn changes(&self) -> watch::Receiver<()> {
+        self.signals.every.subscribe()
     }
 
     /// Signal sent after every commit of this writer.
-    pub(super) fn own_bell(&self) -> watch::Receiver<()> {
-        self.bells.own.subscribe()
+    pub(super) fn own_changes(&self) -> watch::Receiver<()> {
+        self.signals.own.subscribe()
     }
 
     /// Signals a commit that was made elsewhere.
-    pub(super) fn ring(&self) {
-        self.bells.every.send_replace(());
+    pub(super) fn signal(&self) {
+        self.signals.every.send_replace(());
     }
 
     /// Stops the task after the waiting operations.
@@ -304,7 +304,7 @@ impl Turn {
 struct WriterTask {
     connection: WritingConnection,
     times: CommitTimes,
-    bells: Bells,
+    signals: ChangeSignals,
 }
 
 impl WriterTask {
@@ -332,8 +332,8 @@ impl WriterTask {
                 // A shorter WAL leaves room for the operations that delete something.
                 self.connection.checkpoint().await;
             }
-            self.bells.every.send_replace(());
-            self.bells.own.send_replace(());
+            self.signals.every.send_replace(());
+            self.signals.own.send_replace(());
             fail_point::trigger_infallible(FailPoint::GroupCommitted);
             for operation in group {
                 operation.reply(committed.clone());

@@ -35,7 +35,7 @@ pub(crate) enum SubscribeOutcome {
 pub(crate) struct EventSubscriber {
     queue: Queue,
     topic: Arc<Topic>,
-    bell: watch::Receiver<()>,
+    changes: watch::Receiver<()>,
     ending: CancellationToken,
     /// Number of the last event sent.
     last: i64,
@@ -56,7 +56,7 @@ impl EventSubscriber {
         let mut last = after.unwrap_or(0);
         let Some(found) = queue.event_position(job, last).await? else { return Ok(SubscribeOutcome::UnknownJob) };
         let topic = events.topic(found.job).await?;
-        let bell = topic.changes();
+        let changes = topic.changes();
         let mut first = Bytes::from_static(KEEP_ALIVE_COMMENT);
         let mut ended = false;
         // A number that was not assigned yet is from another farm, or from before a restore.
@@ -71,7 +71,15 @@ impl EventSubscriber {
         } else if found.ended && queue.job_events_after(found.job, last, 1).await?.is_empty() {
             return Ok(SubscribeOutcome::Ended);
         }
-        Ok(SubscribeOutcome::Subscribed(Box::new(Self { queue, topic, bell, ending, last, first: Some(first), ended })))
+        Ok(SubscribeOutcome::Subscribed(Box::new(Self {
+            queue,
+            topic,
+            changes,
+            ending,
+            last,
+            first: Some(first),
+            ended,
+        })))
     }
 
     /// The next bytes to send; `None` at the end.
@@ -80,7 +88,7 @@ impl EventSubscriber {
             return Ok(Some(first));
         }
         loop {
-            self.bell.borrow_and_update();
+            self.changes.borrow_and_update();
             let news = self.next_events().await?;
             let piece = &news[..piece_length(&news)];
             if let Some(last) = piece.last() {
@@ -92,7 +100,7 @@ impl EventSubscriber {
             }
             let rung = tokio::select! {
                 () = self.ending.cancelled() => return Ok(None),
-                rung = tokio::time::timeout(KEEP_ALIVE_INTERVAL, self.bell.changed()) => rung,
+                rung = tokio::time::timeout(KEEP_ALIVE_INTERVAL, self.changes.changed()) => rung,
             };
             if rung.is_err() {
                 // A deleted job has no further events.
@@ -128,12 +136,12 @@ fn piece_length(news: &[EncodedEvent]) -> usize {
 }
 
 fn joined(news: &[EncodedEvent]) -> Bytes {
-    if let [told] = news {
-        return told.text.clone();
+    if let [event] = news {
+        return event.text.clone();
     }
-    let mut bytes = BytesMut::with_capacity(news.iter().map(|told| told.text.len()).sum());
-    for told in news {
-        bytes.extend_from_slice(&told.text);
+    let mut bytes = BytesMut::with_capacity(news.iter().map(|event| event.text.len()).sum());
+    for event in news {
+        bytes.extend_from_slice(&event.text);
     }
     bytes.freeze()
 }

@@ -65,7 +65,7 @@ impl Fixture {
 }
 
 /// Messages that a subscriber receives, up to `count`.
-async fn told(follower: &mut EventSubscriber, count: usize) -> Vec<SseMessage> {
+async fn received(follower: &mut EventSubscriber, count: usize) -> Vec<SseMessage> {
     let (mut lines, mut messages) = (SseParser::default(), Vec::new());
     while messages.len() < count
         && let Some(bytes) = follower.next().await.expect("reads")
@@ -82,13 +82,13 @@ async fn a_slow_subscriber_reads_missed_events_from_the_database() {
     let job = bench.queue.event_position(id, 0).await.expect("reads").expect("there").job;
     let mut slow = bench.follow(id, None).await.expect("a job");
     let mut quick = bench.follow(id, None).await.expect("a job");
-    assert_eq!(told(&mut quick, 1).await[0].event, "state");
+    assert_eq!(received(&mut quick, 1).await[0].event, "state");
     for _ in 0..3 {
         bench.happen(job, MAX_RECENT).await;
         bench.events.publish().await.expect("publishes");
-        assert_eq!(told(&mut quick, MAX_RECENT).await.len(), MAX_RECENT);
+        assert_eq!(received(&mut quick, MAX_RECENT).await.len(), MAX_RECENT);
     }
-    let all = told(&mut slow, 3 * MAX_RECENT + 1).await;
+    let all = received(&mut slow, 3 * MAX_RECENT + 1).await;
     let bodies: Vec<usize> = all[1..].iter().map(|message| message.data.parse().expect("a number")).collect();
     assert_eq!(bodies, (0..3 * MAX_RECENT).map(|number| number % MAX_RECENT).collect::<Vec<_>>());
 }
@@ -103,13 +103,13 @@ async fn events_of_old_finished_jobs_are_replaced_by_a_snapshot() {
     bench.hand.advance(std::time::Duration::from_hours(2));
     assert_eq!(bench.queue.prune_events().await.expect("prunes"), 2, "one job's");
     let mut follower = bench.follow(old, None).await.expect("a snapshot");
-    let story = told(&mut follower, usize::MAX).await;
+    let story = received(&mut follower, usize::MAX).await;
     let snapshot: Snapshot = serde_json::from_str(&story[0].data).expect("a snapshot");
     assert_eq!((story.len(), snapshot.state), (1, JobState::Cancelled));
     let after = story[0].id.as_ref().and_then(|id| id.parse().ok());
     assert!(bench.follow(old, after).await.is_none(), "nothing follows the snapshot");
     let mut follower = bench.follow(open, None).await.expect("its events are kept");
-    assert_eq!(told(&mut follower, 1).await[0].event, "state");
+    assert_eq!(received(&mut follower, 1).await[0].event, "state");
 }
 
 #[tokio::test]
@@ -121,9 +121,9 @@ async fn the_oldest_events_beyond_the_maximum_are_pruned() {
     let dropped = bench.queue.prune_surplus(10).await.expect("prunes");
     assert_eq!(dropped, 91);
     let mut follower = bench.follow(id, Some(50)).await.expect("a snapshot");
-    assert_eq!(told(&mut follower, 1).await[0].event, "snapshot");
+    assert_eq!(received(&mut follower, 1).await[0].event, "snapshot");
     let mut follower = bench.follow(id, Some(91)).await.expect("nothing was missed");
-    assert_eq!(told(&mut follower, 10).await.len(), 10);
+    assert_eq!(received(&mut follower, 10).await.len(), 10);
 }
 
 /// A backup is restored, and events that clients have received are undone.
@@ -145,15 +145,15 @@ async fn a_client_that_has_seen_undone_events_gets_a_snapshot() {
     let bench = Fixture { events: EventHub::new(queue.clone()), queue, ..bench };
     bench.happen(job, 10).await;
     let mut follower = bench.follow(id, Some(6)).await.expect("nothing was missed");
-    let numbers: Vec<i64> = told(&mut follower, 10)
+    let numbers: Vec<i64> = received(&mut follower, 10)
         .await
         .iter()
-        .map(|told| told.id.as_deref().expect("an id").parse().expect("a number"))
+        .map(|received| received.id.as_deref().expect("an id").parse().expect("a number"))
         .collect();
     assert_eq!(numbers, ((1 << 32)..(1 << 32) + 10).collect::<Vec<i64>>());
     for undone in [7, 11, 12, (1 << 32) - 1] {
         let mut follower = bench.follow(id, Some(undone)).await.expect("a snapshot");
-        let first = told(&mut follower, 1).await.remove(0);
+        let first = received(&mut follower, 1).await.remove(0);
         assert_eq!((first.event.as_str(), first.id), ("snapshot", Some(((1_i64 << 32) + 9).to_string())));
     }
     // Another start is no restore.

@@ -83,9 +83,9 @@ impl FarmSubscriber {
         };
         let mut piece = BytesMut::new();
         let mut next = position;
-        while let Some(told) = events.get(next).filter(|_| piece.len() < MAX_PIECE_BYTES) {
-            if self.may_see(told) {
-                piece.extend_from_slice(&told.text);
+        while let Some(event) = events.get(next).filter(|_| piece.len() < MAX_PIECE_BYTES) {
+            if self.may_see(event) {
+                piece.extend_from_slice(&event.text);
             }
             next += 1;
         }
@@ -95,7 +95,7 @@ impl FarmSubscriber {
         (!piece.is_empty()).then(|| piece.freeze())
     }
 
-    fn may_see(&self, told: &VisibleEvent) -> bool {
-        self.submitter.is_none() || self.submitter == told.submitter
+    fn may_see(&self, event: &VisibleEvent) -> bool {
+        self.submitter.is_none() || self.submitter == event.submitter
     }
 }

@@ -125,10 +125,10 @@ async fn many_changes_at_once_are_not_told_one_by_one() {
     assert!(matches!(next(&mut follower).await[..], [FarmEvent::Resync]));
     let id = submit(&bench.queue).await;
     bench.look().await;
-    let told: Vec<_> = next(&mut follower).await.into_iter().chain(next(&mut follower).await).collect();
+    let received: Vec<_> = next(&mut follower).await.into_iter().chain(next(&mut follower).await).collect();
     let id_of = |event: &FarmEvent| if let FarmEvent::Job(job) = event { Some(job.id) } else { None };
-    let jobs: Vec<JobId> = told.iter().filter_map(id_of).collect();
-    assert_eq!(jobs, [id], "{told:?}");
+    let jobs: Vec<JobId> = received.iter().filter_map(id_of).collect();
+    assert_eq!(jobs, [id], "{received:?}");
 }
 
 #[tokio::test]

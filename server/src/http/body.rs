@@ -16,7 +16,7 @@ use crate::admission::{CallerClass, Holder, Shares, UNCOUNTED_BYTES};
 use crate::budget::Share;
 use crate::http::content_encoding::ContentEncoding;
 use crate::http::error::ApiError;
-use crate::job_cache::{JobCache, Reader};
+use crate::job_cache::{JobCache, ParseReason};
 
 /// Of a body that is too large, this many bytes are read and discarded, so that the client reads the response.
 const MAX_DISCARDED_BYTES: usize = 64 << 20;
@@ -175,7 +175,7 @@ pub(in crate::http) async fn read_encoded(
     let packed = read(request, limit_bytes).await?;
     let Some(encoding) = encoding else { return Ok(packed) };
     let (name, room) = (holder.name.clone(), Room::new(holder, &shares));
-    jobs.run(Reader::Submitter(&name), move || unpack(encoding, &packed, limit_bytes, room)).await?
+    jobs.run(ParseReason::Submitter(&name), move || unpack(encoding, &packed, limit_bytes, room)).await?
 }
 
 /// Unpacks a body into a room of its own.

@@ -47,7 +47,7 @@ pub(super) struct ConnectionSlot(Arc<SlotState>);
 
 #[derive(Debug)]
 struct SlotState {
-    crowd: Arc<ConnectionLimit>,
+    limit: Arc<ConnectionLimit>,
     evicted: CancellationToken,
     requests: AtomicUsize,
     idle_since: Mutex<Option<u64>>,
@@ -90,7 +90,7 @@ impl ConnectionLimit {
             self.evict_idle();
         }
         let place = ConnectionSlot(Arc::new(SlotState {
-            crowd: Arc::clone(self),
+            limit: Arc::clone(self),
             evicted: CancellationToken::new(),
             requests: AtomicUsize::new(0),
             idle_since: Mutex::new(None),
@@ -114,9 +114,9 @@ impl ConnectionLimit {
 struct WaiterGuard<'a>(&'a ConnectionLimit);
 
 impl<'a> WaiterGuard<'a> {
-    fn new(crowd: &'a ConnectionLimit) -> Self {
-        crowd.waiting.fetch_add(1, Ordering::SeqCst);
-        Self(crowd)
+    fn new(limit: &'a ConnectionLimit) -> Self {
+        limit.waiting.fetch_add(1, Ordering::SeqCst);
+        Self(limit)
     }
 }
 
@@ -150,21 +150,21 @@ impl SlotState {
     /// Marks the connection idle; it is evicted if another one waits for a slot.
     fn mark_idle(&self) {
         {
-            let mut idle = self.crowd.idle.lock().expect("no holder panics");
+            let mut idle = self.limit.idle.lock().expect("no holder panics");
             idle.idle_sequence += 1;
             let turn = idle.idle_sequence;
             idle.since.insert(turn, self.evicted.clone());
             *self.idle_since.lock().expect("no holder panics") = Some(turn);
         }
-        if self.crowd.waiting.load(Ordering::SeqCst) > 0 {
-            self.crowd.evict_idle();
+        if self.limit.waiting.load(Ordering::SeqCst) > 0 {
+            self.limit.evict_idle();
         }
     }
 
     /// Marks the connection busy.
     fn mark_busy(&self) {
         if let Some(turn) = self.idle_since.lock().expect("no holder panics").take() {
-            self.crowd.idle.lock().expect("no holder panics").since.remove(&turn);
+            self.limit.idle.lock().expect("no holder panics").since.remove(&turn);
         }
     }
 }
@@ -243,41 +243,41 @@ mod tests {
 
     use super::*;
 
-    async fn acquire(crowd: &Arc<ConnectionLimit>) -> ConnectionSlot {
-        crowd.acquire(Ipv4Addr::LOCALHOST.into()).await.expect("loopback has no limit")
+    async fn acquire(limit: &Arc<ConnectionLimit>) -> ConnectionSlot {
+        limit.acquire(Ipv4Addr::LOCALHOST.into()).await.expect("loopback has no limit")
     }
 
     #[tokio::test]
     async fn slots_are_freed_before_they_are_needed() {
-        let crowd = ConnectionLimit::new(2 * SPARE_FRACTION, 1);
+        let limit = ConnectionLimit::new(2 * SPARE_FRACTION, 1);
         let mut open = Vec::new();
         for _ in 0..2 * SPARE_FRACTION - 2 {
-            open.push(acquire(&crowd).await);
+            open.push(acquire(&limit).await);
         }
         assert!(open.iter().all(|slot| !slot.0.evicted.is_cancelled()), "two slots are free");
-        open.push(acquire(&crowd).await);
+        open.push(acquire(&limit).await);
         assert!(open[0].0.evicted.is_cancelled() && !open[1].0.evicted.is_cancelled());
     }
 
     #[tokio::test]
     async fn one_address_has_a_part_of_the_connections() {
-        let crowd = ConnectionLimit::new(9, 2);
+        let limit = ConnectionLimit::new(9, 2);
         let [one, other] = [[10, 0, 0, 1], [10, 0, 0, 2]].map(IpAddr::from);
-        let two = [crowd.acquire(one).await, crowd.acquire(one).await];
-        assert!(two.iter().all(Option::is_some) && crowd.acquire(one).await.is_none());
-        assert!(crowd.acquire(other).await.is_some());
+        let two = [limit.acquire(one).await, limit.acquire(one).await];
+        assert!(two.iter().all(Option::is_some) && limit.acquire(one).await.is_none());
+        assert!(limit.acquire(other).await.is_some());
         drop(two);
-        assert!(crowd.acquire(one).await.is_some());
+        assert!(limit.acquire(one).await.is_some());
     }
 
     #[tokio::test]
     async fn the_longest_idle_connection_is_evicted_and_busy_ones_stay() {
-        let crowd = ConnectionLimit::new(3, 3);
-        let (one, two, three) = (acquire(&crowd).await, acquire(&crowd).await, acquire(&crowd).await);
+        let limit = ConnectionLimit::new(3, 3);
+        let (one, two, three) = (acquire(&limit).await, acquire(&limit).await, acquire(&limit).await);
         let busy = one.begin_request();
         let next = tokio::spawn({
-            let crowd = Arc::clone(&crowd);
-            async move { acquire(&crowd).await }
+            let limit = Arc::clone(&limit);
+            async move { acquire(&limit).await }
         });
         two.evicted().await;
         assert!(!three.0.evicted.is_cancelled() && !one.0.evicted.is_cancelled());
@@ -289,14 +289,14 @@ mod tests {
 
     #[tokio::test]
     async fn a_connection_that_becomes_idle_while_others_wait_is_evicted() {
-        let crowd = ConnectionLimit::new(1, 1);
-        let only = acquire(&crowd).await;
+        let limit = ConnectionLimit::new(1, 1);
+        let only = acquire(&limit).await;
         let busy = only.begin_request();
         let waiting = tokio::spawn({
-            let crowd = Arc::clone(&crowd);
-            async move { acquire(&crowd).await }
+            let limit = Arc::clone(&limit);
+            async move { acquire(&limit).await }
         });
-        while crowd.waiting.load(Ordering::SeqCst) == 0 {
+        while limit.waiting.load(Ordering::SeqCst) == 0 {
             tokio::task::yield_now().await;
         }
         assert!(!only.0.evicted.is_cancelled());
@@ -308,27 +308,27 @@ mod tests {
 
     #[tokio::test]
     async fn idle_time_starts_after_the_last_response() {
-        let crowd = ConnectionLimit::new(3, 3);
-        let (one, two, three) = (acquire(&crowd).await, acquire(&crowd).await, acquire(&crowd).await);
+        let limit = ConnectionLimit::new(3, 3);
+        let (one, two, three) = (acquire(&limit).await, acquire(&limit).await, acquire(&limit).await);
         let (first, second) = (one.begin_request(), one.begin_request());
         drop(first);
         assert!(one.is_busy(), "another request is in progress");
-        assert_eq!(crowd.idle.lock().expect("no holder panics").since.len(), 2);
+        assert_eq!(limit.idle.lock().expect("no holder panics").since.len(), 2);
         drop(second);
-        assert_eq!(crowd.idle.lock().expect("no holder panics").since.len(), 3);
-        crowd.evict_idle();
+        assert_eq!(limit.idle.lock().expect("no holder panics").since.len(), 3);
+        limit.evict_idle();
         assert!(two.0.evicted.is_cancelled() && !one.0.evicted.is_cancelled());
         drop(three);
-        crowd.evict_idle();
+        limit.evict_idle();
         assert!(one.0.evicted.is_cancelled(), "a closed connection takes no slot");
-        assert!(crowd.idle.lock().expect("no holder panics").since.is_empty());
-        crowd.evict_idle();
+        assert!(limit.idle.lock().expect("no holder panics").since.is_empty());
+        limit.evict_idle();
     }
 
     #[tokio::test]
     async fn a_response_keeps_its_connection_busy_and_its_length() {
-        let crowd = ConnectionLimit::new(0, 0);
-        let only = acquire(&crowd).await;
+        let limit = ConnectionLimit::new(0, 0);
+        let only = acquire(&limit).await;
         let unsent = Unsent::default();
         let body = TrackedBody::new(Body::from("12345"), only.begin_request(), None, unsent.clone());
         assert_eq!((body.size_hint().exact(), body.is_end_stream()), (Some(5), false));

@@ -40,7 +40,7 @@ pub(crate) struct Listeners {
     tls: Option<Arc<Tls>>,
     pool: Option<(TcpListener, SocketAddr)>,
     connections: usize,
-    crowd: Arc<ConnectionLimit>,
+    limit: Arc<ConnectionLimit>,
 }
 
 impl Listeners {
@@ -57,8 +57,8 @@ impl Listeners {
         };
         let connections = connection_limit(config.max_connections);
         let of_address = config.max_connections_per_address.map_or(connections / 4, |limit| limit as usize);
-        let crowd = ConnectionLimit::new(connections, of_address.max(1));
-        Ok(Self { public, address, tls, pool, connections, crowd })
+        let limit = ConnectionLimit::new(connections, of_address.max(1));
+        Ok(Self { public, address, tls, pool, connections, limit })
     }
 
     /// Maximum number of open connections.
@@ -78,7 +78,7 @@ impl Listeners {
 
     /// Serves until `ending`, and until requests in progress have been answered.
     pub(crate) async fn serve(self, router: axum::Router, ending: CancellationToken) -> io::Result<()> {
-        let Self { public, tls, pool, crowd, .. } = self;
+        let Self { public, tls, pool, limit, .. } = self;
         let follow = async {
             if let Some(tls) = &tls {
                 tls.watch_files(ending.clone()).await;
@@ -89,13 +89,13 @@ impl Listeners {
         let inside = async {
             match pool {
                 Some((listener, _)) => {
-                    let crowd = ConnectionLimit::new(POOL_CONNECTIONS, POOL_CONNECTIONS);
-                    serve(listener, None, router.clone(), crowd, ending.clone()).await
+                    let limit = ConnectionLimit::new(POOL_CONNECTIONS, POOL_CONNECTIONS);
+                    serve(listener, None, router.clone(), limit, ending.clone()).await
                 }
                 None => Ok(()),
             }
         };
-        let outside = serve(public, tls.clone(), router.clone(), crowd, ending.clone());
+        let outside = serve(public, tls.clone(), router.clone(), limit, ending.clone());
         let served = async { tokio::try_join!(inside, outside).map(drop) };
         tokio::select! {
             served = served => served,

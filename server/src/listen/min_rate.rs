@@ -73,12 +73,12 @@ pub(crate) struct SlowBody;
 #[derive(Debug)]
 pub(super) struct TimedBody {
     body: Incoming,
-    patience: MinRateTimer,
+    timer: MinRateTimer,
 }
 
 impl TimedBody {
     pub(super) fn new(body: Incoming) -> Self {
-        Self { body, patience: MinRateTimer::new(MAX_STALL, MIN_BODY_BYTES_PER_SECOND) }
+        Self { body, timer: MinRateTimer::new(MAX_STALL, MIN_BODY_BYTES_PER_SECOND) }
     }
 }
 
@@ -96,11 +96,11 @@ impl HttpBody for TimedBody {
                     Some(Ok(frame)) => frame.data_ref().map_or(0, Bytes::len),
                     Some(Err(_)) | None => 0,
                 };
-                self.patience.add_bytes(size_bytes);
+                self.timer.add_bytes(size_bytes);
                 Poll::Ready(frame.map(|frame| frame.map_err(Into::into)))
             }
             Poll::Pending => {
-                ready!(self.patience.poll_expired(cx));
+                ready!(self.timer.poll_expired(cx));
                 Poll::Ready(Some(Err(SlowBody.into())))
             }
         }
@@ -119,14 +119,14 @@ impl HttpBody for TimedBody {
 #[derive(Debug)]
 pub(super) struct TimedStream<S> {
     stream: S,
-    patience: MinRateTimer,
+    timer: MinRateTimer,
     unsent: Unsent,
 }
 
 impl<S> TimedStream<S> {
     /// Connection that clears `unsent` when everything is written to the socket.
     pub(super) fn new(stream: S, unsent: Unsent) -> Self {
-        Self { stream, patience: MinRateTimer::new(MAX_STALL, MIN_READER_BYTES_PER_SECOND), unsent }
+        Self { stream, timer: MinRateTimer::new(MAX_STALL, MIN_READER_BYTES_PER_SECOND), unsent }
     }
 
     fn poll_with_timer<T>(
@@ -137,11 +137,11 @@ impl<S> TimedStream<S> {
     ) -> Poll<io::Result<T>> {
         match polled {
             Poll::Ready(done) => {
-                self.patience.add_bytes(done.as_ref().map_or(0, size_bytes));
+                self.timer.add_bytes(done.as_ref().map_or(0, size_bytes));
                 Poll::Ready(done)
             }
             Poll::Pending => {
-                ready!(self.patience.poll_expired(cx));
+                ready!(self.timer.poll_expired(cx));
                 Poll::Ready(Err(io::Error::new(io::ErrorKind::TimedOut, "the client does not read its response")))
             }
         }
@@ -195,11 +195,11 @@ mod tests {
     #[test]
     fn min_rate_timer_counts_stalls_and_bytes() {
         let seconds = Duration::from_secs;
-        let mut patience = MinRateTimer::new(seconds(10), 1024.0);
+        let mut timer = MinRateTimer::new(seconds(10), 1024.0);
         let mut waited = |size_bytes: usize| {
-            patience.since = Some(monotonic_now() - seconds(6));
-            patience.add_bytes(size_bytes);
-            patience.left
+            timer.since = Some(monotonic_now() - seconds(6));
+            timer.add_bytes(size_bytes);
+            timer.left
         };
         assert!(waited(0) <= seconds(4));
         assert!(waited(3 << 10) <= seconds(3), "an expired budget is not refilled");

@@ -211,15 +211,15 @@ pub(super) async fn end_without_result(
     held: &LiveLease,
     cause: LeaseEnd,
     message: &str,
-    moment: TransitionContext,
+    context: TransitionContext,
 ) -> Result<Wake> {
-    let used_us = (moment.now_ms - held.granted_ms).max(0).saturating_mul(1000);
-    ends::give_up(connection, &held.lease, cause.name(), used_us, moment).await?;
+    let used_us = (context.now_ms - held.granted_ms).max(0).saturating_mul(1000);
+    ends::give_up(connection, &held.lease, cause.name(), used_us, context).await?;
     if matches!(cause, LeaseEnd::Failed | LeaseEnd::Rejected) {
         exclusion::count_error(connection, &held.worker, message).await?;
     }
     if cause == LeaseEnd::Failed {
-        exclusion::record_error(connection, &held.worker, held.job, moment).await?;
+        exclusion::record_error(connection, &held.worker, held.job, context).await?;
     }
     let counters = held.counters.incremented(cause);
     if is_leased(connection, held.tile).await? {
@@ -228,9 +228,9 @@ pub(super) async fn end_without_result(
     }
     match counters.decide(cause, spread(held.tile)) {
         RetryDecision::Retry { delay_ms } => {
-            let not_before_ms = if delay_ms == 0 { 0 } else { moment.now_ms + delay_ms };
+            let not_before_ms = if delay_ms == 0 { 0 } else { context.now_ms + delay_ms };
             let avoids = match cause {
-                LeaseEnd::Failed => !exclusion::is_other_worker_excluded(connection, held, moment).await?,
+                LeaseEnd::Failed => !exclusion::is_other_worker_excluded(connection, held, context).await?,
                 LeaseEnd::Rejected => true,
                 LeaseEnd::Crashed | LeaseEnd::Lost | LeaseEnd::Released => false,
             };
@@ -243,7 +243,7 @@ pub(super) async fn end_without_result(
             let message = format!("frame {} {place}: {message}", held.frame);
             let job = crate::queue::job_id(connection, held.job).await?;
             tracing::warn!(%job, frame = held.frame, tile = held.tile, %message, "tile is dead");
-            finish::fail(connection, held.job, &message, moment).await?;
+            finish::fail(connection, held.job, &message, context).await?;
             Ok(Wake::UPDATES)
         }
     }
@@ -313,14 +313,14 @@ async fn mark_dead(connection: &mut Connection, held: &LiveLease, counters: Coun
 }
 
 /// Renews live leases.
-pub(super) async fn renew(connection: &mut Connection, leases: &[&str], moment: TransitionContext) -> Result<()> {
+pub(super) async fn renew(connection: &mut Connection, leases: &[&str], context: TransitionContext) -> Result<()> {
     if leases.is_empty() {
         return Ok(());
     }
     let renewed = db::query(
         "UPDATE lease SET expires_ms = ? WHERE @unindexed(ended) IS NULL AND id IN (SELECT value FROM @texts(?))",
     )
-    .bind(moment.now_ms + moment.lease_ms)
+    .bind(context.now_ms + context.lease_ms)
     .bind(json_list(leases))
     .execute(connection)
     .await?;
@@ -328,16 +328,16 @@ pub(super) async fn renew(connection: &mut Connection, leases: &[&str], moment: 
 }
 
 /// Expires overdue leases and marks remote workers as gone if they have not synced for one lease length.
-pub(super) async fn rescue(connection: &mut Connection, moment: TransitionContext) -> Result<(u64, Wake)> {
-    let mut ring = Wake::default();
+pub(super) async fn rescue(connection: &mut Connection, context: TransitionContext) -> Result<(u64, Wake)> {
+    let mut woken = Wake::default();
     let mut count = 0;
-    if !moment.expires_leases {
-        return Ok((count, ring));
+    if !context.expires_leases {
+        return Ok((count, woken));
     }
-    let missed_ms = moment.now_ms - moment.lease_ms;
+    let missed_ms = context.now_ms - context.lease_ms;
     let expired: Vec<String> =
         db::query_scalar("SELECT id FROM lease WHERE ended IS NULL AND expires_ms <= ? ORDER BY expires_ms")
-            .bind(moment.now_ms)
+            .bind(context.now_ms)
             .fetch_all(&mut *connection)
             .await?;
     for lease in &expired {
@@ -345,8 +345,8 @@ pub(super) async fn rescue(connection: &mut Connection, moment: TransitionContex
         let Some(held) = live_lease(connection, lease).await? else { continue };
         let job = crate::queue::job_id(connection, held.job).await?;
         tracing::warn!(%lease, worker = %held.worker, %job, frame = held.frame, tile = held.tile, "lease expired");
-        ring.add(
-            end_without_result(connection, &held, LeaseEnd::Lost, "its workers vanished repeatedly", moment).await?,
+        woken.add(
+            end_without_result(connection, &held, LeaseEnd::Lost, "its workers vanished repeatedly", context).await?,
         );
         count += 1;
     }
@@ -354,7 +354,7 @@ pub(super) async fn rescue(connection: &mut Connection, moment: TransitionContex
         .bind(missed_ms)
         .execute(connection)
         .await?;
-    Ok((count, ring))
+    Ok((count, woken))
 }
 
 /// Number from 0 to 1 that differs between neighboring tiles, so that those that failed together are not retried

@@ -31,11 +31,11 @@ impl Queue {
 
     /// Renews this server's row, and if `judges`, ends what servers have left that do not.
     pub(super) async fn renew_server_if(&self, judges: bool) -> Result<i64> {
-        let (moment, name) = (self.context(), self.server_name.clone());
+        let (context, name) = (self.context(), self.server_name.clone());
         let (others, wake) = self
             .database
             .write_for_worker(Durability::Relaxed, move |connection| {
-                Box::pin(async move { renew(connection, &name, judges, moment).await })
+                Box::pin(async move { renew(connection, &name, judges, context).await })
             })
             .await?;
         self.wake(wake);
@@ -100,20 +100,20 @@ async fn renew(
     connection: &mut Connection,
     name: &str,
     judges: bool,
-    moment: TransitionContext,
+    context: TransitionContext,
 ) -> Result<(i64, Wake)> {
     let renewed = db::query("UPDATE server SET seen_ms = ? WHERE generation = ?")
-        .bind(moment.now_ms)
-        .bind(moment.generation)
+        .bind(context.now_ms)
+        .bind(context.generation)
         .execute(&mut *connection)
         .await?;
     if renewed.rows_affected() == 0 {
         tracing::warn!("this server was taken for ended, because it did not reach the database for a while");
         db::query("INSERT INTO server (generation, name, started_at_ms, seen_ms) VALUES (?, ?, ?, ?)")
-            .bind(moment.generation)
+            .bind(context.generation)
             .bind(name)
-            .bind(moment.wall_ms)
-            .bind(moment.now_ms)
+            .bind(context.wall_ms)
+            .bind(context.now_ms)
             .execute(&mut *connection)
             .await?;
     }
@@ -122,8 +122,8 @@ async fn renew(
     let mut ended = Vec::new();
     if judges {
         ended = db::query("DELETE FROM server WHERE seen_ms < ? AND generation <> ? RETURNING name")
-            .bind(moment.now_ms - SERVER_GONE_MS)
-            .bind(moment.generation)
+            .bind(context.now_ms - SERVER_GONE_MS)
+            .bind(context.generation)
             .scalar::<String>()
             .fetch_all(&mut *connection)
             .await?;
@@ -132,11 +132,11 @@ async fn renew(
         tracing::warn!(name, "another server has ended: the leases of its pool are handed back");
     }
     if !ended.is_empty() {
-        hand_back(connection, moment.wall_ms).await?;
+        hand_back(connection, context.wall_ms).await?;
         wake = Wake { work: true, news: true };
     }
     let running = db::query_scalar("SELECT count(*) FROM server WHERE generation <> ?")
-        .bind(moment.generation)
+        .bind(context.generation)
         .fetch_one(connection)
         .await?;
     Ok((running, wake))

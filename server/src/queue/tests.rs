@@ -106,8 +106,8 @@ impl Fixture {
     /// A worker's sync, with frames opened as needed.
     async fn turn(&self, mut turn: SyncInput) -> Option<super::SyncOutcome> {
         loop {
-            let turned = self.queue.turn(turn.clone()).await.expect("a sync")?;
-            let NextWork::OpenFrame { job, frame, plan } = turned.next else { return Some(turned) };
+            let synced = self.queue.turn(turn.clone()).await.expect("a sync")?;
+            let NextWork::OpenFrame { job, frame, plan } = synced.next else { return Some(synced) };
             turn.reports.clear();
             turn.opening = Some(opening(job, frame, plan));
             let next = (frame + 1..plan.frames).take(turn.max_batches as usize - 1);
@@ -293,9 +293,9 @@ async fn a_claim_that_fails_takes_no_results_with_it() {
     let hash = blake3::hash(b"pixels").to_hex().to_string();
     let outcome = proto::worker_protocol::LeaseOutcome::Picture { hash, size_bytes: 1 };
     let reports = leases(&run).map(|lease| proto::worker_protocol::LeaseReport { lease, outcome: outcome.clone() });
-    let turned = bench.turn(SyncInput { reports: reports.collect(), ..asks.clone() }).await.expect("known");
-    assert!(matches!(turned.next, NextWork::Nothing(Some(_))), "{:?}", turned.next);
-    assert_eq!(turned.revoked_leases, []);
+    let synced = bench.turn(SyncInput { reports: reports.collect(), ..asks.clone() }).await.expect("known");
+    assert!(matches!(synced.next, NextWork::Nothing(Some(_))), "{:?}", synced.next);
+    assert_eq!(synced.revoked_leases, []);
     let state = bench.queue.job(first).await.expect("reads").expect("a job").state;
     assert_eq!(state, proto::job::JobState::Succeeded, "the result counts");
     bench.check().await;

@@ -83,13 +83,13 @@ pub(super) async fn choose(
     connection: &mut Connection,
     worker: &WorkerState,
     candidates: &[Candidate],
-    moment: TransitionContext,
+    context: TransitionContext,
 ) -> Result<(u64, Wake)> {
-    let policy = moment.verification;
+    let policy = context.verification;
     if policy == VerificationPolicy::default() || worker.is_pool {
         return Ok((0, Wake::default()));
     }
-    let is_new = moment.now_ms - worker.registered_ms < policy.new_worker_ms;
+    let is_new = context.now_ms - worker.registered_ms < policy.new_worker_ms;
     let mut chosen: Vec<&Candidate> = candidates.iter().filter(|_| is_new || jitter() < policy.share).collect();
     let Some(first) = chosen.first() else { return Ok((0, Wake::default())) };
     let (job, frame) = (first.job, first.frame);
@@ -133,7 +133,7 @@ pub(super) async fn choose(
     .bind(job)
     .bind(frame)
     .bind(&worker.id)
-    .bind(moment.now_ms)
+    .bind(context.now_ms)
     .bind(serde_json::json!(rows).to_string())
     .execute(connection)
     .await?;
@@ -173,7 +173,7 @@ const TILES_SQL: &str = "
 pub(super) async fn claim(
     connection: &mut Connection,
     claimant: ClaimRequest,
-    moment: TransitionContext,
+    context: TransitionContext,
 ) -> Result<Option<Batch>> {
     let worker = claimant.worker.to_string();
     let next = db::query(NEXT_SQL).bind(&worker).bind(claimant.max_nodes).fetch_optional(&mut *connection).await?;
@@ -184,14 +184,14 @@ pub(super) async fn claim(
     let work = match position {
         STITCH => {
             let lease = LeaseId::new();
-            leases::grant(connection, &worker, &[(number, lease, STITCH)], moment).await?;
+            leases::grant(connection, &worker, &[(number, lease, STITCH)], context).await?;
             claim::stitch_work(connection, job, frame, lease).await?
         }
         WHOLE_FRAME => {
             let rows = db::query(TILES_SQL).bind(job).bind(frame).fetch_all(&mut *connection).await?;
             let (tiles, _) = claim::new_leases(&rows)?;
             let granted: Vec<_> = tiles.iter().map(|tile| (number, tile.lease, i64::from(tile.index))).collect();
-            leases::grant(connection, &worker, &granted, moment).await?;
+            leases::grant(connection, &worker, &granted, context).await?;
             BatchWork::Render { tiles, whole_frame: true }
         }
         _ => {
@@ -207,7 +207,7 @@ pub(super) async fn claim(
             for (row, tile) in together.iter().zip(&tiles) {
                 granted.push((row.get("number")?, tile.lease, i64::from(tile.index)));
             }
-            leases::grant(connection, &worker, &granted, moment).await?;
+            leases::grant(connection, &worker, &granted, context).await?;
             BatchWork::Render { tiles, whole_frame: false }
         }
     };

@@ -39,7 +39,7 @@ pub(crate) struct Registration {
 pub(super) async fn register(
     connection: &mut Connection,
     new: NewWorker,
-    moment: TransitionContext,
+    context: TransitionContext,
 ) -> Result<Registration> {
     let worker = WorkerId::new();
     let made = db::query(
@@ -52,8 +52,8 @@ pub(super) async fn register(
     .bind(new.pool)
     .bind(new.request.process)
     .bind(new.request.max_nodes)
-    .bind(moment.generation)
-    .bind(moment.now_ms)
+    .bind(context.generation)
+    .bind(context.now_ms)
     .bind(new.owner)
     .execute(connection)
     .await?;
@@ -138,31 +138,31 @@ pub(super) async fn reaped(
     process: u32,
     cause: LeaseEnd,
     message: &str,
-    moment: TransitionContext,
+    context: TransitionContext,
 ) -> Result<(Option<WorkerId>, Wake)> {
     let rows = db::query(
         "UPDATE worker SET state = 'gone' WHERE process = ? AND pool = 1 AND generation = ? AND state <> 'gone'
          RETURNING id",
     )
     .bind(process)
-    .bind(moment.generation)
+    .bind(context.generation)
     .fetch_all(&mut *connection)
     .await?;
-    let mut ring = Wake::default();
+    let mut woken = Wake::default();
     let mut worker = None;
     for row in rows {
         let id: String = row.get("id")?;
-        ring.add(end_leases(connection, &id, cause, message, moment).await?);
+        woken.add(end_leases(connection, &id, cause, message, context).await?);
         worker = Some(parse_column("worker.id", &id, |id| id.parse().ok())?);
     }
-    Ok((worker, ring))
+    Ok((worker, woken))
 }
 
 /// Records that a worker has shut down; leases granted to it in the meantime are released.
 pub(super) async fn deregister(
     connection: &mut Connection,
     worker: WorkerId,
-    moment: TransitionContext,
+    context: TransitionContext,
 ) -> Result<Wake> {
     let id = worker.to_string();
     let gone = db::query("UPDATE worker SET state = 'gone' WHERE id = ? AND state <> 'gone'")
@@ -170,7 +170,7 @@ pub(super) async fn deregister(
         .execute(&mut *connection)
         .await?;
     expect_rows("worker: gone", 1, gone)?;
-    end_leases(connection, &id, LeaseEnd::Released, "its worker shut down", moment).await
+    end_leases(connection, &id, LeaseEnd::Released, "its worker shut down", context).await
 }
 
 /// Ends all leases of a worker.
@@ -179,13 +179,13 @@ pub(super) async fn end_leases(
     worker: &str,
     cause: LeaseEnd,
     message: &str,
-    moment: TransitionContext,
+    context: TransitionContext,
 ) -> Result<Wake> {
-    let mut ring = verification::release_of(connection, worker).await?;
+    let mut woken = verification::release_of(connection, worker).await?;
     for lease in leases::live_lease_ids(connection, worker).await? {
         if let Some(held) = leases::live_lease(connection, &lease).await? {
-            ring.add(leases::end_without_result(connection, &held, cause, message, moment).await?);
+            woken.add(leases::end_without_result(connection, &held, cause, message, context).await?);
         }
     }
-    Ok(ring)
+    Ok(woken)
 }

@@ -224,9 +224,9 @@ impl SimulatedFarm {
 
     fn start(&mut self, worker: usize, batch: Batch) -> Result<(), SimulationError> {
         let job = *self.by_id.get(&batch.job).ok_or(SimulationError::UnknownJob)?;
-        let chance = [self.random.unit(), self.random.unit()];
+        let draws = [self.random.unit(), self.random.unit()];
         let simulated = &mut self.workers[worker];
-        simulated.start(batch, (job, &self.jobs[job]), chance, FAILURES, self.now_us);
+        simulated.start(batch, (job, &self.jobs[job]), draws, FAILURES, self.now_us);
         let generation = simulated.generation;
         let Some(run) = &simulated.run else { return Ok(()) };
         for &(_, tile) in &run.leases {

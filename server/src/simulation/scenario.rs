@@ -104,9 +104,9 @@ fn many(count: u32, seed: u64) -> Vec<WorkerPlan> {
 
 /// One submitter with a long animation, one with stills, and one with many light animations.
 fn three_submitters() -> Vec<JobPlan> {
-    let stills = (0..20).map(|_| job("stills", HEAVY, 32, 1));
+    let single_frames = (0..20).map(|_| job("stills", HEAVY, 32, 1));
     let lights = (0..20).map(|_| job("lights", 3.0, 16, 60));
-    std::iter::once(job("film", 30.0, 16, 120)).chain(stills).chain(lights).collect()
+    std::iter::once(job("film", 30.0, 16, 120)).chain(single_frames).chain(lights).collect()
 }
 
 /// Jobs of four submitters: four thousand frames, a sixth of them heavy.

@@ -103,12 +103,12 @@ impl SimulatedWorker {
         (seconds > 0.0).then(|| RaysPerSecond::new(rays / (seconds + 0.05))).flatten()
     }
 
-    /// Starts a batch. `chance` gives random numbers from 0 to 1: of its noise, and of its failure.
+    /// Starts a batch. `draws` gives random numbers from 0 to 1: of its noise, and of its failure.
     pub(super) fn start(
         &mut self,
         batch: Batch,
         job: (usize, &JobPlan),
-        chance: [f64; 2],
+        draws: [f64; 2],
         fails_below: f64,
         now_us: u64,
     ) {
@@ -118,14 +118,14 @@ impl SimulatedWorker {
                 let work: f64 = tiles.iter().map(|tile| tile_work(index, plan, batch.frame, tile.rect)).sum();
                 let rays = tiles.iter().map(|tile| plan.plan.rays(tile.rect)).sum();
                 let leases = tiles.iter().map(|tile| (tile.lease, Some(tile.index))).collect();
-                (leases, whole_frame, work / self.speed * 1e6 * NOISE.mul_add(chance[0], 1.0) + BATCH_US, rays)
+                (leases, whole_frame, work / self.speed * 1e6 * NOISE.mul_add(draws[0], 1.0) + BATCH_US, rays)
             }
             BatchWork::Stitch { lease, .. } => {
                 let pixels = f64::from(plan.plan.width_px) * f64::from(plan.plan.height_px);
                 (vec![(lease, None)], true, pixels.mul_add(STITCH_PIXEL_US, STITCH_US), 0)
             }
         };
-        let fails = chance[1] < fails_below && rays > 0;
+        let fails = draws[1] < fails_below && rays > 0;
         let end_us = now_us + us.ceil() as u64;
         self.generation += 1;
         self.run =

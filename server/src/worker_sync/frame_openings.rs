@@ -5,7 +5,7 @@ use std::sync::Arc;
 use tokio::sync::{Semaphore, SemaphorePermit};
 
 use crate::db::DatabaseError;
-use crate::job_cache::{JobCache, JobLoadError, Reader};
+use crate::job_cache::{JobCache, JobLoadError, ParseReason};
 use crate::queue::{FrameOpening, Queue};
 use crate::tile_plan::TilePlan;
 
@@ -50,7 +50,7 @@ impl FrameOpenings {
         plan: TilePlan,
     ) -> Result<Option<FrameOpening>, DatabaseError> {
         let opening = match self.jobs.get(&self.queue, number).await {
-            Ok(job) => self.jobs.frame_opening(Reader::Claim(number), &job, number, frame, plan).await,
+            Ok(job) => self.jobs.frame_opening(ParseReason::Claim(number), &job, number, frame, plan).await,
             Err(error) => Err(error),
         };
         match opening {

@@ -9,7 +9,7 @@ use proto::worker_protocol::LeaseOutcome;
 use super::SyncError;
 use crate::blobs::{BlobStore, ContentHash, ContentKind};
 use crate::delivery_check::check_blob;
-use crate::job_cache::{JobCache, JobLoadError, Reader};
+use crate::job_cache::{JobCache, JobLoadError, ParseReason};
 use crate::queue::{CheckedNames, Queue, RejectedResult, ReportedTile, SyncInput, content_of};
 
 /// Number of characters that are kept of the name of a rejected result.
@@ -122,7 +122,7 @@ impl ResultCheck {
             ContentKind::Blob => check_blob(&file, tile.rect, tile.pixel_bytes),
             ContentKind::Picture => {
                 let expected = match self.jobs.get(&self.queue, tile.job).await {
-                    Ok(job) => self.jobs.expected_picture(Reader::Claim(tile.job), &job, tile.frame).await,
+                    Ok(job) => self.jobs.expected_picture(ParseReason::Claim(tile.job), &job, tile.frame).await,
                     Err(error) => Err(error),
                 };
                 match expected {

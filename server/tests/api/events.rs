@@ -115,12 +115,12 @@ async fn a_client_resumes_its_stream_after_a_server_restart() {
     let again = client.events(posted.id, events.last_id());
     let mut events = in_time(again).await.expect("a response").expect("a stream");
     farm.worker("one").await.work_off().await;
-    let mut told = Vec::new();
+    let mut received = Vec::new();
     while let Some(event) = in_time(events.next()).await.expect("an event") {
-        told.push(event);
+        received.push(event);
     }
-    assert!(matches!(&told[0], JobEvent::State(event) if event.state == JobState::Running), "{told:?}");
-    assert!(matches!(told.last(), Some(JobEvent::State(event)) if event.state == JobState::Succeeded));
+    assert!(matches!(&received[0], JobEvent::State(event) if event.state == JobState::Running), "{received:?}");
+    assert!(matches!(received.last(), Some(JobEvent::State(event)) if event.state == JobState::Succeeded));
     farm.stop().await;
 }
 

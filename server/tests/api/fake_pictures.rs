@@ -43,8 +43,8 @@ pub(crate) fn blob(job: &Job, rect: Rect, text: &[u8]) -> Vec<u8> {
 }
 
 fn provenance(job: &Job, frame: u32) -> String {
-    let still = job.at(frame).expect("a valid frame");
-    let (scene, seed, version) = (still.scene_hash().to_hex(), still.image().seed, scene::PICTURE_VERSION);
+    let at_frame = job.at(frame).expect("a valid frame");
+    let (scene, seed, version) = (at_frame.scene_hash().to_hex(), at_frame.image().seed, scene::PICTURE_VERSION);
     format!(r#"{{"scene":"{scene}","picture_version":{version},"frame":{frame},"seed":{seed}}}"#)
 }
 

@@ -84,8 +84,11 @@ async fn every_change_of_a_job_is_told() {
     let mut follower = Follower::start(&farm).await;
     let posted = farm.submit(&job(1920, 1080, 1)).await;
     let (id, path) = (posted.id, format!("/v1/jobs/{}", posted.id));
-    let told = follower.job(id, |_| true).await;
-    assert_eq!((told.state, told.priority, told.paused, &told.name), (JobState::Queued, 0, false, &posted.name));
+    let received = follower.job(id, |_| true).await;
+    assert_eq!(
+        (received.state, received.priority, received.paused, &received.name),
+        (JobState::Queued, 0, false, &posted.name)
+    );
     let patch = farm.client.patch(farm.url(&path)).json(&serde_json::json!({ "priority": 5 }));
     assert_eq!(in_time(patch.send()).await.expect("a response").status(), StatusCode::OK);
     follower.job(id, |job| job.priority == 5).await;
@@ -96,12 +99,12 @@ async fn every_change_of_a_job_is_told() {
     let mut worker = farm.worker("slow").await;
     worker.rays_per_second = Some(1.0);
     worker.work_once().await;
-    let told = follower.job(id, |job| job.tiles.done > 0).await;
-    assert_eq!(told.state, JobState::Running);
-    assert!(told.progress > 0.0 && told.progress < 1.0, "{told:?}");
+    let received = follower.job(id, |job| job.tiles.done > 0).await;
+    assert_eq!(received.state, JobState::Running);
+    assert!(received.progress > 0.0 && received.progress < 1.0, "{received:?}");
     worker.work_off().await;
-    let told = follower.job(id, |job| job.state == JobState::Succeeded).await;
-    assert_eq!(serde_json::to_value(&told).expect("JSON"), serde_json::to_value(farm.job(id).await).expect("JSON"));
+    let received = follower.job(id, |job| job.state == JobState::Succeeded).await;
+    assert_eq!(serde_json::to_value(&received).expect("JSON"), serde_json::to_value(farm.job(id).await).expect("JSON"));
     let delete = farm.client.delete(farm.url(&path)).send();
     assert_eq!(in_time(delete).await.expect("a response").status(), StatusCode::NO_CONTENT);
     follower.deletion(id).await;

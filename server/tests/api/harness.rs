@@ -167,7 +167,7 @@ pub(crate) fn small_job(seed: u32) -> Value {
 
 /// Tile or frame of a lease.
 #[derive(Clone)]
-struct Place {
+struct LeasedTile {
     job: Arc<scene::Job>,
     frame: u32,
     rect: Rect,
@@ -177,7 +177,7 @@ struct Place {
 pub(crate) struct Worker<'a> {
     farm: &'a Farm,
     jobs: Mutex<HashMap<JobId, Arc<scene::Job>>>,
-    places: Mutex<HashMap<LeaseId, Place>>,
+    places: Mutex<HashMap<LeaseId, LeasedTile>>,
     pub(crate) id: WorkerId,
     pub(crate) rays_per_second: Option<f64>,
 }
@@ -253,12 +253,13 @@ impl<'a> Worker<'a> {
             BatchWork::Render { tiles, .. } => tiles.iter().map(|tile| (tile.lease, tile.rect)).collect(),
             BatchWork::Stitch { lease, .. } => vec![(*lease, rect)],
         };
-        let places =
-            rects.into_iter().map(|(lease, rect)| (lease, Place { job: Arc::clone(&job), frame: run.frame, rect }));
+        let places = rects
+            .into_iter()
+            .map(|(lease, rect)| (lease, LeasedTile { job: Arc::clone(&job), frame: run.frame, rect }));
         self.places.lock().expect("no holder panics").extend(places);
     }
 
-    fn place(&self, lease: LeaseId) -> Option<Place> {
+    fn place(&self, lease: LeaseId) -> Option<LeasedTile> {
         self.places.lock().expect("no holder panics").get(&lease).cloned()
     }
 

@@ -44,8 +44,8 @@ async fn idempotency_survives_a_restart() {
 #[tokio::test(flavor = "multi_thread")]
 async fn concurrent_submits_with_one_key_create_one_job() {
     let farm = Farm::start().await;
-    let (wish, key) = (small_job(1), ("Idempotency-Key", "all at once"));
-    let answers = join_all((0..50).map(|_| hand_in(&farm, "/v1/jobs", &wish, key))).await;
+    let (options, key) = (small_job(1), ("Idempotency-Key", "all at once"));
+    let answers = join_all((0..50).map(|_| hand_in(&farm, "/v1/jobs", &options, key))).await;
     let made = answers.iter().filter(|answer| answer.status() == StatusCode::CREATED).count();
     assert_eq!((made, jobs(&farm).await), (1, 1));
     assert!(answers.iter().all(|answer| answer.status().is_success()));

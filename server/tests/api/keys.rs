@@ -344,14 +344,14 @@ async fn the_audit_log_has_changes_and_rejections() {
         }
     })
     .await;
-    let told: Vec<_> = page
+    let received: Vec<_> = page
         .entries
         .iter()
         .rev()
         .map(|entry| (&*entry.who, &*entry.method, &*entry.route, entry.status, entry.code.as_deref()))
         .collect();
     assert_eq!(
-        told,
+        received,
         [
             // The first key was created on the server's machine.
             ("local", "POST", "/v1/keys", 201, None),
@@ -414,15 +414,15 @@ async fn a_replay_succeeds_even_if_the_quota_is_used_up() {
     let (farm, admin) = locked_farm().await;
     let key = NewApiKey { max_jobs: Some(1), ..new_key("anna", &[Scope::Submit]) };
     let anna = make(&farm, &admin, &key).await.secret;
-    let wish = async |name: &str| {
+    let options = async |name: &str| {
         let request = farm.client.post(farm.url("/v1/jobs")).header(AUTHORIZATION, format!("Bearer {anna}"));
         in_time(request.header("idempotency-key", name).body(small_job(1).to_string()).send())
             .await
             .expect("a response")
     };
-    let first: Value = read(wish("one").await, StatusCode::CREATED).await;
-    let again: Value = read(wish("one").await, StatusCode::OK).await;
+    let first: Value = read(options("one").await, StatusCode::CREATED).await;
+    let again: Value = read(options("one").await, StatusCode::OK).await;
     assert_eq!(first["id"], again["id"]);
-    refused(wish("two").await, 429, "quota").await;
+    refused(options("two").await, 429, "quota").await;
     farm.stop().await;
 }

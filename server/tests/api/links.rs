@@ -17,8 +17,8 @@ async fn stored() -> (Farm, String) {
     (farm, frame)
 }
 
-async fn sign(farm: &Farm, frame: &str, wish: &str) -> LinkView {
-    read(farm.post(&format!("{frame}/link"), wish.to_owned()).await, StatusCode::OK).await
+async fn sign(farm: &Farm, frame: &str, requested: &str) -> LinkView {
+    read(farm.post(&format!("{frame}/link"), requested.to_owned()).await, StatusCode::OK).await
 }
 
 #[tokio::test]
@@ -83,7 +83,7 @@ async fn a_link_signed_before_its_picture_survives_a_restart() {
 #[tokio::test]
 async fn an_invalid_link_request_is_rejected_with_a_json_pointer() {
     let (farm, frame) = stored().await;
-    for (wish, pointer) in [
+    for (requested, pointer) in [
         (r#"{"expires_in_seconds": 0}"#, "/expires_in_seconds"),
         (r#"{"expires_in_seconds": 31622401}"#, "/expires_in_seconds"),
         (r#"{"expires_in_seconds": -1}"#, "/expires_in_seconds"),
@@ -92,15 +92,23 @@ async fn an_invalid_link_request_is_rejected_with_a_json_pointer() {
         (r#"{"expires_in_seconds": 1, "for": "ever"}"#, "/for"),
         ("{}", ""),
     ] {
-        let problem = refused(farm.post(&format!("{frame}/link"), wish).await, 422, "wrong_body").await;
-        assert_eq!(problem.errors[0].pointer, pointer, "{wish}: {problem:?}");
+        let problem = refused(farm.post(&format!("{frame}/link"), requested).await, 422, "wrong_body").await;
+        assert_eq!(problem.errors[0].pointer, pointer, "{requested}: {problem:?}");
     }
-    let wish = r#"{"expires_in_seconds": 1}"#;
-    refused(farm.post(&frame.replace("/0", "/7"), wish).await, 404, "unknown_route").await;
-    refused(farm.post(&format!("{}/link", frame.replace("frames/0", "frames/1")), wish).await, 404, "unknown_frame")
-        .await;
-    refused(farm.post(&format!("{}/link", frame.replace("frames/0", "frames/x")), wish).await, 404, "unknown_frame")
-        .await;
-    refused(farm.post("/v1/jobs/nobody/frames/0/link", wish).await, 404, "unknown_job").await;
+    let requested = r#"{"expires_in_seconds": 1}"#;
+    refused(farm.post(&frame.replace("/0", "/7"), requested).await, 404, "unknown_route").await;
+    refused(
+        farm.post(&format!("{}/link", frame.replace("frames/0", "frames/1")), requested).await,
+        404,
+        "unknown_frame",
+    )
+    .await;
+    refused(
+        farm.post(&format!("{}/link", frame.replace("frames/0", "frames/x")), requested).await,
+        404,
+        "unknown_frame",
+    )
+    .await;
+    refused(farm.post("/v1/jobs/nobody/frames/0/link", requested).await, 404, "unknown_job").await;
     farm.stop().await;
 }

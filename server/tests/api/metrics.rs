@@ -61,7 +61,7 @@ async fn the_documentation_lists_exactly_the_metrics() {
     let metrics = Metrics::of(&farm).await;
     let page = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs/operations.md");
     let page = std::fs::read_to_string(page).expect("the page is there");
-    let told: BTreeMap<String, String> = page
+    let received: BTreeMap<String, String> = page
         .lines()
         .filter_map(|line| {
             let cells: Vec<&str> = line.strip_prefix("| `")?.split(" | ").collect();
@@ -71,7 +71,7 @@ async fn the_documentation_lists_exactly_the_metrics() {
             Some((name.to_owned(), (*kind).to_owned()))
         })
         .collect();
-    assert_eq!(metrics.kinds(), told, "left: measured; right: documented in docs/operations.md");
+    assert_eq!(metrics.kinds(), received, "left: measured; right: documented in docs/operations.md");
     farm.stop().await;
 }
 

@@ -107,8 +107,8 @@ async fn the_first_result_of_a_duplicated_straggler_counts() {
         "neither lease is revoked"
     );
     assert_eq!(quick.report(quick.results(&again).await).await.revoked_leases, []);
-    let told = slow.sync(Said { holding: leases(&held), ..Said::default() }).await;
-    assert_eq!(told.revoked_leases, leases(&held));
+    let received = slow.sync(Said { holding: leases(&held), ..Said::default() }).await;
+    assert_eq!(received.revoked_leases, leases(&held));
     let late = slow.blob(leases(&held)[0], b"not the same").await;
     assert_eq!(slow.report(vec![late]).await.revoked_leases, leases(&held));
     assert_eq!(metric(&farm, "sdfarm_nondeterministic_tiles_total").await, "1");
@@ -140,8 +140,8 @@ async fn a_straggler_that_delivers_first_voids_the_duplicate_lease() {
     let (posted, held) = straggle(&farm, &slow, &quick).await;
     let again = quick.claim().await.expect("the straggler");
     assert_eq!(slow.report(slow.results(&held).await).await.revoked_leases, []);
-    let told = quick.sync(Said { holding: leases(&again), ..Said::default() }).await;
-    assert_eq!(told.revoked_leases, leases(&again));
+    let received = quick.sync(Said { holding: leases(&again), ..Said::default() }).await;
+    assert_eq!(received.revoked_leases, leases(&again));
     quick.work_off().await;
     assert_state(&farm, posted.id, JobState::Succeeded).await;
     assert_eq!(metric(&farm, "sdfarm_nondeterministic_tiles_total").await, "0");
@@ -259,8 +259,8 @@ async fn renew_for(farm: &Farm, worker: &Worker<'_>, held: &proto::worker_protoc
         let step = left.min(LEASE / 2);
         farm.hand.advance(step);
         left -= step;
-        let told = worker.sync(Said { holding: leases(held), ..Said::default() }).await;
-        assert_eq!(told.revoked_leases, []);
+        let received = worker.sync(Said { holding: leases(held), ..Said::default() }).await;
+        assert_eq!(received.revoked_leases, []);
     }
 }
 

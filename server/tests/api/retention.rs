@@ -66,13 +66,13 @@ async fn jobs_are_deleted_after_their_own_or_the_default_retention() {
     {
         farm.hand.advance(days * DAY);
         let gone: Vec<JobId> = gone.into_iter().map(|index: usize| jobs[index]).collect();
-        let told = collect(&farm, true).await;
-        assert_eq!((ids(&told), told.dry_run), (gone.clone(), true), "after {days} days");
+        let received = collect(&farm, true).await;
+        assert_eq!((ids(&received), received.dry_run), (gone.clone(), true), "after {days} days");
         for id in &gone {
             assert!(is_there(&farm, *id).await, "a dry run deletes nothing");
         }
         let done = collect(&farm, false).await;
-        assert_eq!((ids(&done), done.freed_bytes), (gone.clone(), told.freed_bytes));
+        assert_eq!((ids(&done), done.freed_bytes), (gone.clone(), received.freed_bytes));
         assert!(done.jobs.iter().all(|job| job.reason == RemovalReason::Age && job.freed_bytes == 400), "{done:?}");
         for id in gone {
             refused(farm.get(&format!("/v1/jobs/{id}")).await, 404, "unknown_job").await;
@@ -93,10 +93,10 @@ async fn a_full_store_deletes_the_jobs_that_finished_first() {
         jobs.push(submit(&farm, &small_job(seed as u32), keep).await);
         store(&worker, seed as u8, 1_000).await;
     }
-    let told = collect(&farm, true).await;
-    assert_eq!((told.store_bytes, told.max_store_bytes, told.freed_bytes), (4_000, Some(2_500), 2_000));
-    assert_eq!(ids(&told), [jobs[0], jobs[2]]);
-    assert!(told.jobs.iter().all(|job| job.reason == RemovalReason::Size));
+    let received = collect(&farm, true).await;
+    assert_eq!((received.store_bytes, received.max_store_bytes, received.freed_bytes), (4_000, Some(2_500), 2_000));
+    assert_eq!(ids(&received), [jobs[0], jobs[2]]);
+    assert!(received.jobs.iter().all(|job| job.reason == RemovalReason::Size));
     assert_eq!(ids(&collect(&farm, false).await), [jobs[0], jobs[2]]);
     until_pictures(&farm, 2).await;
     assert_eq!(ids(&collect(&farm, false).await), []);

@@ -111,15 +111,15 @@ async fn a_webhook_is_sent_once_signed_with_the_event() {
     let farm = farm().await;
     let job = submit(&farm, &format!("webhook={address}"), 1).await;
     farm.worker("one").await.work_off().await;
-    let told = deliveries(&farm, job, Duration::ZERO, is_over).await;
-    assert_eq!((told.len(), told[0].state, told[0].attempts), (1, DeliveryState::Delivered, 1));
-    assert_eq!((told[0].event.as_str(), told[0].status), ("job.succeeded", Some(204)));
-    assert_eq!(format!("{}/hook", told[0].receiver), address, "a path may contain a secret");
+    let received = deliveries(&farm, job, Duration::ZERO, is_over).await;
+    assert_eq!((received.len(), received[0].state, received[0].attempts), (1, DeliveryState::Delivered, 1));
+    assert_eq!((received[0].event.as_str(), received[0].status), ("job.succeeded", Some(204)));
+    assert_eq!(format!("{}/hook", received[0].receiver), address, "a path may contain a secret");
     let messages = receiver.messages.lock().expect("no panic").clone();
     assert_eq!(messages.len(), 1);
     let message = &messages[0];
     assert_eq!(message.header("content-type"), "application/json");
-    assert_eq!(message.header("webhook-id"), told[0].id);
+    assert_eq!(message.header("webhook-id"), received[0].id);
     assert_eq!(message.header("webhook-signature"), signature(message));
     let body = message.json();
     assert_eq!(body["type"], "job.succeeded");
@@ -167,8 +167,8 @@ async fn a_rejected_message_is_retried_unchanged() {
         "webhook messages cannot be delivered, such as to {target}: 1 will be tried again, 0 of the last day were given up"
     );
     assert_eq!(failing().await, Some(message));
-    let told = deliveries(&farm, job, Duration::from_mins(1), is_over).await;
-    assert_eq!((told[0].state, told[0].attempts), (DeliveryState::Delivered, 4));
+    let received = deliveries(&farm, job, Duration::from_mins(1), is_over).await;
+    assert_eq!((received[0].state, received[0].attempts), (DeliveryState::Delivered, 4));
     assert_eq!(failing().await, None, "it has arrived at last");
     let messages = receiver.messages.lock().expect("no panic").clone();
     assert_eq!(messages.len(), 4, "no redirect was followed");
@@ -187,15 +187,15 @@ async fn deliveries_fail_after_410_or_the_last_attempt() {
     let farm = farm().await;
     let job = submit(&farm, &format!("webhook={address}"), 1).await;
     farm.worker("one").await.work_off().await;
-    let told = deliveries(&farm, job, Duration::ZERO, is_over).await;
-    assert_eq!((told[0].state, told[0].attempts), (DeliveryState::Failed, 1));
+    let received = deliveries(&farm, job, Duration::ZERO, is_over).await;
+    assert_eq!((received[0].state, received[0].attempts), (DeliveryState::Failed, 1));
     assert_eq!(receiver.messages.lock().expect("no panic").len(), 1);
     task.abort();
     let closed = std::net::TcpListener::bind("127.0.0.1:0").expect("a free port").local_addr().expect("an address");
     let job = submit(&farm, &format!("webhook=http://{closed}/"), 2).await;
     farm.worker("two").await.work_off().await;
-    let told = deliveries(&farm, job, Duration::from_hours(30), is_over).await;
-    assert_eq!((told[0].state, told[0].attempts, told[0].status), (DeliveryState::Failed, 10, None));
+    let received = deliveries(&farm, job, Duration::from_hours(30), is_over).await;
+    assert_eq!((received[0].state, received[0].attempts, received[0].status), (DeliveryState::Failed, 10, None));
     let text = in_time(farm.get("/metrics").await.text()).await.expect("text");
     assert!(text.contains("sdfarm_webhook_failures_total 11"), "{text}");
     farm.stop().await;
@@ -220,8 +220,11 @@ async fn chosen_events_are_delivered_after_a_restart() {
         config.webhook_secret = Some(Secret::from(SECRET.to_owned()));
     })
     .await;
-    let told = deliveries(&farm, job, Duration::from_mins(1), is_over).await;
-    assert_eq!(told.iter().map(|told| told.event.as_str()).collect::<Vec<_>>(), ["job.running", "frame.stored"]);
+    let received = deliveries(&farm, job, Duration::from_mins(1), is_over).await;
+    assert_eq!(
+        received.iter().map(|received| received.event.as_str()).collect::<Vec<_>>(),
+        ["job.running", "frame.stored"]
+    );
     let messages = receiver.messages.lock().expect("no panic").clone();
     let stored = messages.iter().map(Message::json).find(|body| body["type"] == "frame.stored").expect("a message");
     assert_eq!(stored["data"]["image"], format!("/v1/jobs/{job}/frames/0/image"));

@@ -27,8 +27,8 @@ async fn a_drained_worker_finishes_what_it_holds_and_must_exit() {
     let run = drained.claim().await.expect("work");
     let view = change(&farm, drained.id, "drain").await;
     assert!(view.draining && !view.quarantined && view.state == WorkerState::Draining, "{view:?}");
-    let told = drained.sync(Said { holding: leases(&run), wants_work: true, ..Said::default() }).await;
-    assert!(told.drain && told.batch.is_none() && told.revoked_leases.is_empty(), "{told:?}");
+    let received = drained.sync(Said { holding: leases(&run), wants_work: true, ..Said::default() }).await;
+    assert!(received.drain && received.batch.is_none() && received.revoked_leases.is_empty(), "{received:?}");
     assert_eq!(drained.report(drained.results(&run).await).await.revoked_leases, []);
     assert!(change(&farm, drained.id, "drain").await.draining, "a second request changes nothing");
     for verb in ["quarantine", "release"] {
@@ -45,8 +45,8 @@ async fn a_waiting_worker_learns_at_once_that_it_must_exit() {
     let farm = Farm::start().await;
     let worker = farm.worker("one").await;
     let waiting = worker.sync(Said { wants_work: true, wait: Duration::from_secs(20), ..Said::default() });
-    let (told, _) = tokio::join!(waiting, change(&farm, worker.id, "drain"));
-    assert!(told.drain);
+    let (received, _) = tokio::join!(waiting, change(&farm, worker.id, "drain"));
+    assert!(received.drain);
     farm.stop().await;
 }
 

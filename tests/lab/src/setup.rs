@@ -90,8 +90,8 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<String> {
         parse_us: Spread::new((0..arguments.runs).map(|_| timed(|| drop(black_box(parse())))).collect()),
         at_us: each_frame(&job, arguments.runs, |frame| drop(black_box(job.at(frame)))),
         program_us: each_frame(&job, arguments.runs, |frame| {
-            if let Ok(still) = job.at(frame) {
-                black_box(Integrator::new(&still));
+            if let Ok(at_frame) = job.at(frame) {
+                black_box(Integrator::new(&at_frame));
             }
         }),
         key_us: each_frame(&job, arguments.runs, |frame| {

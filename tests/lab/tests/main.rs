@@ -82,8 +82,8 @@ fn straight_says_how_to_get_a_compiler() {
 fn paper_prints_measured_and_published_rows() {
     let arguments = ["paper", "--cpu", "--runs", "1", "--resolutions"];
     let output = run(lab(&[&arguments[..], &["16,32", "--json"]].concat()));
-    let told = text(&output.stderr);
-    assert!(output.status.success() && told.contains("GPU is skipped"), "{told}");
+    let printed = text(&output.stderr);
+    assert!(output.status.success() && printed.contains("GPU is skipped"), "{printed}");
     let table: Value = serde_json::from_slice(&output.stdout).expect("JSON");
     let rows = table["rows"].as_array().expect("rows");
     assert_eq!(rows.len(), 10, "two resolutions with five block dimensions each");
@@ -126,14 +126,14 @@ fn paper_reports_a_gpu_and_profiler_counters() {
         let mut command = fake_cuda::on_machine_with_gpu(lab(&[&arguments[..], &cache].concat()));
         command.env("PATH", std::env::join_paths(&path).expect("plain"));
         let output = run(command);
-        let told = text(&output.stderr);
-        assert!(output.status.success(), "{told}");
+        let printed = text(&output.stderr);
+        assert!(output.status.success(), "{printed}");
         let table: Value = serde_json::from_slice(&output.stdout).expect("JSON");
         assert_eq!(table["gpu"], "Fake GPU");
-        (table["rows"].as_array().expect("rows").clone(), told)
+        (table["rows"].as_array().expect("rows").clone(), printed)
     };
-    let (without, told) = rows("#!/bin/sh\nexit 9\n");
-    assert!(told.contains("ncu counted nothing") && told.matches("ncu").count() == 1, "run once: {told}");
+    let (without, printed) = rows("#!/bin/sh\nexit 9\n");
+    assert!(printed.contains("ncu counted nothing") && printed.matches("ncu").count() == 1, "run once: {printed}");
     let (with, _) = rows(NCU);
     assert_eq!((with.len(), without.len()), (2, 2));
     for (with, without) in with.iter().zip(&without) {

@@ -2,7 +2,7 @@
 
 import { getJson, messageOf } from '/ui/api.js';
 import { h } from '/ui/parts/dom.js';
-import { moment, shortId } from '/ui/parts/format.js';
+import { dateTime, shortId } from '/ui/parts/format.js';
 
 /** @typedef {import('/ui/types.js').AuditEntry} AuditEntry */
 
@@ -65,7 +65,7 @@ function row(entry) {
   return h(
     'tr',
     {},
-    h('td', { class: 'nowrap muted' }, moment(entry.at)),
+    h('td', { class: 'nowrap muted' }, dateTime(entry.at)),
     h('td', {}, entry.who),
     h('td', {}, h('span', { class: 'mono small' }, `${entry.method} ${entry.route}`), entry.job ? h('a', { href: `#/jobs/${entry.job}`, class: 'mono small job-link' }, shortId(entry.job)) : null),
     h('td', { class: isRefused ? 'failed-text nowrap' : 'nowrap' }, `${entry.status}${entry.code ? ` ${entry.code}` : ''}${entry.times > 1 ? ` × ${entry.times}` : ''}`),

@@ -3,7 +3,7 @@
 import { getJson, messageOf, send } from '/ui/api.js';
 import { confirm, showDialog } from '/ui/parts/dialog.js';
 import { h, setText } from '/ui/parts/dom.js';
-import { ago, moment } from '/ui/parts/format.js';
+import { ago, dateTime } from '/ui/parts/format.js';
 import { icon } from '/ui/parts/icons.js';
 import { toast, toastError } from '/ui/parts/toast.js';
 import { copy } from '/ui/rooms/job/share.js';
@@ -67,9 +67,9 @@ export class Keys {
       h('td', {}, h('b', {}, key.name), h('div', { class: 'muted small mono' }, key.id)),
       h('td', {}, key.scopes.join(', ')),
       h('td', {}, h('span', { class: `state ${kind}` }, key.state)),
-      h('td', { class: 'nowrap muted', title: moment(key.created_at) }, ago(key.created_at)),
-      h('td', { class: 'nowrap muted', title: key.last_used_at ? moment(key.last_used_at) : false }, key.last_used_at ? ago(key.last_used_at) : 'never'),
-      h('td', { class: 'nowrap muted' }, key.expires_at ? moment(key.expires_at) : 'never'),
+      h('td', { class: 'nowrap muted', title: dateTime(key.created_at) }, ago(key.created_at)),
+      h('td', { class: 'nowrap muted', title: key.last_used_at ? dateTime(key.last_used_at) : false }, key.last_used_at ? ago(key.last_used_at) : 'never'),
+      h('td', { class: 'nowrap muted' }, key.expires_at ? dateTime(key.expires_at) : 'never'),
       h('td', { class: 'number' }, key.state === 'live' && session.mayAdminister ? h('button', { type: 'button', class: 'button', on: { click: () => void this.#revoke(key) } }, 'Revoke') : null),
     );
   }

@@ -3,7 +3,7 @@
 import { Problem, getJson, messageOf, send } from '/ui/api.js';
 import { confirm } from '/ui/parts/dialog.js';
 import { h, setText } from '/ui/parts/dom.js';
-import { ago, count, counted, moment, short, shortId } from '/ui/parts/format.js';
+import { ago, count, counted, dateTime, short, shortId } from '/ui/parts/format.js';
 import { icon } from '/ui/parts/icons.js';
 import { openMenu } from '/ui/parts/menu.js';
 import { toast, toastError } from '/ui/parts/toast.js';
@@ -134,8 +134,8 @@ export class Workers {
       h('td', {}, h('span', { class: `state ${state.kind}` }, state.text)),
       h('td', { class: 'holds' }, ...held),
       h('td', { class: 'number nowrap' }, worker.rays_per_second === null ? '–' : short(worker.rays_per_second)),
-      h('td', { class: 'nowrap muted', title: worker.registered_at ? moment(worker.registered_at) : false }, worker.registered_at ? ago(worker.registered_at) : '–'),
-      h('td', { class: 'nowrap muted', title: worker.last_seen_at ? moment(worker.last_seen_at) : false }, worker.last_seen_at ? ago(worker.last_seen_at) : '–'),
+      h('td', { class: 'nowrap muted', title: worker.registered_at ? dateTime(worker.registered_at) : false }, worker.registered_at ? ago(worker.registered_at) : '–'),
+      h('td', { class: 'nowrap muted', title: worker.last_seen_at ? dateTime(worker.last_seen_at) : false }, worker.last_seen_at ? ago(worker.last_seen_at) : '–'),
       h('td', { class: 'number' }, errors === 0 ? h('span', { class: 'muted' }, '0') : h('span', { class: 'state failed', title: worker.last_error ?? false }, count(errors)), worker.last_error ? h('div', { class: 'muted small last-error' }, worker.last_error) : null),
       h('td', { class: 'number' }, actions),
     );

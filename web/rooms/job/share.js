@@ -3,7 +3,7 @@
 import { address, getBlob, request, send } from '/ui/api.js';
 import { h } from '/ui/parts/dom.js';
 import { showDialog } from '/ui/parts/dialog.js';
-import { moment } from '/ui/parts/format.js';
+import { dateTime } from '/ui/parts/format.js';
 import { toast, toastError } from '/ui/parts/toast.js';
 import { session } from '/ui/session.js';
 
@@ -90,7 +90,7 @@ export async function share(job, frame, isStored) {
     const field = h('input', { type: 'text', readonly: true, value: url, 'aria-label': 'Link', class: 'mono' });
     await showDialog({
       title: 'The link',
-      body: [field, h('p', { class: 'muted' }, link.expires_at ? `Valid until ${moment(link.expires_at)}.` : '')],
+      body: [field, h('p', { class: 'muted' }, link.expires_at ? `Valid until ${dateTime(link.expires_at)}.` : '')],
       actions: [{ label: 'Copy', value: 'copy', kind: 'primary' }],
       cancel: 'Close',
       onOpen: () => field.select(),

@@ -53,7 +53,7 @@ function verdict({ same, tiles_checked: checked, tiles_total: total, differs, fi
  * @returns {Promise<number | null>}
  */
 export async function showVerification(result, name) {
-  const { same, tiles_checked: checked, tiles_total: total, finds_one_tile: chance } = result;
+  const { same, tiles_checked: checked, tiles_total: total, finds_one_tile: probability } = result;
   const more = Math.min(total, MOST_TILES);
   const makers = new Map((result.made_by ?? []).map((maker) => [`${maker.worker} ${maker.device}`, maker]));
   /** @type {[string, string | null][]} */
@@ -61,7 +61,7 @@ export async function showVerification(result, name) {
     ['Picture', name],
     ['Made by', makers.size > 0 ? [...makers.values()].map((maker) => `${maker.worker} (${maker.device})`).join(', ') : null],
     ['Release', `sdfarm ${result.version}, picture version ${result.picture_version}`],
-    ['Certainty', same && checked < total && chance !== undefined ? `a change in one tile would have been found with a chance of ${percent(chance)}` : null],
+    ['Certainty', same && checked < total && probability !== undefined ? `a change in one tile would have been found with a probability of ${percent(probability)}` : null],
     ['Scene', result.scene],
   ];
   const chosen = await showDialog({

@@ -1,7 +1,7 @@
 // A list of jobs that draws only the rows that are seen, so that ten thousand scroll as ten do.
 
 import { h, setText } from '/ui/parts/dom.js';
-import { ago, count, duration, moment, percent, shortId, timeLeft } from '/ui/parts/format.js';
+import { ago, count, duration, dateTime, percent, shortId, timeLeft } from '/ui/parts/format.js';
 import { icon } from '/ui/parts/icons.js';
 import { showThumbnail, thumbnailPath } from '/ui/parts/thumbnails.js';
 
@@ -103,7 +103,7 @@ class Row {
       this.element.id = `job-${job.id}`;
       this.link.href = `#/jobs/${job.id}`;
       setText(this.id, shortId(job.id));
-      this.created.title = moment(job.created_at);
+      this.created.title = dateTime(job.created_at);
       this.box.setAttribute('aria-label', `Select ${job.name}`);
       this.more.setAttribute('aria-label', `Actions for ${job.name}`);
       this.meter.setAttribute('aria-label', `Progress of ${job.name}`);

@@ -61,7 +61,7 @@ export class JobStore extends EventTarget {
    * Jobs that changed while the list was read; null for those that were deleted.
    * @type {Map<string, Job | null>}
    */
-  #told = new Map();
+  #arrived = new Map();
 
   /** @param {AbortSignal} signal */
   constructor(signal) {
@@ -114,9 +114,9 @@ export class JobStore extends EventTarget {
       this.error = null;
       this.isRead = true;
       // Changes that were told meanwhile may be newer than the list.
-      const told = [...this.#told];
-      if (reading === this.#reading) this.#told.clear();
-      for (const [id, job] of told) {
+      const arrived = [...this.#arrived];
+      if (reading === this.#reading) this.#arrived.clear();
+      for (const [id, job] of arrived) {
         if (job === null) this.#jobs.delete(id);
         else this.#apply(job);
       }
@@ -192,7 +192,7 @@ export class JobStore extends EventTarget {
    * @param {Job} job
    */
   #take(job) {
-    if (this.isLoading) this.#told.set(job.id, job);
+    if (this.isLoading) this.#arrived.set(job.id, job);
     this.#apply(job);
   }
 
@@ -222,7 +222,7 @@ export class JobStore extends EventTarget {
 
   /** @param {string} id */
   remove(id) {
-    if (this.isLoading) this.#told.set(id, null);
+    if (this.isLoading) this.#arrived.set(id, null);
     if (this.#jobs.delete(id)) this.#changed();
   }
 

@@ -83,10 +83,10 @@ impl FrameCost {
 
 fn measure(job: &Job, frame: u32, renderers: &[CpuRenderer], limit: Duration) -> anyhow::Result<FrameCost> {
     let start = Instant::now();
-    let still = job.at(frame)?;
-    std::hint::black_box(Integrator::new(&still));
+    let at_frame = job.at(frame)?;
+    std::hint::black_box(Integrator::new(&at_frame));
     let setup_seconds = start.elapsed().as_secs_f64();
-    let picture = PictureSpec::new(&still);
+    let picture = PictureSpec::new(&at_frame);
     let mut job = job.clone();
     if job.image.layers.is_empty() {
         job.image.samples = job.image.samples.max().min(MAX_SAMPLES).into();
@@ -281,10 +281,10 @@ impl Pass {
 
 /// Returns a block in each cell of a picture, ordered so that the first few are spread all over it.
 pub(super) fn blocks(width: u32, height: u32) -> Vec<Rect> {
-    let mut dice = 0x9e37_79b9_7f4a_7c15_u64;
+    let mut state = 0x9e37_79b9_7f4a_7c15_u64;
     let mut roll = |sides: u32| {
-        dice = dice.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-        ((dice >> 33) % u64::from(sides)) as u32
+        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        ((state >> 33) % u64::from(sides)) as u32
     };
     let mut rects = Vec::new();
     for top in (0..height).step_by(CELL_PX as usize) {

@@ -178,8 +178,8 @@ impl Pictured<'_> {
         if let Some(picture) = self.layer()? {
             return picture.scaled_up(whole.width, whole.height).encode(rendered_px, self.job.image.samples.max());
         }
-        let still = self.job.at(self.frame)?;
-        let (transform, opaque) = (DisplayTransform::new(still.image()), !still.scene().is_transparent());
+        let at_frame = self.job.at(self.frame)?;
+        let (transform, opaque) = (DisplayTransform::new(at_frame.image()), !at_frame.scene().is_transparent());
         let canvas = Canvas::new(whole.width, whole.height, whole.width);
         let scaled = coarse::scaled(&self.pixels, transform, opaque, canvas.size());
         ensure!(scaled.is_some(), "the pixels are not those of the frame");

@@ -20,9 +20,9 @@ pub(super) fn draw(
     tiles: &[PathBuf],
     below: &CoarseCache<'_>,
 ) -> anyhow::Result<Vec<u8>> {
-    let still = job.at(frame)?;
-    let (grade, opaque) = (DisplayTransform::new(still.image()), !still.scene().is_transparent());
-    let mut canvas = Canvas::new(still.image().width, still.image().height, width_px);
+    let at_frame = job.at(frame)?;
+    let (grade, opaque) = (DisplayTransform::new(at_frame.image()), !at_frame.scene().is_transparent());
+    let mut canvas = Canvas::new(at_frame.image().width, at_frame.image().height, width_px);
     for tile in tiles {
         // The blob was deleted meanwhile or is damaged: the coarse pass is shown there.
         drop(add(&mut canvas, tile, grade, opaque));

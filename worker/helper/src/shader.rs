@@ -20,7 +20,7 @@ pub(super) fn of(
     (image.format, image.bits, image.samples) = (Format::Png, Bits::Eight, samples.into());
     image.clear_layers();
     let (width, height) = (image.width, image.height);
-    let still = job.at(frame)?;
+    let at_frame = job.at(frame)?;
     let none = ShaderView {
         program: String::new(),
         wgsl: None,
@@ -32,7 +32,7 @@ pub(super) fn of(
         exact: false,
         reason: None,
     };
-    match Shader::new(&still) {
+    match Shader::new(&at_frame) {
         Ok(Shader { text, numbers, words }) => {
             let program = blake3::hash(text.as_bytes()).to_hex().to_string();
             let wgsl = (known != Some(&*program)).then_some(text);

@@ -115,9 +115,9 @@ mod tests {
         for _ in 0..2 * MAX_TIMINGS {
             measurements.add(Phase::Render, Duration::from_millis(5), 7);
         }
-        let told = measurements.take();
-        assert_eq!(told.timings.len(), MAX_TIMINGS);
-        assert_eq!(told.timings[0], Timing { phase: Phase::Render, took_ms: 5.0, rays: 7 });
+        let reported = measurements.take();
+        assert_eq!(reported.timings.len(), MAX_TIMINGS);
+        assert_eq!(reported.timings[0], Timing { phase: Phase::Render, took_ms: 5.0, rays: 7 });
         assert_eq!(measurements.take(), WorkerMetrics::default());
     }
 }

@@ -33,8 +33,8 @@ pub struct PointsReport {
 
 /// Evaluates the scene's distance at points around the camera's target, for about `time`, on one thread.
 pub fn points(job: &Job, simd: Simd, time: Duration) -> Result<PointsReport, RenderError> {
-    let (still, simd) = (job.at(0)?, simd.resolve_auto());
-    let mut bench = DistanceBench::new(&still, simd)?;
+    let (at_frame, simd) = (job.at(0)?, simd.resolve_auto());
+    let mut bench = DistanceBench::new(&at_frame, simd)?;
     let Spread { least, median, greatest } =
         Spread::new((0..ROUNDS).map(|_| bench.points_per_second(time / ROUNDS)).collect());
     Ok(PointsReport {
@@ -55,9 +55,9 @@ pub struct DistanceBench<'a> {
 
 impl<'a> DistanceBench<'a> {
     /// Prepares the distance for these instructions.
-    pub fn new(still: &'a JobAtFrame<'_>, simd: Simd) -> Result<Self, RenderError> {
-        let (points, distances) = (Aligned::new(&points_around(still)), Aligned::new(&[0.0; POINTS]));
-        Ok(Self { points, distances, evaluate: evaluation(still, simd)? })
+    pub fn new(at_frame: &'a JobAtFrame<'_>, simd: Simd) -> Result<Self, RenderError> {
+        let (points, distances) = (Aligned::new(&points_around(at_frame)), Aligned::new(&[0.0; POINTS]));
+        Ok(Self { points, distances, evaluate: evaluation(at_frame, simd)? })
     }
 
     /// The [`POINTS`] points: a row of each coordinate.
@@ -117,8 +117,8 @@ impl Aligned {
 }
 
 /// [`POINTS`] points around the camera's target: a row of each coordinate.
-fn points_around(still: &JobAtFrame<'_>) -> Vec<f32> {
-    let middle = still.scene().camera.target();
+fn points_around(at_frame: &JobAtFrame<'_>) -> Vec<f32> {
+    let middle = at_frame.scene().camera.target();
     let spread = |index: usize, step: u32| (index as u32).wrapping_mul(step) as f32 / u32::MAX as f32 * 4.0 - 2.0;
     let axis = |middle: f32, step: u32| (0..POINTS).map(move |index| middle + spread(index, step));
     let x = axis(middle.x, 0x9e37_79b9);
@@ -128,16 +128,16 @@ fn points_around(still: &JobAtFrame<'_>) -> Vec<f32> {
 /// Writes the distances of [`POINTS`] points.
 type Evaluation<'a> = Box<dyn FnMut(&[f32], &mut [f32]) + 'a>;
 
-fn evaluation<'a>(still: &'a JobAtFrame<'_>, simd: Simd) -> Result<Evaluation<'a>, RenderError> {
+fn evaluation<'a>(at_frame: &'a JobAtFrame<'_>, simd: Simd) -> Result<Evaluation<'a>, RenderError> {
     if simd == Simd::Scalar {
-        let program = Integrator::new(still);
+        let program = Integrator::new(at_frame);
         return Ok(Box::new(move |points, distances| {
             for (index, distance) in distances.iter_mut().enumerate() {
                 *distance = program.distance(vec3(points[index], points[POINTS + index], points[2 * POINTS + index]));
             }
         }));
     }
-    let tape = record_distance(still);
+    let tape = record_distance(at_frame);
     let evaluator = Evaluator::new(&tape, simd)?;
     let (inputs, cancel, mut frame) = (evaluator.inputs(&tape), CancelFlag::new(), evaluator.frame());
     Ok(Box::new(move |points, distances| {

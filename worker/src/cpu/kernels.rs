@@ -70,9 +70,14 @@ impl KernelCache {
         Ok(recent::insert(&self.by_pixels, key, Arc::new(instants), MAX_FRAMES))
     }
 
-    fn prepare_instant(&self, still: &JobAtFrame<'_>, simd: Simd, cells: FastBuilder) -> Result<Prepared, RenderError> {
-        let tape = record_picture(still, cells);
-        let table = tape.table().map(|table| self.cells.share(still, table));
+    fn prepare_instant(
+        &self,
+        at_frame: &JobAtFrame<'_>,
+        simd: Simd,
+        cells: FastBuilder,
+    ) -> Result<Prepared, RenderError> {
+        let tape = record_picture(at_frame, cells);
+        let table = tape.table().map(|table| self.cells.share(at_frame, table));
         let tape = match table {
             Some(table) => tape.with_table(table),
             None => tape,
@@ -85,16 +90,16 @@ impl KernelCache {
     /// A frame whose rays are recorded by this integrator.
     pub(super) fn recordable(
         &self,
-        still: &JobAtFrame<'_>,
+        at_frame: &JobAtFrame<'_>,
         program: &Integrator<'_>,
         visits: &Visits,
         simd: Simd,
     ) -> Result<Arc<Recordable>, RenderError> {
-        let key = still.pixels_cache_key();
+        let key = at_frame.pixels_cache_key();
         if let Some(known) = recent::find(&self.recordable, |other| *other == key) {
             return Ok(known);
         }
-        let tape = record_entries(program, still);
+        let tape = record_entries(program, at_frame);
         let evaluator = self.evaluator(&tape, simd)?;
         let recordable = Recordable { evaluator, tape: tape.without_table(), visits: visits.another() };
         Ok(recent::insert(&self.recordable, key, Arc::new(recordable), MAX_FRAMES))

@@ -51,9 +51,9 @@ fn turning(first: &str) -> Job {
 
 #[test]
 fn frames_share_cells_while_no_shape_moves() {
-    let still = r#"{ "sphere": { "radius": 0.5 } }"#;
+    let constant = r#"{ "sphere": { "radius": 0.5 } }"#;
     let moving = r#"{ "sphere": { "radius": { "keys": [[0, 0.5], [0.3, 0.9]] } } }"#;
-    for (first, is_shared) in [(still, true), (moving, false)] {
+    for (first, is_shared) in [(constant, true), (moving, false)] {
         let (job, kept) = (turning(first), CpuRenderer::new(Some(2), Simd::Auto).expect("threads"));
         let table = |frame: u32| {
             let exposure = job.exposure(frame).expect("a valid frame");

@@ -154,8 +154,8 @@ impl NvrtcProgram {
 }
 
 /// Writes a rejected source and the compiler's log to files.
-pub(super) fn save_rejected_source(trouble: CudaError, text: &str, folder: Option<&Path>) -> CudaError {
-    let CudaError::Compile { log, .. } = trouble else { return trouble };
+pub(super) fn save_rejected_source(error: CudaError, text: &str, folder: Option<&Path>) -> CudaError {
+    let CudaError::Compile { log, .. } = error else { return error };
     let path =
         folder.map(|folder| folder.join(format!("refused-{}.cu", &blake3::hash(text.as_bytes()).to_hex()[..16])));
     let commented = log.lines().collect::<Vec<_>>().join("\n// ");

@@ -53,10 +53,10 @@ pub struct KernelSource {
 
 impl KernelSource {
     /// Kernel source of a job's frame. Fails if its recorded formulas are invalid.
-    pub fn new(still: &JobAtFrame<'_>) -> Result<Self, InvalidTape> {
-        let samples = still.image().rounds();
-        let together = samples_together(still, &samples);
-        Self::build(still, samples, together, FastBuilder::UNLIMITED)
+    pub fn new(at_frame: &JobAtFrame<'_>) -> Result<Self, InvalidTape> {
+        let samples = at_frame.image().rounds();
+        let together = samples_together(at_frame, &samples);
+        Self::build(at_frame, samples, together, FastBuilder::UNLIMITED)
     }
 
     /// Kernel sources of the instants of a frame, all of which have the same text. `together` neighboring threads
@@ -69,9 +69,9 @@ impl KernelSource {
         let rounds = exposure.samples();
         let together = together.unwrap_or_else(|| samples_together(exposure.last(), &rounds.concat()));
         let mut sources: Vec<Self> = Vec::with_capacity(exposure.instants.len());
-        for (index, still) in exposure.instants.iter().enumerate() {
+        for (index, at_frame) in exposure.instants.iter().enumerate() {
             let samples = rounds.iter().map(|round| round[index].clone()).collect();
-            let mut source = Self::build(still, samples, together, builder)?;
+            let mut source = Self::build(at_frame, samples, together, builder)?;
             if let Some(first) = sources.first().filter(|first| first.text == source.text) {
                 source.text = first.text.clone();
             }
@@ -83,13 +83,13 @@ impl KernelSource {
     /// Kernel source in which neighboring threads render `together` samples of a pixel: a power of two that divides the
     /// number of samples.
     pub(super) fn build(
-        still: &JobAtFrame<'_>,
+        at_frame: &JobAtFrame<'_>,
         samples: Vec<Range<u32>>,
         together: u32,
         builder: FastBuilder,
     ) -> Result<Self, InvalidTape> {
-        let image = still.image();
-        let integrator = Integrator::of_picture(still, &builder);
+        let image = at_frame.image();
+        let integrator = Integrator::of_picture(at_frame, &builder);
         let mut of_paths = None;
         let tape = record(|recording| {
             of_paths = paths::record_steps(recording, &integrator, image.sum_channels());
@@ -130,9 +130,9 @@ impl KernelSource {
 
 /// How many of a pixel's samples are best rendered together by neighboring threads. With paths, a thread renders all
 /// samples of its pixel, so that it goes on with the next one as soon as a path has ended.
-fn samples_together(still: &JobAtFrame<'_>, ranges: &[Range<u32>]) -> u32 {
+fn samples_together(at_frame: &JobAtFrame<'_>, ranges: &[Range<u32>]) -> u32 {
     let common = ranges.iter().map(|range| range.len().trailing_zeros()).min().unwrap_or(0);
-    match still.scene().integrator {
+    match at_frame.scene().integrator {
         Transport::Path(_) => 1,
         Transport::Direct => (1 << common).min(MAX_SAMPLES_TOGETHER),
     }

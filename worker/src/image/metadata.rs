@@ -18,14 +18,14 @@ pub struct Metadata {
 
 impl Metadata {
     /// Attributes of a job at a frame.
-    pub fn new(still: &JobAtFrame<'_>) -> Self {
-        let image = still.image();
+    pub fn new(at_frame: &JobAtFrame<'_>) -> Self {
+        let image = at_frame.image();
         let [width, height] = image.full_size();
-        let view = still.scene().camera.view(width, height);
+        let view = at_frame.scene().camera.view(width, height);
         Self {
             world_to_camera: view.world_to_camera(),
             world_to_ndc: view.world_to_ndc().map(|matrix| in_region(&matrix, image)),
-            frames_per_second: fraction(still.frames().fps.get()),
+            frames_per_second: fraction(at_frame.frames().fps.get()),
         }
     }
 }

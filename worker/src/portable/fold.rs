@@ -5,15 +5,15 @@ use std::sync::atomic::Ordering;
 use scene::real::list::{IS_LAST, IS_UNARY, NO_LEAF, OPERATION_WORDS, ROW_MASK, function_of};
 
 use super::arithmetic::{Batch, LANES};
-use super::{Places, Run, Source};
+use super::{Operand, Places, Run};
 use crate::tape::FoldStep;
 
 /// A fold on slots.
 #[derive(Debug)]
 pub(super) struct Fold {
-    live: Source,
-    list: Source,
-    arguments: Vec<(usize, Source)>,
+    live: Operand,
+    list: Operand,
+    arguments: Vec<(usize, Operand)>,
     leaves: Vec<usize>,
     joins: Vec<usize>,
     row_words: u32,
@@ -81,15 +81,15 @@ impl Places<'_> {
 }
 
 impl Run<'_> {
-    fn lanes_of(&self, source: Source) -> Box<Batch> {
+    fn lanes_of(&self, source: Operand) -> Box<Batch> {
         Box::new(match source {
-            Source::Slot(slot) => *self.frame.slots[slot],
-            Source::Input(index) => Batch([self.frame.inputs[index]; LANES]),
+            Operand::Slot(slot) => *self.frame.slots[slot],
+            Operand::Input(index) => Batch([self.frame.inputs[index]; LANES]),
         })
     }
 
     /// Words in place of missing ones, in the active lanes.
-    pub(super) fn make(&mut self, live: Source, to: usize, missing: Source) {
+    pub(super) fn make(&mut self, live: Operand, to: usize, missing: Operand) {
         let (live, missing) = (self.lanes_of(live), self.lanes_of(missing));
         for lane in 0..LANES {
             if live.0[lane] != 0 {
@@ -123,7 +123,7 @@ impl Run<'_> {
             }
         }
         for &(from, to) in &fold.returned {
-            self.copy(to, Source::Slot(from));
+            self.copy(to, Operand::Slot(from));
         }
     }
 
@@ -173,7 +173,7 @@ impl Run<'_> {
 
     fn copy_value(&mut self, fold: &Fold, to: usize, from: usize) {
         for place in 0..fold.width {
-            self.copy(to + place, Source::Slot(from + place));
+            self.copy(to + place, Operand::Slot(from + place));
         }
     }
 }

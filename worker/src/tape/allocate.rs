@@ -2,11 +2,11 @@
 //! Allocation", TOPLAS 21(5), 1999). A variable that is used rarely for its length, or that lives across a call, lies
 //! in the thread's frame.
 
-use super::linear::{Class, Linear, Source, Step, Var};
+use super::linear::{Class, Linear, Origin, Step, Var};
 
 /// Where a variable is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Place {
+pub(crate) enum Location {
     /// Vector register.
     Vector(u8),
     /// Mask register.
@@ -30,7 +30,7 @@ pub(crate) enum Place {
 /// Places of all variables of a function.
 #[derive(Debug)]
 pub(crate) struct Allocation {
-    pub(crate) places: Vec<Place>,
+    pub(crate) places: Vec<Location>,
     /// Number of slots.
     pub(crate) slots: u32,
 }
@@ -120,21 +120,21 @@ pub(crate) struct Registers {
 /// Chooses places among these registers.
 pub(crate) fn allocate(linear: &Linear, registers: Registers) -> Allocation {
     let (mut intervals, calls) = intervals(linear);
-    let mut places = vec![Place::Nowhere; linear.variables.len()];
+    let mut places = vec![Location::Nowhere; linear.variables.len()];
     intervals.retain(|interval| match linear.variables[interval.var as usize].source {
-        Source::Constant(bits) => {
-            places[interval.var as usize] = Place::Constant(bits);
+        Origin::Constant(bits) => {
+            places[interval.var as usize] = Location::Constant(bits);
             false
         }
-        Source::Uniform(index) => {
-            places[interval.var as usize] = Place::Uniform(index);
+        Origin::Uniform(index) => {
+            places[interval.var as usize] = Location::Uniform(index);
             false
         }
-        Source::Row(index) => {
-            places[interval.var as usize] = Place::Row(index);
+        Origin::Row(index) => {
+            places[interval.var as usize] = Location::Row(index);
             false
         }
-        Source::Step => interval.start != u32::MAX,
+        Origin::Step => interval.start != u32::MAX,
     });
     intervals.sort_by_key(|interval| (interval.start, interval.var));
     let mut vector = ClassState { free: (0..registers.vectors).rev().collect(), active: Vec::new() };
@@ -152,7 +152,7 @@ pub(crate) fn allocate(linear: &Linear, registers: Registers) -> Allocation {
         }
         let is_mask = registers.masks > 0 && linear.variables[interval.var as usize].class == Class::Mask;
         let state = if is_mask { &mut mask } else { &mut vector };
-        let place = |register| if is_mask { Place::Mask(register) } else { Place::Vector(register) };
+        let place = |register| if is_mask { Location::Mask(register) } else { Location::Vector(register) };
         state.expire(interval.start);
         if let Some(register) = state.free.pop() {
             places[interval.var as usize] = place(register);
@@ -184,15 +184,15 @@ pub(crate) fn allocate(linear: &Linear, registers: Registers) -> Allocation {
 }
 
 /// Gives slots to variables without registers; arguments stay where their callers put them.
-fn slots(linear: &Linear, mut spilled: Vec<Interval>, places: &mut [Place]) -> u32 {
+fn slots(linear: &Linear, mut spilled: Vec<Interval>, places: &mut [Location]) -> u32 {
     spilled.sort_by_key(|interval| (interval.start, interval.var));
     let (mut free, mut active, mut count): (Vec<u32>, Vec<(u32, u32)>, u32) = (Vec::new(), Vec::new(), 0);
     for interval in spilled {
         let place = &mut places[interval.var as usize];
         if interval.var == linear.live {
-            *place = Place::Live;
+            *place = Location::Live;
         } else if let Some(index) = linear.arguments.iter().position(|&var| var == interval.var) {
-            *place = Place::Argument(index as u32);
+            *place = Location::Argument(index as u32);
         } else {
             active.retain(|&(end, slot)| {
                 if end < interval.start {
@@ -205,7 +205,7 @@ fn slots(linear: &Linear, mut spilled: Vec<Interval>, places: &mut [Place]) -> u
                 count - 1
             });
             active.push((interval.end, slot));
-            *place = Place::Slot(slot);
+            *place = Location::Slot(slot);
         }
     }
     count

@@ -5,7 +5,7 @@
 
 use scene::real::{INDEX_BITS, LENGTH_PLACE, STAND_IN};
 
-use super::source::{FunctionParts, Language, Source};
+use super::source::{FunctionParts, Language, SourceText};
 use super::verify::InvalidTape;
 use super::{Operation, Tape, ValueType};
 
@@ -18,13 +18,13 @@ enum Conditions {
 
 impl Tape {
     /// Generates C source. Fails if the tape is invalid.
-    pub fn to_c(&self) -> Result<Source, InvalidTape> {
+    pub fn to_c(&self) -> Result<SourceText, InvalidTape> {
         self.print(&Conditions::Single)
     }
 
     /// Generates C source in which `float`, `bool` and `unsigned` may be packets, if the tape has no loops and
     /// branches.
-    pub fn to_packet_c(&self) -> Result<Source, InvalidTape> {
+    pub fn to_packet_c(&self) -> Result<SourceText, InvalidTape> {
         self.print(&Conditions::Packets)
     }
 }

@@ -22,7 +22,7 @@ pub(crate) enum Class {
 
 /// Where a variable's value comes from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub(crate) enum Source {
+pub(crate) enum Origin {
     /// The same bits in every lane, part of the code.
     Constant(u32),
     /// A uniform, by its index.
@@ -37,7 +37,7 @@ pub(crate) enum Source {
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Variable {
     pub(crate) class: Class,
-    pub(crate) source: Source,
+    pub(crate) source: Origin,
 }
 
 /// A loop that may pause does so when less than one of this many lanes is left, a power of two. If it is larger, lanes wait
@@ -191,7 +191,7 @@ impl Linear {
     /// Number of words of its row that it uses, with those between them.
     pub(crate) fn row_words(&self) -> u32 {
         let used = self.variables.iter().map(|variable| match variable.source {
-            Source::Row(word) => word + 1,
+            Origin::Row(word) => word + 1,
             _ => 0,
         });
         used.max().unwrap_or(0)
@@ -209,7 +209,7 @@ impl Linear {
             scopes: vec![HashMap::new()],
             mask: 0,
         };
-        builder.linear.live = builder.fresh(Class::Mask, Source::Step);
+        builder.linear.live = builder.fresh(Class::Mask, Origin::Step);
         builder.mask = builder.linear.live;
         for &id in &function.arguments {
             if function.keeps_all() || live.is_live(id) {
@@ -225,7 +225,7 @@ impl Linear {
             if function.row_words.is_none() || !builder.linear.arguments.contains(&from) {
                 return from;
             }
-            let to = builder.fresh(Class::Vector, Source::Step);
+            let to = builder.fresh(Class::Vector, Origin::Step);
             builder.push(Step::Move { to, from });
             to
         };
@@ -241,7 +241,7 @@ struct Builder<'a> {
     inlined: &'a [bool],
     linear: Linear,
     /// Variables of constants and uniforms.
-    inputs: HashMap<(Source, bool), Var>,
+    inputs: HashMap<(Origin, bool), Var>,
     /// Variables of the values of each inlined call, the innermost last.
     scopes: Vec<HashMap<ValueId, Var>>,
     /// The active lanes.
@@ -249,7 +249,7 @@ struct Builder<'a> {
 }
 
 impl Builder<'_> {
-    fn fresh(&mut self, class: Class, source: Source) -> Var {
+    fn fresh(&mut self, class: Class, source: Origin) -> Var {
         self.linear.variables.push(Variable { class, source });
         (self.linear.variables.len() - 1) as Var
     }
@@ -268,7 +268,7 @@ impl Builder<'_> {
     /// A new variable for a value.
     fn define(&mut self, id: ValueId) -> Var {
         let class = self.class(id);
-        let var = self.fresh(class, Source::Step);
+        let var = self.fresh(class, Origin::Step);
         self.scope().insert(id, var);
         var
     }
@@ -276,9 +276,9 @@ impl Builder<'_> {
     /// Variable of a value.
     fn var(&mut self, id: ValueId) -> Var {
         let source = match self.tape.definition(id).operation {
-            Operation::Constant(bits) => Source::Constant(bits),
-            Operation::Uniform(place) => Source::Uniform(place),
-            Operation::Row(place) => Source::Row(place),
+            Operation::Constant(bits) => Origin::Constant(bits),
+            Operation::Uniform(place) => Origin::Uniform(place),
+            Operation::Row(place) => Origin::Row(place),
             _ => return self.scope()[&id],
         };
         let class = self.class(id);
@@ -364,7 +364,7 @@ impl Builder<'_> {
     fn when(&mut self, condition: ValueId, assigned: &[(ValueId, ValueId, ValueId)], body: &[Statement]) {
         let condition = self.var(condition);
         let outer = self.mask;
-        let mask = self.fresh(Class::Mask, Source::Step);
+        let mask = self.fresh(Class::Mask, Origin::Step);
         self.push(Step::Compute { to: mask, operation: Operation::And, operands: [condition, outer, 0] });
         // The values without the branch are read before any variable is assigned.
         let mut targets = Vec::new();
@@ -401,7 +401,7 @@ impl Builder<'_> {
             self.push(Step::Move { to, from });
         }
         let outer = self.mask;
-        let active = self.fresh(Class::Mask, Source::Step);
+        let active = self.fresh(Class::Mask, Origin::Step);
         self.push(Step::Move { to: active, from: outer });
         let (counter, top) = (self.linear.counters, self.linear.labels);
         self.linear.counters += if pauses { 1 + LANE_COUNTERS } else { 1 };
@@ -424,14 +424,14 @@ impl Builder<'_> {
             }
             if targets.contains(&from) {
                 let class = self.linear.variables[from as usize].class;
-                let copy = self.fresh(class, Source::Step);
+                let copy = self.fresh(class, Origin::Step);
                 self.push(Step::Move { to: copy, from });
                 from = copy;
             }
             moves.push((to, from));
         }
         let remaining = if targets.contains(&again) {
-            let remaining = self.fresh(Class::Mask, Source::Step);
+            let remaining = self.fresh(Class::Mask, Origin::Step);
             self.push(Step::Compute { to: remaining, operation: Operation::And, operands: [again, active, 0] });
             Some(remaining)
         } else {

@@ -20,7 +20,7 @@ const MAX_INLINED_STATEMENTS: usize = 2000;
 
 /// Source text of a tape.
 #[derive(Clone, Debug)]
-pub struct Source {
+pub struct SourceText {
     /// Functions: `step_NAME` for each recorded name, returning a `NAME_result` with parts f0, f1 …
     pub code: String,
     /// Number of statements.
@@ -86,10 +86,10 @@ pub(super) struct FunctionParts<'a> {
 
 impl Tape {
     /// Generates source in a language. Fails if the tape is invalid.
-    pub(super) fn print(&self, language: &dyn Language) -> Result<Source, InvalidTape> {
+    pub(super) fn print(&self, language: &dyn Language) -> Result<SourceText, InvalidTape> {
         let live = Liveness::new(self.verify()?);
         let calls = self.call_counts(&live);
-        let mut text = Source { code: String::new(), statements: 0 };
+        let mut text = SourceText { code: String::new(), statements: 0 };
         // Statements that each function adds where it is called.
         let mut lengths = vec![0; self.functions.len()];
         for (index, function) in self.functions.iter().enumerate() {

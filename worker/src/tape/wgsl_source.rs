@@ -4,13 +4,13 @@
 
 use scene::real::{INDEX_BITS, LIST_PLACE};
 
-use super::source::{FunctionParts, Language, Source};
+use super::source::{FunctionParts, Language, SourceText};
 use super::verify::InvalidTape;
 use super::{Instruction, Operation, Tape, ValueType};
 
 impl Tape {
     /// Generates WGSL source. Fails if the tape is invalid.
-    pub fn to_wgsl(&self) -> Result<Source, InvalidTape> {
+    pub fn to_wgsl(&self) -> Result<SourceText, InvalidTape> {
         self.print(&Wgsl)
     }
 

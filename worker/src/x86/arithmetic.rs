@@ -5,7 +5,7 @@ use scene::real::SQRT_FLOOR;
 
 use super::emit::{Emitter, ROW, UNIFORMS, memory, valid};
 use super::operands::{MASK_SCRATCH, MASK_SCRATCH_2, Operand};
-use crate::tape::{Operation, Place, Var};
+use crate::tape::{Location, Operation, Var};
 
 /// Predicates of a comparison. Without NaN, ordered and unordered ones agree.
 const LESS: u32 = 1;
@@ -43,7 +43,7 @@ impl Emitter<'_> {
     }
 
     pub(super) fn compute(&mut self, to: Var, operation: Operation, operands: [Var; 3]) {
-        if self.place(to) == Place::Nowhere {
+        if self.place(to) == Location::Nowhere {
             return;
         }
         let target = self.target(to);
@@ -136,7 +136,7 @@ impl Emitter<'_> {
             })),
             Operation::Sqrt => self.sqrt(to, a),
             Operation::ShiftLeft | Operation::ShiftRight => {
-                let Place::Constant(by) = self.place(operands[1]) else { unreachable!("shifts are by constants") };
+                let Location::Constant(by) = self.place(operands[1]) else { unreachable!("shifts are by constants") };
                 let code = if operation == Operation::ShiftLeft { isa.shift_left } else { isa.shift_right };
                 let a = self.in_register(a, isa.scratch_2);
                 self.push(valid(Instruction::with3(code, to, a, by)));

@@ -11,7 +11,7 @@ use iced_x86::{Code, Instruction, MemoryOperand, Register};
 
 use super::isa::Isa;
 use super::operands::{MASK_SCRATCH, MASK_SCRATCH_2};
-use crate::tape::{Allocation, Linear, ListFunctionLayout, PAUSE, Place, Step, Var};
+use crate::tape::{Allocation, Linear, ListFunctionLayout, Location, PAUSE, Step, Var};
 
 pub(super) const FRAME: Register = Register::RDI;
 pub(super) const UNIFORMS: Register = Register::RSI;
@@ -189,7 +189,7 @@ impl<'a> Emitter<'a> {
         // In the order in which they were given registers: one that nothing reads may have that of a later one.
         self.load_from(self.linear.live, self.layout().live);
         for (place, &var) in self.linear.arguments.iter().enumerate() {
-            if !matches!(self.place(var), Place::Argument(_)) {
+            if !matches!(self.place(var), Location::Argument(_)) {
                 self.load_from(var, self.layout().arguments + self.isa.packet_bytes() * place as u32);
             }
         }

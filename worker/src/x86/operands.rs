@@ -3,7 +3,7 @@
 use iced_x86::{Code, Instruction, MemoryOperand, Register};
 
 use super::emit::{CONSTANTS, Emitter, FRAME, NUMBERS, UNIFORMS, memory, valid};
-use crate::tape::{Class, Place, Var};
+use crate::tape::{Class, Location, Var};
 
 pub(super) const MASK_SCRATCH: Register = Register::K7;
 /// Can't be the mask of an instruction.
@@ -18,7 +18,7 @@ pub(super) enum Operand {
 }
 
 impl Emitter<'_> {
-    pub(super) fn place(&self, var: Var) -> Place {
+    pub(super) fn place(&self, var: Var) -> Location {
         self.allocation.places[var as usize]
     }
 
@@ -27,12 +27,12 @@ impl Emitter<'_> {
         self.isa.has_masks() && self.linear.variables[var as usize].class == Class::Mask
     }
 
-    fn in_frame(&self, place: Place) -> Option<MemoryOperand> {
+    fn in_frame(&self, place: Location) -> Option<MemoryOperand> {
         let layout = self.layout();
         let offset = match place {
-            Place::Slot(slot) => layout.slots + self.isa.packet_bytes() * slot,
-            Place::Argument(argument) => layout.arguments + self.isa.packet_bytes() * argument,
-            Place::Live => layout.live,
+            Location::Slot(slot) => layout.slots + self.isa.packet_bytes() * slot,
+            Location::Argument(argument) => layout.arguments + self.isa.packet_bytes() * argument,
+            Location::Live => layout.live,
             _ => return None,
         };
         Some(self.in_packet(FRAME, offset))
@@ -56,13 +56,13 @@ impl Emitter<'_> {
 
     pub(super) fn operand(&mut self, var: Var) -> Operand {
         match self.place(var) {
-            Place::Vector(register) => Operand::Register(self.isa.vector(register, self.vector)),
-            Place::Constant(bits) => self.constant(bits),
-            Place::Uniform(index) => Operand::Memory(self.input(UNIFORMS, index, true)),
-            Place::Row(word) if self.isa.has_masks() => {
+            Location::Vector(register) => Operand::Register(self.isa.vector(register, self.vector)),
+            Location::Constant(bits) => self.constant(bits),
+            Location::Uniform(index) => Operand::Memory(self.input(UNIFORMS, index, true)),
+            Location::Row(word) if self.isa.has_masks() => {
                 Operand::Memory(MemoryOperand { is_broadcast: true, ..memory(NUMBERS, 4 * word) })
             }
-            Place::Row(word) => Operand::Memory(memory(FRAME, self.layout().row + self.isa.packet_bytes() * word)),
+            Location::Row(word) => Operand::Memory(memory(FRAME, self.layout().row + self.isa.packet_bytes() * word)),
             place => Operand::Memory(self.in_frame(place).expect("a number is a vector or in the frame")),
         }
     }
@@ -103,7 +103,7 @@ impl Emitter<'_> {
 
     pub(super) fn mask_in_register(&mut self, var: Var, scratch: Register) -> Register {
         match self.place(var) {
-            Place::Mask(register) => self.isa.mask(register, self.vector),
+            Location::Mask(register) => self.isa.mask(register, self.vector),
             place => {
                 let from = self.in_frame(place).expect("a mask is in a register or in the frame");
                 self.load_mask(scratch, from);
@@ -115,8 +115,8 @@ impl Emitter<'_> {
     /// Register for a result: that of the variable, or scratch to be stored by [`Self::store`].
     pub(super) fn target(&self, var: Var) -> Register {
         match self.place(var) {
-            Place::Vector(register) => self.isa.vector(register, self.vector),
-            Place::Mask(register) => self.isa.mask(register, self.vector),
+            Location::Vector(register) => self.isa.vector(register, self.vector),
+            Location::Mask(register) => self.isa.mask(register, self.vector),
             _ if self.is_mask(var) => MASK_SCRATCH,
             _ => self.isa.scratch,
         }
@@ -150,7 +150,7 @@ impl Emitter<'_> {
 
     /// Loads a variable from the frame at an offset.
     pub(super) fn load_from(&mut self, var: Var, offset: u32) {
-        if self.place(var) == Place::Nowhere {
+        if self.place(var) == Location::Nowhere {
             return;
         }
         self.for_each_vector(|this| {
@@ -165,7 +165,7 @@ impl Emitter<'_> {
     }
 
     pub(super) fn copy(&mut self, to: Var, from: Var) {
-        if self.place(to) == Place::Nowhere {
+        if self.place(to) == Location::Nowhere {
             return;
         }
         let target = self.target(to);
@@ -182,7 +182,7 @@ impl Emitter<'_> {
     }
 
     pub(super) fn copy_where(&mut self, lanes: Var, to: Var, from: Var) {
-        if self.place(to) == Place::Nowhere {
+        if self.place(to) == Location::Nowhere {
             return;
         }
         if self.is_mask(to) {

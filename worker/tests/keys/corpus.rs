@@ -383,9 +383,9 @@ fn moving() -> Vec<Value> {
         json!({ "keys": keys, "ease": "linear", "loop": "ping_pong" })
     };
     let shifted = json!({ "translate": { "by": eased(json!([0, 0, 0]), json!([1, 0.5, 0])), "child": ball() } });
-    let turned =
+    let rotated =
         |degrees: Value| json!({ "rotate": { "degrees": degrees, "child": { "box": { "size": [1, 1.5, 0.7] } } } });
-    let turned = turned(eased(json!([0, 20, 10]), json!([40, 0, 0])));
+    let rotated = rotated(eased(json!([0, 20, 10]), json!([40, 0, 0])));
     let light = |color: Value| json!([{ "point": { "position": [1, 2, 2], "color": color, "shadow": true } }]);
     let colors = [
         json!({ "kelvin": 3000 }),
@@ -394,7 +394,7 @@ fn moving() -> Vec<Value> {
         eased(json!({ "kelvin": 2000 }), json!({ "kelvin": 12000 })),
     ];
     let lit = colors.map(|color| scene(&ball(), &gray(), &light(color), &gradient()));
-    [numbers, with, scene(&shifted, &gray(), &sun(), &gradient()), scene(&turned, &gray(), &sun(), &gradient())]
+    [numbers, with, scene(&shifted, &gray(), &sun(), &gradient()), scene(&rotated, &gray(), &sun(), &gradient())]
         .into_iter()
         .chain(lit)
         .collect()

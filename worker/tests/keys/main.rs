@@ -35,18 +35,18 @@ struct Shot {
 /// Renders a job; `None` if the job is invalid.
 fn shot(renderer: &CpuRenderer, job: &Value) -> Option<Shot> {
     let job = scene::parse(job.to_string().as_bytes()).ok()?;
-    let still = job.at(FRAME).ok()?;
+    let at_frame = job.at(FRAME).ok()?;
     let run = TileRequest { job: &job, frame: FRAME, rect: Rect::full(job.image.width, job.image.height) };
     let pixels = renderer.render(&run, &CancelFlag::new(), &|_| ()).unwrap();
     let bits = pixels.planes.iter().flatten().map(|value| value.to_bits()).collect();
     let mut file = Cursor::new(Vec::new());
-    PictureSpec::new(&still).write(&mut TileRows(&[pixels]), &mut file, &CancelFlag::new()).unwrap();
+    PictureSpec::new(&at_frame).write(&mut TileRows(&[pixels]), &mut file, &CancelFlag::new()).unwrap();
     Some(Shot {
         pixels: (job.image.channels(), bits),
         bytes: file.into_inner(),
         key: job.cache_key(FRAME).to_hex().to_string(),
-        pixels_key: still.pixels_cache_key().to_hex().to_string(),
-        scene_hash: still.scene_hash().to_hex().to_string(),
+        pixels_key: at_frame.pixels_cache_key().to_hex().to_string(),
+        scene_hash: at_frame.scene_hash().to_hex().to_string(),
     })
 }
 

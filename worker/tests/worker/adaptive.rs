@@ -62,7 +62,7 @@ fn defined(job: &Job) -> Vec<Vec<f32>> {
             let count = samples.last().expect("there is an instant").end;
             if count == MAX || (round > 0 && adaptive.is_done(count, before.into_iter().zip(sums.iter().copied()))) {
                 for (sum, &(x, y)) in sums.iter().zip(&block) {
-                    let layers = integrators.last().expect("there is an instant").aovs(x as f32, y as f32);
+                    let layers = integrators.last().expect("there is an instant").layer_values(x as f32, y as f32);
                     let colors = sum.map(|sum| sum * (1.0 / count as f32));
                     let values = colors.into_iter().chain([layers.depth, count as f32]);
                     let place = (y * WIDTH + x) as usize;
@@ -103,7 +103,7 @@ fn every_path_and_tile_has_the_bits_of_the_definition() {
 fn a_denoised_picture_has_the_same_bytes_on_every_path_and_in_all_tiles() {
     let path = json!({ "path": { "max_bounces": 2 } });
     let adaptive = json!({ "adaptive": { "min": MIN, "max": MAX, "error": 0.01 } });
-    let still = job(&path, 0.0);
+    let sharp = job(&path, 0.0);
     for samples in [json!(9), adaptive] {
         let mut job = job(&path, 0.7);
         job.image.samples = serde_json::from_value(samples).expect("a valid number");
@@ -129,7 +129,7 @@ fn a_denoised_picture_has_the_same_bytes_on_every_path_and_in_all_tiles() {
             assert!(written(&renderer, &whole) == want && written(&renderer, &tiles) == want, "{level}");
         }
         // Without blur, because the instants of a blurred frame are as many as the samples of a round.
-        job.frames.shutter = still.frames.shutter.clone();
+        job.frames.shutter = sharp.frames.shutter.clone();
         let mut noisy = job.clone();
         noisy.image.denoise = false;
         noisy.image.layers.pop();

@@ -51,20 +51,20 @@ fn defined(job: &Job) -> Vec<u32> {
 fn sums_are_those_of_batches_on_every_path() {
     let many = 2 * BATCH + 88;
     for integrator in [json!("direct"), json!({ "path": { "max_bounces": 2 } })] {
-        let (still, blurred) = (job(&integrator, 0.0, json!(many)), job(&integrator, 0.7, json!(many)));
+        let (sharp, blurred) = (job(&integrator, 0.0, json!(many)), job(&integrator, 0.7, json!(many)));
         assert!(blurred.exposure(1).expect("a valid frame").instants.len() > 1, "batches have several instants");
-        let (of_still, of_blurred) = (defined(&still), defined(&blurred));
+        let (of_sharp, of_blurred) = (defined(&sharp), defined(&blurred));
         // Rounds that end within batches, and at their ends: no block is done before the last.
-        let mut denoised = still.clone();
+        let mut denoised = sharp.clone();
         denoised.image.denoise = true;
         let adaptive = json!({ "adaptive": { "min": 8, "max": 512, "error": 0.0001 } });
         let (adaptive, fixed) = (job(&integrator, 0.0, adaptive), job(&integrator, 0.0, json!(512)));
         for level in [Simd::Scalar].into_iter().chain(levels()) {
             let renderer = CpuRenderer::new(Some(2), level).expect("a level of this CPU");
             let planes = |job: &Job| bits(&render(&renderer, job, Rect::full(WIDTH, HEIGHT)).planes[..4]);
-            assert!(planes(&still) == of_still, "{integrator}, {level}");
+            assert!(planes(&sharp) == of_sharp, "{integrator}, {level}");
             assert!(planes(&blurred) == of_blurred, "{integrator}, {level}");
-            assert!(planes(&denoised) == of_still, "{integrator}, {level}");
+            assert!(planes(&denoised) == of_sharp, "{integrator}, {level}");
             assert!(planes(&adaptive) == planes(&fixed), "{integrator}, {level}");
         }
     }

@@ -217,10 +217,10 @@ fn assert_compiled(jobs: &[(String, Job)], architectures: &[u32]) {
         let source = source.expect("a recorded tape is valid");
         for &architecture in architectures {
             let code = compiler.compile(&source.text, architecture);
-            let code = code.unwrap_or_else(|trouble| panic!("{name} for sm_{architecture}: {trouble}"));
+            let code = code.unwrap_or_else(|error| panic!("{name} for sm_{architecture}: {error}"));
             assert!(code.starts_with(b"\x7fELF"), "machine code is an ELF file");
             if let Some(division) = &source.division {
-                compiler.compile(division, architecture).unwrap_or_else(|trouble| panic!("{name}: {trouble}"));
+                compiler.compile(division, architecture).unwrap_or_else(|error| panic!("{name}: {error}"));
             }
         }
     }

@@ -71,7 +71,7 @@ fn jobs() -> [(&'static str, Value); 3] {
     let place = |index: u32, salt: u32| f64::from(index * salt % 1009) / 252.0 - 2.0;
     let at = |index: u32| json!([place(index, 17), place(index, 101), place(index, 541)]);
     let ball = |index: u32| json!({ "translate": { "by": at(index), "child": { "sphere": { "radius": 0.11 } } } });
-    let turned = |index: u32| {
+    let rotated = |index: u32| {
         let solid = json!({ "box": { "size": [0.1, 0.3, 0.2], "round": 0.01 } });
         json!({ "translate": { "by": at(index), "child": { "rotate": { "degrees": [index % 90, 20, 0], "child": solid } } } })
     };
@@ -84,8 +84,8 @@ fn jobs() -> [(&'static str, Value); 3] {
     let ground = json!({ "shape": { "plane": { "normal": [0, 1, 0], "offset": -1.5 } } });
     [
         ("a smooth union", json!([all(0.1, (0..700).map(ball).collect())])),
-        ("sharp unions and scaled copies", json!([all(0.0, (0..300).map(turned).collect()), copies.clone(), ground])),
-        ("a fractal", json!([all(0.05, (0..60).map(turned).chain((60..120).map(ball)).collect()), fractal, copies])),
+        ("sharp unions and scaled copies", json!([all(0.0, (0..300).map(rotated).collect()), copies.clone(), ground])),
+        ("a fractal", json!([all(0.05, (0..60).map(rotated).chain((60..120).map(ball)).collect()), fractal, copies])),
     ]
 }
 

@@ -42,7 +42,7 @@ struct Picture {
 }
 
 impl Picture {
-    fn of_a_still(file: String, job: Job) -> Self {
+    fn of_first_frame(file: String, job: Job) -> Self {
         Self { file, job, frame: 0 }
     }
 }

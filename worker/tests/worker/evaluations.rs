@@ -132,8 +132,8 @@ impl Real for Counting {
 
 /// Calls of the scene's distance for all pixels of a job.
 fn calls(job: &Job) -> u64 {
-    let still = job.at(0).expect("the job is valid");
-    let (program, &Image { width, height, .. }) = (Integrator::new(&still), &job.image);
+    let at_frame = job.at(0).expect("the job is valid");
+    let (program, &Image { width, height, .. }) = (Integrator::new(&at_frame), &job.image);
     CALLS.set(0);
     for y in 0..height {
         for x in 0..width {

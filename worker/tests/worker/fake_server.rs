@@ -88,7 +88,7 @@ impl Farm {
 #[derive(Clone, Default)]
 struct Shared {
     farm: Arc<(Mutex<Farm>, Condvar)>,
-    bell: Arc<Notify>,
+    news: Arc<Notify>,
 }
 
 impl Shared {
@@ -100,7 +100,7 @@ impl Shared {
     fn change<T>(&self, change: impl FnOnce(&mut Farm) -> T) -> T {
         let changed = change(&mut self.farm());
         self.farm.1.notify_all();
-        self.bell.notify_waiters();
+        self.news.notify_waiters();
         changed
     }
 }
@@ -217,7 +217,7 @@ async fn sync(State(shared): State<Shared>, Json(sync): Json<SyncRequest>) -> Re
     }
     let end = tokio::time::Instant::now() + Duration::from_millis(sync.wait_ms);
     loop {
-        let rung = shared.bell.notified();
+        let rung = shared.news.notified();
         tokio::pin!(rung);
         rung.as_mut().enable();
         if let Some(reply) = answer(&shared, &sync) {
@@ -291,7 +291,7 @@ async fn put_picture(State(shared): State<Shared>, Path(hash): Path<String>, byt
     assert_eq!(blake3::hash(&bytes).to_hex().as_str(), hash);
     shared.change(|farm| farm.putting += 1);
     loop {
-        let rung = shared.bell.notified();
+        let rung = shared.news.notified();
         tokio::pin!(rung);
         rung.as_mut().enable();
         if !shared.farm().hold_puts {

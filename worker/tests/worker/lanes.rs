@@ -53,7 +53,7 @@ fn job_of(object: &str) -> Job {
 /// The pixel computed with plain `f32`, channel by channel.
 fn reference(program: &Integrator<'_>, image: &Image, x: u32, y: u32) -> Vec<f32> {
     let seen = program.pixel(x as f32, y as f32);
-    let met = program.aovs(x as f32, y as f32);
+    let met = program.layer_values(x as f32, y as f32);
     let coverage = program.coverage(x as f32, y as f32);
     let ranks = |ranks: Option<Ranks<f32>>| {
         let Ranks(ranks) = ranks.expect("the picture has this layer");
@@ -80,8 +80,8 @@ fn reference(program: &Integrator<'_>, image: &Image, x: u32, y: u32) -> Vec<f32
 
 /// Renders a job at every width and compares it with the reference.
 fn compare(name: &str, job: &Job) {
-    let still = job.at(0).unwrap();
-    let program = Integrator::new(&still);
+    let at_frame = job.at(0).unwrap();
+    let program = Integrator::new(&at_frame);
     let rect = Rect::full(job.image.width, job.image.height);
     let places = (0..rect.height).flat_map(|y| (0..rect.width).map(move |x| (x, y)));
     let pixels: Vec<_> = places.map(|(x, y)| (x, y, reference(&program, &job.image, x, y))).collect();

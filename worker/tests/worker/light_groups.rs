@@ -253,8 +253,8 @@ fn groups_change_the_key_of_a_picture_that_lists_them_alone() {
         text["scene"]["lights"][3]["point"]["group"] = json!(group);
         text["image"]["light_groups"] = listed;
         let job = parsed(&text);
-        let still = job.at(0).expect("a valid frame");
-        (still.pixels_cache_key(), still.cache_key(), still.scene_hash())
+        let at_frame = job.at(0).expect("a valid frame");
+        (at_frame.pixels_cache_key(), at_frame.cache_key(), at_frame.scene_hash())
     };
     assert_eq!(keys("key", json!([])), keys("fill", json!([])));
     assert_eq!(keys("key", json!(["sky"])), keys("fill", json!(["sky"])), "the rest has both");

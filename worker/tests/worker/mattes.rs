@@ -125,8 +125,8 @@ fn names_change_the_key_of_a_picture_with_mattes_alone() {
         text["scene"]["objects"][3]["name"] = json!(name);
         text["image"]["layers"] = layers;
         let job = parsed(&text);
-        let still = job.at(0).expect("a valid frame");
-        (still.pixels_cache_key(), still.cache_key())
+        let at_frame = job.at(0).expect("a valid frame");
+        (at_frame.pixels_cache_key(), at_frame.cache_key())
     };
     assert_eq!(keys("a", json!(["depth"])), keys("b", json!(["depth"])));
     let (one, other) = (keys("a", json!(["crypto_object"])), keys("b", json!(["crypto_object"])));

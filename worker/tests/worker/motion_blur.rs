@@ -70,7 +70,7 @@ fn defined(job: &Job) -> Vec<Vec<f32>> {
         let sum = parts.fold(last.no_light(0.0), |sum, (integrator, samples)| {
             integrator.accumulate(x, y, samples.start as f32, samples.end as f32, sum)
         });
-        let (mean, layers) = (last.mean(sum), last.aovs(x, y));
+        let (mean, layers) = (last.mean(sum), last.layer_values(x, y));
         let channels = [mean.color.x, mean.color.y, mean.color.z, mean.alpha, layers.depth, layers.object];
         planes.iter_mut().zip(channels).for_each(|(plane, value)| plane.push(value + 0.0));
     }
@@ -107,7 +107,7 @@ fn the_instants_of_a_frame_share_one_kernel_source() {
     for scene in scenes() {
         let blurred = job(&scene, 8);
         let exposure = blurred.exposure(1).expect("a valid frame");
-        let sources: Vec<_> = exposure.instants.iter().map(|still| KernelSource::new(still).unwrap()).collect();
+        let sources: Vec<_> = exposure.instants.iter().map(|at_frame| KernelSource::new(at_frame).unwrap()).collect();
         assert!(sources.windows(2).all(|pair| pair[0].text == pair[1].text), "{scene}");
         assert!(sources.windows(2).any(|pair| pair[0].parameters != pair[1].parameters), "{scene}");
     }

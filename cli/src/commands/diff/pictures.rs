@@ -26,13 +26,13 @@ impl Pictures {
     pub(super) fn compare(before: &Job, after: &Job) -> Self {
         let common = before.frames.count.min(after.frames.count);
         // Of a still scene, all frames differ or none does.
-        let is_still = !before.is_animated() && !after.is_animated();
-        let step = if is_still { common } else { common.div_ceil(MAX_FRAMES) };
+        let is_constant = !before.is_animated() && !after.is_animated();
+        let step = if is_constant { common } else { common.div_ceil(MAX_FRAMES) };
         let frames: Vec<u32> = (0..common).step_by(step.max(1) as usize).collect();
         let differs = |frame: &u32| before.cache_key(*frame) != after.cache_key(*frame);
         let different: Vec<u32> = frames.iter().copied().filter(differs).collect();
         let (before, after) = (before.frames.count, after.frames.count);
-        if is_still {
+        if is_constant {
             let different = if different.is_empty() { Vec::new() } else { (0..common).collect() };
             return Self { before, after, compared: common as usize, different };
         }

@@ -58,7 +58,7 @@ mod tests {
     fn valid_machine_passes_and_one_wrong_bit_does_not() {
         let correct = CpuRenderer::new(Some(1), Simd::Auto).expect("this machine renders");
         check(&correct).expect("the expected bits");
-        let told = check(&Bad(correct)).expect_err("an incorrect bit").to_string();
-        assert!(told.contains("does not render the expected bits"), "{told}");
+        let reported = check(&Bad(correct)).expect_err("an incorrect bit").to_string();
+        assert!(reported.contains("does not render the expected bits"), "{reported}");
     }
 }

@@ -16,7 +16,7 @@ use crate::job_name::JobName;
 const MAX_CANDIDATES: u32 = 50;
 
 /// A picture to verify.
-pub(super) struct Source {
+pub(super) struct VerifiedPicture {
     /// Its name, for people.
     pub(super) name: String,
     /// Bytes of its file.
@@ -40,7 +40,7 @@ pub(super) struct Candidate {
 }
 
 /// Finds what the arguments name.
-pub(super) async fn source(arguments: &Arguments) -> anyhow::Result<Source> {
+pub(super) async fn source(arguments: &Arguments) -> anyhow::Result<VerifiedPicture> {
     if is_file(&arguments.picture) {
         return of_file(arguments).await;
     }
@@ -63,10 +63,10 @@ pub(super) async fn source(arguments: &Arguments) -> anyhow::Result<Source> {
     };
     check_frame(&candidate.job, frame)?;
     let name = format!("frame {frame} of job {id}");
-    Ok(Source { name, file, frame, jobs: vec![candidate], client: Some(client) })
+    Ok(VerifiedPicture { name, file, frame, jobs: vec![candidate], client: Some(client) })
 }
 
-async fn of_file(arguments: &Arguments) -> anyhow::Result<Source> {
+async fn of_file(arguments: &Arguments) -> anyhow::Result<VerifiedPicture> {
     let name = if arguments.picture == "-" { "standard input" } else { &arguments.picture }.to_owned();
     let mut file = Vec::new();
     let read = if arguments.picture == "-" {
@@ -89,7 +89,7 @@ async fn of_file(arguments: &Arguments) -> anyhow::Result<Source> {
     if let Some(path) = &arguments.job {
         let candidate = local(arguments, path, stored.as_ref().ok())?;
         check_frame(&candidate.job, frame)?;
-        return Ok(Source { name, file, frame, jobs: vec![candidate], client: None });
+        return Ok(VerifiedPicture { name, file, frame, jobs: vec![candidate], client: None });
     }
     let client = arguments.server.client()?;
     let hash = blake3::hash(&file).to_hex().to_string();
@@ -109,7 +109,7 @@ async fn of_file(arguments: &Arguments) -> anyhow::Result<Source> {
     if jobs.is_empty() {
         return Err(unknown(&name, provenance.map(|known| known.scene.as_str()), client.server()).into());
     }
-    Ok(Source { name, file, frame, jobs, client: Some(client) })
+    Ok(VerifiedPicture { name, file, frame, jobs, client: Some(client) })
 }
 
 /// Error for a picture of which the farm has no job.

@@ -131,7 +131,7 @@ impl Container {
 
 /// Reads a tree that nests less than the stack allows.
 pub(super) fn read(tree: &Tree<'_>) -> Container {
-    let mut reader = Reader { text: tree.text(), lexer: Lexer::new(tree) };
+    let mut reader = TreeReader { text: tree.text(), lexer: Lexer::new(tree) };
     let leading = reader.comments();
     let mut file = Container {
         is_object: false,
@@ -149,12 +149,12 @@ pub(super) fn read(tree: &Tree<'_>) -> Container {
     file
 }
 
-struct Reader<'a> {
+struct TreeReader<'a> {
     text: &'a str,
     lexer: Lexer<'a>,
 }
 
-impl Reader<'_> {
+impl TreeReader<'_> {
     /// Takes the comments before the next other token.
     fn comments(&mut self) -> Vec<Comment> {
         let mut comments = Vec::new();

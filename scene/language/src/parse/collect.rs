@@ -144,7 +144,7 @@ struct Collector<'a> {
     root: Value,
     found: Vec<CollectedErrors>,
     /// Pointers and messages that have been reported.
-    told: HashSet<(String, String)>,
+    reported: HashSet<(String, String)>,
     /// Pointers, in the repaired job, of values that have been replaced.
     repaired: Vec<String>,
     /// Bytes parsed again so far.
@@ -184,8 +184,8 @@ pub(super) fn counted(tree: &Tree<'_>) -> (Vec<Fault>, usize) {
 impl<'a> Collector<'a> {
     fn new(tree: &'a Tree<'a>) -> Self {
         let (root, misfits) = tree::read(tree, MAX_ERRORS);
-        let (found, told, repaired) = (Vec::new(), HashSet::new(), Vec::new());
-        let mut collector = Self { tree, root, found, told, repaired, bytes_read: 0 };
+        let (found, reported, repaired) = (Vec::new(), HashSet::new(), Vec::new());
+        let mut collector = Self { tree, root, found, reported, repaired, bytes_read: 0 };
         collector.outline(misfits);
         collector
     }
@@ -248,7 +248,7 @@ impl<'a> Collector<'a> {
 
     /// Reports an error of form at `path`, unless it has been reported.
     fn tell(&mut self, path: &[usize], fault: &FormError) {
-        if !self.told.insert((self.root.pointer(path, true), fault.message.clone())) {
+        if !self.reported.insert((self.root.pointer(path, true), fault.message.clone())) {
             return;
         }
         let key = self.root.member_at(path).filter(|_| fault.is_key).map(|member| member.node);

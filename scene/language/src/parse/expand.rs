@@ -85,7 +85,7 @@ struct Expander<'t> {
 
 /// Where in a job a value is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Place {
+enum ExpansionSite {
     Job,
     Scene,
     /// The parameters of `copies`.
@@ -120,7 +120,7 @@ impl<'t> Expander<'t> {
     fn job(&mut self) {
         self.numbers.resolve_all(&mut self.faults);
         let no_names = BTreeMap::new();
-        self.value(self.tree.root(), &mut Scope::new(&no_names), Place::Job, &[]);
+        self.value(self.tree.root(), &mut Scope::new(&no_names), ExpansionSite::Job, &[]);
         self.skip_to(self.tree.text().len());
         if let Some(ShapesAt { at, scene_at, key, value }) = self.shapes_at {
             let rest = self.out.split_off(at);
@@ -155,17 +155,17 @@ impl<'t> Expander<'t> {
     }
 
     /// Copies a value, and replaces what is in it. `inside` are the shapes around it.
-    fn value(&mut self, value: Value<'t>, scope: &mut Scope<'_>, place: Place, inside: &[String]) {
+    fn value(&mut self, value: Value<'t>, scope: &mut Scope<'_>, place: ExpansionSite, inside: &[String]) {
         if self.is_too_large {
             return;
         }
-        let is_walked = place == Place::Job || place == Place::Scene || value.has_language_keys();
+        let is_walked = place == ExpansionSite::Job || place == ExpansionSite::Scene || value.has_language_keys();
         match value.kind() {
             Kind::Object if is_walked => self.object(value, scope, place, inside),
             Kind::Array if is_walked => {
                 self.out.open(value);
                 for entry in value.entries() {
-                    self.value(entry, scope, Place::Elsewhere, inside);
+                    self.value(entry, scope, ExpansionSite::Elsewhere, inside);
                 }
                 self.out.close(value);
             }
@@ -173,7 +173,7 @@ impl<'t> Expander<'t> {
         }
     }
 
-    fn object(&mut self, object: Value<'t>, scope: &mut Scope<'_>, place: Place, inside: &[String]) {
+    fn object(&mut self, object: Value<'t>, scope: &mut Scope<'_>, place: ExpansionSite, inside: &[String]) {
         if let Some(formula) = formula(object) {
             let number = self.formula(formula, scope);
             self.replace(object, &json(&number));
@@ -182,7 +182,7 @@ impl<'t> Expander<'t> {
         self.out.open(object);
         for (key, value) in object.members() {
             match (place, key.raw()) {
-                (Place::Scene, "shapes") if value.kind() == Kind::Object && self.shapes_at.is_none() => {
+                (ExpansionSite::Scene, "shapes") if value.kind() == Kind::Object && self.shapes_at.is_none() => {
                     // They are written once it is known which are used how.
                     self.skip_to(value.start());
                     self.shapes_at = Some(ShapesAt { at: self.out.len(), scene_at: self.scene_at, key, value });
@@ -192,21 +192,21 @@ impl<'t> Expander<'t> {
                 _ => self.out.copy(key),
             }
             match (place, key.raw()) {
-                (Place::Job, "scene") => {
+                (ExpansionSite::Job, "scene") => {
                     self.scene_at = self.out.len();
-                    self.value(value, scope, Place::Scene, inside);
+                    self.value(value, scope, ExpansionSite::Scene, inside);
                 }
-                (Place::Scene, "numbers" | "shapes") => self.out.copy(value),
+                (ExpansionSite::Scene, "numbers" | "shapes") => self.out.copy(value),
                 (_, "use") => self.used(value, scope, inside),
-                (Place::Copies, "at") if is_counted(value) => self.counted(value, scope, inside),
-                (_, "copies") => self.value(value, scope, Place::Copies, inside),
-                (Place::Copies, "child") => {
+                (ExpansionSite::Copies, "at") if is_counted(value) => self.counted(value, scope, inside),
+                (_, "copies") => self.value(value, scope, ExpansionSite::Copies, inside),
+                (ExpansionSite::Copies, "child") => {
                     let is_counted = object.get("at").is_some_and(is_counted);
                     let was_copied = std::mem::replace(&mut scope.is_copied, is_counted);
-                    self.value(value, scope, Place::Elsewhere, inside);
+                    self.value(value, scope, ExpansionSite::Elsewhere, inside);
                     scope.is_copied = was_copied;
                 }
-                _ => self.value(value, scope, Place::Elsewhere, inside),
+                _ => self.value(value, scope, ExpansionSite::Elsewhere, inside),
             }
         }
         self.out.close(object);
@@ -228,10 +228,11 @@ impl<'t> Expander<'t> {
         resolved.unwrap_or_else(|error| {
             let at = offset_in_string(string, error.at);
             // A formula of counted copies is told once, for the first copy for which it is wrong.
-            let is_told = scope.copy().is_some() && self.faults.range((at, String::new())..).any(|told| told.0 == at);
+            let is_reported =
+                scope.copy().is_some() && self.faults.range((at, String::new())..).any(|reported| reported.0 == at);
             let copy = scope.copy().filter(|_| error.message.contains("no finite value"));
             let copy = copy.map(|copy| format!(" (for the copy i = {copy})")).unwrap_or_default();
-            if !is_told {
+            if !is_reported {
                 self.fault(at, error.message + &copy);
             }
             stand_in()
@@ -370,7 +371,7 @@ impl<'t> Expander<'t> {
         }
         let mut scope = Scope::new(&with);
         scope.is_in_shape = true;
-        self.value(value, &mut scope, Place::Elsewhere, &inside);
+        self.value(value, &mut scope, ExpansionSite::Elsewhere, &inside);
         self.skip_to(value.end());
         let asked = scope.asked;
         for (number, at) in keys.iter().filter(|(number, _)| !asked.contains(*number)) {
@@ -412,7 +413,7 @@ impl<'t> Expander<'t> {
                 self.length += usize::from(place > 0);
                 self.pending = key.start();
                 self.out.copy(*key);
-                scope.counting(index, count, |scope| self.value(*value, scope, Place::Elsewhere, inside));
+                scope.counting(index, count, |scope| self.value(*value, scope, ExpansionSite::Elsewhere, inside));
                 self.skip_to(value.end());
             }
             self.out.close_made("}", from);

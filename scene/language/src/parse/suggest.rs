@@ -128,8 +128,8 @@ mod tests {
     fn long_lists_are_not_printed() {
         let names: Vec<String> = (0..99).map(|number| format!("name_{number}")).collect();
         let names: Vec<&str> = names.iter().map(String::as_str).collect();
-        let told = unknown_name("zzz", &names);
-        assert!(told.contains("docs/nodes.md") && told.contains("99") && told.len() < 120, "{told}");
+        let reported = unknown_name("zzz", &names);
+        assert!(reported.contains("docs/nodes.md") && reported.contains("99") && reported.len() < 120, "{reported}");
         assert!(unknown_name("zzz", &names[..3]).contains("one of `name_0`, `name_1`, `name_2`"));
         assert!(unknown_key("zzz", &[]).contains("no key"));
     }

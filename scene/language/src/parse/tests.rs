@@ -43,20 +43,23 @@ fn each_of_several_errors_is_reported_exactly_once() {
     let mut wrong = Vec::new();
     for case in SEVERAL.split("\n## ").skip(1) {
         let (name, rest) = case.split_once('\n').expect("a name");
-        let (job, told) = rest.split_once("\n-- ").expect("expected errors");
+        let (job, reported) = rest.split_once("\n-- ").expect("expected errors");
         let job = job.strip_prefix("OBJECTS\n").map_or_else(|| job.to_owned(), around);
         let (text, places) = unmarked(&job);
-        let told: Vec<(&str, &str)> =
-            told.trim_end().split("\n-- ").map(|line| line.split_once(" | ").expect("a pointer and words")).collect();
-        assert_eq!(places.len(), told.len(), "{name}: marks and messages");
+        let reported: Vec<(&str, &str)> = reported
+            .trim_end()
+            .split("\n-- ")
+            .map(|line| line.split_once(" | ").expect("a pointer and words"))
+            .collect();
+        assert_eq!(places.len(), reported.len(), "{name}: marks and messages");
         let found = faults(&text);
-        let is_right = found.len() == told.len()
-            && found.iter().zip(&told).zip(&places).all(|((fault, (pointer, words)), place)| {
+        let is_right = found.len() == reported.len()
+            && found.iter().zip(&reported).zip(&places).all(|((fault, (pointer, words)), place)| {
                 fault.pointer == *pointer && fault.message.contains(words) && (fault.line, fault.column) == *place
             });
         if !is_right {
             let found: Vec<String> = found.iter().map(ValidationError::to_string).collect();
-            wrong.push(format!("{name}: at {places:?} should have\n{told:#?}\nbut has\n{}", found.join("\n")));
+            wrong.push(format!("{name}: at {places:?} should have\n{reported:#?}\nbut has\n{}", found.join("\n")));
         }
     }
     assert!(wrong.is_empty(), "{} cases:\n{}", wrong.len(), wrong.join("\n\n"));

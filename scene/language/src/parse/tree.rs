@@ -59,18 +59,18 @@ pub(super) enum TreeError {
 
 /// The values of a tree, and at most `limit` structural errors.
 pub(super) fn read(tree: &Tree<'_>, limit: usize) -> (Value, Vec<TreeError>) {
-    let mut reader = Reader { path: Vec::new(), misfits: Vec::new(), limit };
+    let mut reader = TreeReader { path: Vec::new(), misfits: Vec::new(), limit };
     let root = reader.value(tree.root());
     (root, reader.misfits)
 }
 
-struct Reader {
+struct TreeReader {
     path: Vec<usize>,
     misfits: Vec<TreeError>,
     limit: usize,
 }
 
-impl Reader {
+impl TreeReader {
     fn report(&mut self, misfit: impl FnOnce(Vec<usize>) -> TreeError) {
         if self.misfits.len() < self.limit {
             self.misfits.push(misfit(self.path.clone()));

@@ -125,8 +125,8 @@ impl Shade for Diffuse {
 
     fn textures(&self) -> Vec<&Texture> {
         let Self { kd, ks, ka, ambient, shininess } = self;
-        let tints = [Some(kd), Some(ks), ka.as_ref(), Some(ambient)].into_iter().flatten();
-        tints.filter_map(ColorParam::texture).chain(shininess.texture()).collect()
+        let colors = [Some(kd), Some(ks), ka.as_ref(), Some(ambient)].into_iter().flatten();
+        colors.filter_map(ColorParam::texture).chain(shininess.texture()).collect()
     }
 }
 

@@ -72,9 +72,9 @@ impl ColorParam {
 }
 
 /// Deserializes a color like [`Color`], or a texture; errors inside keep their pointers.
-struct TintVisitor;
+struct ColorParamVisitor;
 
-impl<'de> Visitor<'de> for TintVisitor {
+impl<'de> Visitor<'de> for ColorParamVisitor {
     type Value = ColorParam;
 
     fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -108,7 +108,7 @@ impl<'de> Visitor<'de> for TintVisitor {
 
 impl<'de> Deserialize<'de> for ColorParam {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        deserializer.deserialize_any(TintVisitor)
+        deserializer.deserialize_any(ColorParamVisitor)
     }
 }
 

@@ -346,8 +346,8 @@ impl Shade for Surface {
         let Self { base_color, metallic, roughness, ior, emission, clearcoat, clearcoat_roughness, transmission } =
             self;
         let shares = [metallic, roughness, clearcoat, clearcoat_roughness, transmission];
-        let tints = [base_color, emission].into_iter().filter_map(ColorParam::texture);
-        tints.chain(shares.into_iter().filter_map(ScalarParam::texture)).chain(ior.texture()).collect()
+        let colors = [base_color, emission].into_iter().filter_map(ColorParam::texture);
+        colors.chain(shares.into_iter().filter_map(ScalarParam::texture)).chain(ior.texture()).collect()
     }
 }
 

@@ -57,7 +57,7 @@ impl<R: Real> SdfValue<R> for Carried<R> {
         self
     }
 
-    fn turned(self, outward: impl FnOnce(Vec3<R>) -> Vec3<R>) -> Self {
+    fn mapped_outward(self, outward: impl FnOnce(Vec3<R>) -> Vec3<R>) -> Self {
         Self { way: self.way.map(outward), ..self }
     }
 }

@@ -121,8 +121,8 @@ impl Sdf for Displace {
 
     fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>, sample: &impl Fn(usize, Vec3<R>) -> V) -> V {
         let child: V = sample(0, p);
-        let relief = self.bounds_cache.0.unwrap_or_else(|| self.bounds_cache());
-        let distance = relief.displaced(child.distance(), || self.by.value(p) * p.x.uniform(self.amplitude.get()));
+        let bounds = self.bounds_cache.0.unwrap_or_else(|| self.bounds_cache());
+        let distance = bounds.displaced(child.distance(), || self.by.value(p) * p.x.uniform(self.amplitude.get()));
         child.with_distance(distance)
     }
 

@@ -36,7 +36,7 @@ impl HeightField {
         if slope > 1e6 { slope } else { slope * slope / (1.0 + Real::sqrt(1.0 + slope * slope)) }
     }
 
-    fn relief(&self) -> DisplacementBounds {
+    fn displacement(&self) -> DisplacementBounds {
         let (low, high) = self.noise.range();
         let height = self.height.get();
         DisplacementBounds::new([-height * low, -height * high], self.slope_bound())
@@ -54,7 +54,7 @@ impl Sdf for HeightField {
     fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>, _: &impl Fn(usize, Vec3<R>) -> V) -> V {
         let like = p.x;
         let land = self
-            .relief()
+            .displacement()
             .displaced(p.y, || self.noise.value(vec3(p.x, like.constant(0.0), p.z)) * like.uniform(-self.height.get()));
         V::new(match &self.size {
             None => land,
@@ -78,7 +78,7 @@ impl Sdf for HeightField {
     }
 
     fn bounds(&self, isolevel: f32) -> Bounds {
-        let top = self.relief().inflate(isolevel);
+        let top = self.displacement().inflate(isolevel);
         let land = Bounds { max: vec3(f32::INFINITY, top, f32::INFINITY), ..Bounds::INFINITE };
         self.size.as_ref().map_or(land, |size| {
             let Vec3 { x, y, z } = half_extents(size);

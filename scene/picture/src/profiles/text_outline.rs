@@ -94,8 +94,8 @@ impl TryFrom<String> for TextOutline {
 }
 
 impl From<TextOutline> for String {
-    fn from(lettering: TextOutline) -> Self {
-        lettering.string
+    fn from(outline: TextOutline) -> Self {
+        outline.string
     }
 }
 

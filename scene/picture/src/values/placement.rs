@@ -35,12 +35,12 @@ impl Placement {
     pub fn to_group<R: Real>(&self, p: Vec3<R>) -> Vec3<R> {
         let p = self.by.as_ref().map_or(p, |by| p - Vec3::uniform(p.x, by.get()));
         let Some([x, y, z]) = self.inverse_rows() else { return p };
-        let turned = |p: Vec3<R>| vec3(p.dot_uniform(x), p.dot_uniform(y), p.dot_uniform(z));
+        let rotated = |p: Vec3<R>| vec3(p.dot_uniform(x), p.dot_uniform(y), p.dot_uniform(z));
         self.about.as_ref().map_or_else(
-            || turned(p),
+            || rotated(p),
             |about| {
                 let about = Vec3::uniform(p.x, about.get());
-                turned(p - about) + about
+                rotated(p - about) + about
             },
         )
     }

@@ -175,9 +175,9 @@ impl Seek for Rotation {
 
 /// Sine and cosine of an angle in degrees; exact at quarter turns.
 pub(crate) fn sin_cos_degrees(degrees: f32) -> (f32, f32) {
-    let turned = degrees % 360.0;
-    let quarter = (turned / 90.0).round();
-    let (s, c) = Real::sin_cos((turned - quarter * 90.0) * (std::f32::consts::PI / 180.0));
+    let remainder = degrees % 360.0;
+    let quarter = (remainder / 90.0).round();
+    let (s, c) = Real::sin_cos((remainder - quarter * 90.0) * (std::f32::consts::PI / 180.0));
     match (quarter as i32).rem_euclid(4) {
         0 => (s, c),
         1 => (c, -s),

@@ -14,7 +14,7 @@ pub(super) enum Kind {
 
 /// A value in a job.
 #[derive(Clone, Debug)]
-pub(super) struct Place {
+pub(super) struct JobValue {
     /// Its JSON pointer in the job.
     pub(super) pointer: String,
     /// Pointer in the schema to what is allowed there.
@@ -25,7 +25,7 @@ pub(super) struct Place {
     pub(super) value: Value,
 }
 
-impl Place {
+impl JobValue {
     /// Whether it is in a shape or a material with a name, which may be unused.
     pub(super) fn is_named(&self) -> bool {
         self.pointer.starts_with("/scene/shapes/") || self.pointer.starts_with("/scene/materials/")
@@ -63,18 +63,18 @@ impl Schema {
     }
 
     /// The places of a job.
-    pub(super) fn places(&self, job: &Value) -> Vec<Place> {
+    pub(super) fn places(&self, job: &Value) -> Vec<JobValue> {
         let mut places = Vec::new();
         self.walk("#", "#", job, &mut String::new(), &mut places);
         places
     }
 
-    fn walk(&self, schema: &str, property: &str, value: &Value, pointer: &mut String, places: &mut Vec<Place>) {
+    fn walk(&self, schema: &str, property: &str, value: &Value, pointer: &mut String, places: &mut Vec<JobValue>) {
         let (mut met, mut is_track) = (Vec::new(), false);
         self.meet(schema, value, &mut met);
         if let Some(kind) = Self::kind(&met, value) {
             let (schema, property) = (schema.to_owned(), property.to_owned());
-            places.push(Place { pointer: pointer.clone(), schema, property, kind, value: value.clone() });
+            places.push(JobValue { pointer: pointer.clone(), schema, property, kind, value: value.clone() });
         }
         is_track |= met
             .iter()

@@ -24,8 +24,8 @@ fn plane(normal: &str) -> String {
 
 /// The red channel of some pixels.
 fn reds(job: &Job, pixels: &[(f32, f32)]) -> Vec<f32> {
-    let still = job.at(0).expect("a first frame");
-    let program = Integrator::new(&still);
+    let at_frame = job.at(0).expect("a first frame");
+    let program = Integrator::new(&at_frame);
     pixels.iter().map(|&(x, y)| program.pixel(x, y).color.x).collect()
 }
 
@@ -64,12 +64,12 @@ fn a_normal_near_an_edge_is_that_of_its_face() {
     let job = job(r#"{ "scene": { "camera": { "position": [3, 3, 3], "look_at": [0, 0, 0] },
             "objects": [{ "shape": { "box": { "size": [1, 1, 1] } } }] },
         "image": { "width": 256, "height": 256, "samples": 1 } }"#);
-    let still = job.at(0).expect("a first frame");
-    let program = Integrator::new(&still);
+    let at_frame = job.at(0).expect("a first frame");
+    let program = Integrator::new(&at_frame);
     let (mut hits, mut blended) = (0, 0);
     for y in 0..256_u16 {
         for x in 0..256_u16 {
-            let met = program.aovs(f32::from(x), f32::from(y));
+            let met = program.layer_values(f32::from(x), f32::from(y));
             let Vec3 { x: a, y: b, z: c } = met.normal;
             let greatest = a.max(b).max(c);
             hits += u32::from(greatest > 0.0);
@@ -87,11 +87,11 @@ fn rays_above_the_horizon_miss_and_normals_face_the_viewer() {
             "objects": [{ "shape": { "plane": { "normal": [0, 1, 0], "offset": 0 } } }],
             "march": { "max_distance": 100000, "max_steps": 4096 } },
         "image": { "width": 64, "height": 400, "samples": 1 } }"#);
-    let still = job.at(0).expect("a first frame");
-    let program = Integrator::new(&still);
-    let view = still.scene().camera.view(64, 400);
+    let at_frame = job.at(0).expect("a first frame");
+    let program = Integrator::new(&at_frame);
+    let view = at_frame.scene().camera.view(64, 400);
     for y in 0..400_u16 {
-        let met = program.aovs(31.0, f32::from(y));
+        let met = program.layer_values(31.0, f32::from(y));
         let down = f64::from(view.ray(31.5_f32, f32::from(y) + 0.5).direction.y);
         let want = if down < 0.0 { -1.0 / down } else { f64::INFINITY };
         if want > 5e4 {
@@ -111,14 +111,14 @@ fn fog_without_color_uses_the_horizon_below_it() {
             "fog": { "density": 2 },
             "objects": [{ "shape": { "plane": { "normal": [0, 1, 0], "offset": 0 } } }] },
         "image": { "width": 9, "height": 65, "samples": 1 } }"#);
-    let still = job.at(0).expect("a first frame");
-    let program = Integrator::new(&still);
-    let view = still.scene().camera.view(9, 65);
+    let at_frame = job.at(0).expect("a first frame");
+    let program = Integrator::new(&at_frame);
+    let view = at_frame.scene().camera.view(9, 65);
     for y in [40.0, 50.0, 60.0_f32] {
         let Vec3 { x, z, .. } = view.ray(4.5, y + 0.5).direction;
         let level = 1.0 / (x * x + z * z).sqrt();
         let horizon = scene::real::vec3(x * level, 0.0, z * level);
-        let want = still.scene().background.radiance(horizon);
+        let want = at_frame.scene().background.radiance(horizon);
         let got = program.pixel(4.0, y).color;
         assert!((got - want).length() < 0.02 * want.length(), "row {y}: {got:?} for {want:?}");
     }

@@ -89,9 +89,9 @@ impl Witness<'_> {
 fn measure(path: &Path) -> (usize, usize, usize, String) {
     let text = std::fs::read(path).expect("a scene");
     let job = parse(&text).unwrap_or_else(|fault| panic!("{}: {fault:?}", path.display()));
-    let still = job.at(0).expect("a first frame");
-    let program = Integrator::new(&still);
-    let (scene, image) = (still.scene(), still.image());
+    let at_frame = job.at(0).expect("a first frame");
+    let program = Integrator::new(&at_frame);
+    let (scene, image) = (at_frame.scene(), at_frame.image());
     let view = scene.camera.view(image.width, image.height);
     let farthest = f64::from(scene.march.max_distance.get());
     let stride = (f64::from(image.width) * f64::from(image.height) / PIXELS).sqrt().round() as usize;
@@ -104,7 +104,7 @@ fn measure(path: &Path) -> (usize, usize, usize, String) {
                 untold += 1;
                 continue;
             };
-            let got = f64::from(program.aovs(x as f32, y as f32).depth);
+            let got = f64::from(program.layer_values(x as f32, y as f32).depth);
             looked += 1;
             if got != want && (got - want).abs() >= EXACT * want {
                 if witness.is_unclear(got, want) {

@@ -15,23 +15,23 @@ use crate::visits::{VisitGrid, Visits};
 const MIN_LEAVES: usize = 96;
 
 /// The program of a scene that is rendered by cells: of many leaves, in few families, which all rays see.
-fn program<'a>(still: &'a JobAtFrame<'_>) -> Option<Program<'a>> {
-    let (scene, moves) = (still.scene(), still.is_animated());
+fn program<'a>(at_frame: &'a JobAtFrame<'_>) -> Option<Program<'a>> {
+    let (scene, moves) = (at_frame.scene(), at_frame.is_animated());
     if (scene.nodes() as usize) < MIN_LEAVES || scene.objects.iter().any(|object| !object.visible.is_full()) {
         return None;
     }
     let objects: Vec<_> =
         surfaces_of(scene).map(|index| (index, shrink(scene.objects[index].shape.lipschitz(), moves))).collect();
-    let ids = MatteIds::of(still);
-    let program = Program::with_layers(scene, still.next_scene(), ids.objects(), &objects);
+    let ids = MatteIds::of(at_frame);
+    let program = Program::with_layers(scene, at_frame.next_scene(), ids.objects(), &objects);
     program.filter(|program| program.leaf_count() >= MIN_LEAVES)
 }
 
 impl<'a> Integrator<'a> {
     /// Prepares the integrator of a picture of one frame: with cells, if the scene has many shapes.
-    pub fn of_picture(still: &'a JobAtFrame<'_>, how: &dyn CellBuilder) -> Self {
-        let own = Self::new(still);
-        let cells = program(still).map(|program| {
+    pub fn of_picture(at_frame: &'a JobAtFrame<'_>, how: &dyn CellBuilder) -> Self {
+        let own = Self::new(at_frame);
+        let cells = program(at_frame).map(|program| {
             let reach = super::reach(own.bounds, &own.view, own.scene.march.max_distance.get());
             Cells::new(program, reach, how)
         });
@@ -49,9 +49,9 @@ impl<'a> Integrator<'a> {
 impl<'a> Integrator<'a> {
     /// Prepares the integrator of a picture of one frame that records what its rays ask for; `None` if that is not known:
     /// of a frame with motion blur, of a scene of cells, or one whose surfaces can't be cut into leaves.
-    pub fn recording(still: &'a JobAtFrame<'_>) -> Option<Self> {
-        let own = Self::new(still);
-        let program = own.recordable(still)?;
+    pub fn recording(at_frame: &'a JobAtFrame<'_>) -> Option<Self> {
+        let own = Self::new(at_frame);
+        let program = own.recordable(at_frame)?;
         let bounds = Contents::new(program, own.scene, &mut ContentIds::new(false)).bounds();
         let grid = VisitGrid::around(bounds.unwrap_or(Bounds::symmetric(1.0, 1.0, 1.0)));
         let visits = Visits::new(grid, own.scene.used_materials().len());
@@ -64,12 +64,12 @@ impl<'a> Integrator<'a> {
     }
 
     /// The program of a scene whose rays can be recorded.
-    pub(crate) fn recordable(&self, still: &'a JobAtFrame<'_>) -> Option<Program<'a>> {
-        let scene = still.scene();
-        if still.is_blurred()
-            || still.next_scene().is_some()
-            || !still.mattes().is_empty()
-            || program(still).is_some()
+    pub(crate) fn recordable(&self, at_frame: &'a JobAtFrame<'_>) -> Option<Program<'a>> {
+        let scene = at_frame.scene();
+        if at_frame.is_blurred()
+            || at_frame.next_scene().is_some()
+            || !at_frame.mattes().is_empty()
+            || program(at_frame).is_some()
             || scene.objects.iter().any(|object| !object.visible.is_full())
         {
             return None;
@@ -158,10 +158,10 @@ impl<'a> Integrator<'a> {
 /// Number of nodes whose formulas a kernel has, which limits the scenes of a GPU: all of them, or those of one leaf of
 /// each family if the scene is rendered by cells.
 pub fn compiled_nodes(job: &Job) -> u32 {
-    job.at(0).map_or_else(|_| job.nodes(), |still| frame_compiled_nodes(&still))
+    job.at(0).map_or_else(|_| job.nodes(), |at_frame| frame_compiled_nodes(&at_frame))
 }
 
 /// Number of nodes whose formulas the kernel of a frame has, as [`compiled_nodes`].
-pub fn frame_compiled_nodes(still: &JobAtFrame<'_>) -> u32 {
-    program(still).map_or_else(|| still.scene().nodes(), |program| program.family_nodes())
+pub fn frame_compiled_nodes(at_frame: &JobAtFrame<'_>) -> u32 {
+    program(at_frame).map_or_else(|| at_frame.scene().nodes(), |program| program.family_nodes())
 }

@@ -57,8 +57,8 @@ pub(super) struct MatteIds {
 
 impl MatteIds {
     /// The ids of a frame's mattes.
-    pub(super) fn of(still: &JobAtFrame<'_>) -> Self {
-        let mattes = still.mattes();
+    pub(super) fn of(at_frame: &JobAtFrame<'_>) -> Self {
+        let mattes = at_frame.mattes();
         let ids = |layer| mattes.iter().find(|matte| matte.layer() == layer).map(Matte::ids);
         Self { objects: ids(Layer::CryptoObject), materials: ids(Layer::CryptoMaterial) }
     }
@@ -114,15 +114,15 @@ impl Integrator<'_> {
         let MatteIds { objects, materials } = &self.matte_ids;
         let nothing = |ids: &Option<Vec<u32>>| ids.as_ref().map(|_| Ranks::nothing(x));
         let start = Coverage { objects: nothing(objects), materials: nothing(materials) };
-        let (counts, share) = self.fold_first_samples([x, y], MAX_COVERAGE_SAMPLES, start, |counts, pixel, dice| {
-            self.count_sample(counts, pixel, dice)
+        let (counts, share) = self.fold_first_samples([x, y], MAX_COVERAGE_SAMPLES, start, |counts, pixel, sampler| {
+            self.count_sample(counts, pixel, sampler)
         });
         let sorted = |ranks: Option<Ranks<R>>| ranks.map(|ranks| ranks.sorted(share));
         Coverage { objects: sorted(counts.objects), materials: sorted(counts.materials) }
     }
 
-    fn count_sample<R: Real>(&self, counts: Coverage<R>, pixel: &PixelSampler<R>, dice: &Sampler<R>) -> Coverage<R> {
-        let ray = self.ray_of_sample(pixel, dice);
+    fn count_sample<R: Real>(&self, counts: Coverage<R>, pixel: &PixelSampler<R>, sampler: &Sampler<R>) -> Coverage<R> {
+        let ray = self.ray_of_sample(pixel, sampler);
         let marched = self.march(&ray);
         let light = self.seen_light(&ray, marched.t);
         let is_seen = light.map_or(marched.hit.0, |(is_nearer, ..)| marched.hit.0 & !is_nearer);

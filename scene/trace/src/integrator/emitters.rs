@@ -297,13 +297,13 @@ impl Integrator<'_> {
         &self,
         normal: Option<Vec3<R>>,
         here: &Vertex<R>,
-        dice: &Sampler<R>,
+        sampler: &Sampler<R>,
     ) -> NextEvent<R> {
         let p = here.position;
         let zero = p.x.constant(0.0);
         let farthest = zero.uniform(self.scene.march.max_distance.get());
-        let (choice, _) = dice.get_2d(OF_LIGHT);
-        let pair = dice.get_2d(ON_LIGHT);
+        let (choice, _) = sampler.get_2d(OF_LIGHT);
+        let pair = sampler.get_2d(ON_LIGHT);
         let black = vec3(zero, zero, zero);
         let mut chosen = LightRay {
             direction: normal.unwrap_or(vec3(zero, zero + 1.0, zero)),
@@ -421,11 +421,11 @@ impl Integrator<'_> {
         origin: Vec3<R>,
         near: R,
         shadow: &ShadowRay<R>,
-        dice: &Sampler<R>,
+        sampler: &Sampler<R>,
     ) -> (R, R) {
         let shadows = self.of_shadow_rays();
         let (length, visible, evaluations) = shadows.light_occlusion(origin, near, shadow);
-        (shadows.through_media(origin, visible, length, shadow.direction, dice), evaluations)
+        (shadows.through_media(origin, visible, length, shadow.direction, sampler), evaluations)
     }
 
     /// The visibility of a light behind media along a shadow ray of this length.
@@ -435,11 +435,11 @@ impl Integrator<'_> {
         visible: R,
         length: R,
         direction: Vec3<R>,
-        dice: &Sampler<R>,
+        sampler: &Sampler<R>,
     ) -> R {
         let Some(media) = &self.media else { return visible };
         let ray = Ray { origin, direction };
-        R::when(visible.above(0.0), visible, || self.tracked_transmittance(media, &ray, length, dice))
+        R::when(visible.above(0.0), visible, || self.tracked_transmittance(media, &ray, length, sampler))
     }
 
     /// The distance of what shines, 1 if nothing is nearer, else 0; and the number of distance evaluations.

@@ -34,12 +34,12 @@ struct Following<R: Real> {
     ray: Ray<R>,
     epsilon: R,
     t: R,
-    tint: Vec3<R>,
+    throughput: Vec3<R>,
     guides: Guides<R>,
     is_active: MaskValue<R>,
 }
 
-bundle!(Following { ray, epsilon, t, tint, guides, is_active });
+bundle!(Following { ray, epsilon, t, throughput, guides, is_active });
 
 impl<R: Real> Guides<R> {
     fn nothing(like: R) -> Self {
@@ -52,8 +52,8 @@ impl<R: Real> Guides<R> {
 impl Integrator<'_> {
     /// Guides of the pixel in column `x` and row `y`.
     pub fn guides<R: Real>(&self, x: R, y: R) -> Guides<R> {
-        let (sum, share) = self.fold_first_samples([x, y], MAX_SAMPLES, Guides::nothing(x), |sum, pixel, dice| {
-            let one = self.guides_of_sample(pixel, dice);
+        let (sum, share) = self.fold_first_samples([x, y], MAX_SAMPLES, Guides::nothing(x), |sum, pixel, sampler| {
+            let one = self.guides_of_sample(pixel, sampler);
             Guides {
                 albedo: sum.albedo + one.albedo,
                 normal: sum.normal + one.normal,
@@ -82,14 +82,14 @@ impl Integrator<'_> {
         (sum, share)
     }
 
-    fn guides_of_sample<R: Real>(&self, pixel: &PixelSampler<R>, dice: &Sampler<R>) -> Guides<R> {
-        let ray = self.ray_of_sample(pixel, dice);
+    fn guides_of_sample<R: Real>(&self, pixel: &PixelSampler<R>, sampler: &Sampler<R>) -> Guides<R> {
+        let ray = self.ray_of_sample(pixel, sampler);
         let (zero, one) = (ray.direction.x.constant(0.0), ray.direction.x.constant(1.0));
         let start = Following {
             ray,
             epsilon: zero.uniform(self.tolerance.floor),
             t: zero,
-            tint: vec3(one, one, one),
+            throughput: vec3(one, one, one),
             guides: Guides::nothing(zero),
             is_active: MaskValue(zero.below(1.0)),
         };
@@ -111,9 +111,9 @@ impl Integrator<'_> {
             let t = following.t + met.t;
             let hit = Hit { t, ..met };
             let bsdf = self.bsdf(&hit, &following.ray, self.object_at(&hit));
-            let tint = following.tint;
+            let throughput = following.throughput;
             let guides = Guides {
-                albedo: tint.mul_elementwise(albedo_of(&bsdf)),
+                albedo: throughput.mul_elementwise(albedo_of(&bsdf)),
                 normal: hit.normal,
                 inverse_depth: t.constant(1.0) / t.at_least(1e-6),
             };
@@ -132,7 +132,7 @@ impl Integrator<'_> {
                 ray: Ray { origin, direction: reflected },
                 epsilon: near,
                 t,
-                tint: Vec3::select(is_mirror, tint.mul_elementwise(bsdf.f0), tint),
+                throughput: Vec3::select(is_mirror, throughput.mul_elementwise(bsdf.f0), throughput),
                 guides,
                 is_active: MaskValue(is_mirror),
             }

@@ -102,30 +102,30 @@ impl<R: Real> LightPath<R> {
     }
 
     /// Ends paths of little throughput at random: whether the path goes on after its vertex, and its throughput then.
-    pub(super) fn after_roulette(&self, throughput: Vec3<R>, dice: &Sampler<R>) -> (R::Mask, Vec3<R>) {
+    pub(super) fn after_roulette(&self, throughput: Vec3<R>, sampler: &Sampler<R>) -> (R::Mask, Vec3<R>) {
         let one = self.bounce.constant(1.0);
         let brightest = throughput.max_element();
         let survival = (brightest * SURVIVAL_PER_THROUGHPUT).at_least(MIN_SURVIVAL).at_most(1.0);
         let survival = R::select(self.bounce.below(FIRST_ROULETTE - 0.5), one, survival);
-        let goes_on = dice.get_2d(OF_ROULETTE).0.lt(survival) & brightest.above(0.0);
+        let goes_on = sampler.get_2d(OF_ROULETTE).0.lt(survival) & brightest.above(0.0);
         (goes_on, throughput * (one / survival))
     }
 }
 
 impl Integrator<'_> {
     /// Radiance along a ray from the camera.
-    pub(super) fn light_path<R: Real>(&self, ray: &Ray<R>, max_bounces: u32, dice: &Sampler<R>) -> Radiance<R> {
+    pub(super) fn light_path<R: Real>(&self, ray: &Ray<R>, max_bounces: u32, sampler: &Sampler<R>) -> Radiance<R> {
         let start = self.start_path(*ray);
         let follow = |all: &Self, limit: u32, path| {
             R::repeat(limit, path, |path| {
-                let next = all.follow_segment(path, max_bounces, dice);
+                let next = all.follow_segment(path, max_bounces, sampler);
                 (next.is_active.0, next)
             })
         };
         let end = match &self.of_reflections {
             None => follow(self, segments(max_bounces), start),
             Some(onward) => {
-                let first = self.follow_segment(start, max_bounces, dice);
+                let first = self.follow_segment(start, max_bounces, sampler);
                 R::when(first.is_active.0, first, || follow(onward, segments(max_bounces) - 1, first))
             }
         };
@@ -161,13 +161,14 @@ impl Integrator<'_> {
     }
 
     /// Follows a path to the next surface or light, and samples the bounce there.
-    fn follow_segment<R: Real>(&self, path: LightPath<R>, max_bounces: u32, dice: &Sampler<R>) -> LightPath<R> {
-        let dice = dice.after(path.bounce);
+    fn follow_segment<R: Real>(&self, path: LightPath<R>, max_bounces: u32, sampler: &Sampler<R>) -> LightPath<R> {
+        let sampler = sampler.after(path.bounce);
         let marched = self.march_from(&path.ray, path.epsilon);
         let path = LightPath { evaluations: path.evaluations + marched.evaluations, ..path };
-        let next = self.after_march(path, &marched, max_bounces, &dice);
+        let next = self.after_march(path, &marched, max_bounces, &sampler);
         R::when(next.shadow.is_traced.0, next, || {
-            let (visible, evaluations) = self.light_visibility(next.from.position, next.epsilon, &next.shadow, &dice);
+            let (visible, evaluations) =
+                self.light_visibility(next.from.position, next.epsilon, &next.shadow, &sampler);
             next.shadow_ray_traced(visible, evaluations)
         })
     }
@@ -189,7 +190,7 @@ impl Integrator<'_> {
         path: LightPath<R>,
         marched: &MarchResult<R>,
         max_bounces: u32,
-        dice: &Sampler<R>,
+        sampler: &Sampler<R>,
     ) -> LightPath<R> {
         let zero = path.epsilon.constant(0.0);
         let farthest = zero.uniform(self.scene.march.max_distance.get());
@@ -198,7 +199,7 @@ impl Integrator<'_> {
         let meets_light = distance.lt(surface);
         let length = distance.min(surface);
         let mut path = path;
-        let collision = self.media.as_ref().map(|media| (media, self.free_flight(media, &path.ray, length, dice)));
+        let collision = self.media.as_ref().map(|media| (media, self.free_flight(media, &path.ray, length, sampler)));
         let length = collision.map_or(length, |(_, collision)| collision.min(length));
         if let Some(fog) = &self.scene.fog {
             let clear = fog.transmittance(&path.ray, length);
@@ -221,11 +222,12 @@ impl Integrator<'_> {
             ..path
         };
         let collides = collision.map_or(zero.above(0.0), |(_, t)| t.below(NEVER));
-        let next =
-            R::when(marched.hit.0 & !meets_light & !collides, ended, || self.bounce(path, marched, max_bounces, dice));
+        let next = R::when(marched.hit.0 & !meets_light & !collides, ended, || {
+            self.bounce(path, marched, max_bounces, sampler)
+        });
         match collision {
             None => next,
-            Some((media, t)) => R::when(collides, next, || self.scatter_in_media(path, media, t, max_bounces, dice)),
+            Some((media, t)) => R::when(collides, next, || self.scatter_in_media(path, media, t, max_bounces, sampler)),
         }
     }
 
@@ -254,7 +256,7 @@ impl Integrator<'_> {
         path: LightPath<R>,
         marched: &MarchResult<R>,
         max_bounces: u32,
-        dice: &Sampler<R>,
+        sampler: &Sampler<R>,
     ) -> LightPath<R> {
         let zero = path.epsilon.constant(0.0);
         let met = self.hit(&path.ray, marched);
@@ -268,7 +270,7 @@ impl Integrator<'_> {
         path.groups = path.groups.with_chosen(emitted, self.group_of_object(object));
         path.evaluations = path.evaluations + (super::lighting::NORMAL_EVALUATIONS + self.detail_evaluations());
         path.evaluations = path.evaluations + self.object_evaluations();
-        let through = self.caught_shadow(&mut path, &hit, dice);
+        let through = self.caught_shadow(&mut path, &hit, sampler);
         let ended = LightPath { background_weight: through, is_active: MaskValue(zero.above(0.0)), ..path };
         let is_last = path.bounce.above(max_bounces as f32 + 0.5);
         R::when(!is_last, ended, || {
@@ -277,12 +279,12 @@ impl Integrator<'_> {
             let near = self.start_tolerance(&met);
             // Where rays start that go on on this side of the surface: lights are sampled from there as well.
             let here = self.vertex(hit.normal.mul_add(near * 4.0, hit.position));
-            let NextEvent { direction, arriving, density, shadow } = self.next_event(Some(hit.normal), &here, dice);
+            let NextEvent { direction, arriving, density, shadow } = self.next_event(Some(hit.normal), &here, sampler);
             let lit = bsdf.evaluate(lobes, seen, direction);
             let weight = R::select(density.above(0.0), density / (density + lit.density).at_least(1e-30), zero + 1.0);
             let light = path.throughput.mul_elementwise(lit.value.mul_elementwise(arriving) * weight);
 
-            let onward = bsdf.sample(lobes, &seen, dice.get_2d(OF_DIRECTION), dice.get_2d(OF_LOBE).0);
+            let onward = bsdf.sample(lobes, &seen, sampler.get_2d(OF_DIRECTION), sampler.get_2d(OF_LOBE).0);
             let is_transmitted = onward.is_transmitted.0;
             let beyond = hit.normal.mul_add(near * -4.0, hit.position);
             let ray = Ray { origin: Vec3::select(is_transmitted, beyond, here.position), direction: onward.direction };
@@ -295,7 +297,7 @@ impl Integrator<'_> {
                 unrivaled = R::select(is_seen, unrivaled, zero + FOUND_STRAIGHT);
             }
             let see_through = R::select(straight, path.background_weight * onward.weight.mean(), zero);
-            let (goes_on, throughput) = path.after_roulette(throughput, dice);
+            let (goes_on, throughput) = path.after_roulette(throughput, sampler);
             let next = LightPath {
                 ray,
                 epsilon: near,
@@ -316,12 +318,12 @@ impl Integrator<'_> {
     }
 
     /// Adds what is seen of the background through a shadow catcher; returns the weight of the background then.
-    fn caught_shadow<R: Real>(&self, path: &mut LightPath<R>, hit: &Hit<R>, dice: &Sampler<R>) -> R {
+    fn caught_shadow<R: Real>(&self, path: &mut LightPath<R>, hit: &Hit<R>, sampler: &Sampler<R>) -> R {
         let zero = path.epsilon.constant(0.0);
         if !self.materials.catches_shadows {
             return zero;
         }
-        let (light, evaluations) = self.incident_light(hit, dice);
+        let (light, evaluations) = self.incident_light(hit, sampler);
         path.evaluations = path.evaluations + evaluations;
         self.shadow_transparency(hit, &path.ray, &light).map_or(zero, |clear| {
             let behind = self.radiance_of_sky(path.ray.direction, path.background_weight);

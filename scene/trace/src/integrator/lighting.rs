@@ -33,9 +33,14 @@ pub(super) const NORMAL_EVALUATIONS: f32 = 4.0;
 
 impl Integrator<'_> {
     /// Color of a surface, and its number of distance evaluations.
-    pub(super) fn surface<R: Real>(&self, ray: &Ray<R>, marched: &MarchResult<R>, dice: &Sampler<R>) -> (Vec3<R>, R) {
+    pub(super) fn surface<R: Real>(
+        &self,
+        ray: &Ray<R>,
+        marched: &MarchResult<R>,
+        sampler: &Sampler<R>,
+    ) -> (Vec3<R>, R) {
         let hit = self.hit(ray, marched);
-        let (light, evaluations) = self.incident_light(&hit, dice);
+        let (light, evaluations) = self.incident_light(&hit, sampler);
         (self.shade(&hit, ray, &light), evaluations + self.surface_evaluations())
     }
 
@@ -45,7 +50,7 @@ impl Integrator<'_> {
     }
 
     /// Incident light at a hit, and the number of distance evaluations it took.
-    pub(super) fn incident_light<R: Real>(&self, hit: &Hit<R>, dice: &Sampler<R>) -> (IncidentLight<R>, R) {
+    pub(super) fn incident_light<R: Real>(&self, hit: &Hit<R>, sampler: &Sampler<R>) -> (IncidentLight<R>, R) {
         let zero = hit.t.constant(0.0);
         let mut evaluations = zero;
         let mut light = IncidentLight { lights: Vec::new(), ambient: None, ambient_visibility: None, shadow: None };
@@ -59,7 +64,7 @@ impl Integrator<'_> {
         let farthest = zero.uniform(self.scene.march.max_distance.get());
         let mut caught = CaughtLight { all: zero, arriving: zero };
         for (index, source) in self.scene.lights.iter().enumerate() {
-            let pair = || dice.get_2d(OF_LIGHTS + index as u32);
+            let pair = || sampler.get_2d(OF_LIGHTS + index as u32);
             let environment = self.scene.environment();
             if let Some((mut incoming, distance)) = source.sample_at(hit.position, farthest, environment.day(), pair) {
                 let unoccluded = incoming.radiance;
@@ -180,12 +185,12 @@ fn sample_cosine_hemisphere<R: Real>(normal: Vec3<R>, (u, v): (R, R)) -> Vec3<R>
 pub(super) fn sample_lights<'a, R: Real>(
     program: &'a Integrator<'_>,
     p: Vec3<R>,
-    dice: &'a Sampler<R>,
+    sampler: &'a Sampler<R>,
 ) -> impl Iterator<Item = (&'a PlacedLight, LightSample<R>, R)> {
     let farthest = p.x.uniform(program.scene.march.max_distance.get());
     program.scene.lights.iter().enumerate().filter_map(move |(index, source)| {
         let day = program.scene.environment().day();
-        let (incoming, distance) = source.sample_at(p, farthest, day, || dice.get_2d(OF_LIGHTS + index as u32))?;
+        let (incoming, distance) = source.sample_at(p, farthest, day, || sampler.get_2d(OF_LIGHTS + index as u32))?;
         Some((source, incoming, distance))
     })
 }

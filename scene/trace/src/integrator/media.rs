@@ -96,15 +96,15 @@ impl Integrator<'_> {
         media: &Media<'_>,
         ray: &Ray<R>,
         farthest: R,
-        dice: &Sampler<R>,
+        sampler: &Sampler<R>,
     ) -> MediumSegment<R> {
         let (zero, one) = (farthest.constant(0.0), farthest.constant(1.0));
         let nothing = MediumSegment { color: vec3(zero, zero, zero), transmittance: one, evaluations: zero };
         let (near, far) = media.bounds.intersect_ray(ray, farthest);
         R::when(near.lt(far), nothing, || {
-            let (_, jitter) = dice.get_2d(super::lighting::IN_MEDIA);
+            let (_, jitter) = sampler.get_2d(super::lighting::IN_MEDIA);
             let (_, crossed) = R::repeat(media.max_steps + MAX_EMPTY_STEPS, (near, nothing), |(t, crossed)| {
-                let (step, crossed) = self.media_step(media, ray, t, jitter, &crossed, dice);
+                let (step, crossed) = self.media_step(media, ray, t, jitter, &crossed, sampler);
                 let next = t + step;
                 (next.lt(far) & crossed.transmittance.above(MIN_TRANSMITTANCE), (next, crossed))
             });
@@ -120,7 +120,7 @@ impl Integrator<'_> {
         t: R,
         jitter: R,
         crossed: &MediumSegment<R>,
-        dice: &Sampler<R>,
+        sampler: &Sampler<R>,
     ) -> (R, MediumSegment<R>) {
         let p = ray.at(t);
         let (mut outside, mut inside_step) = (t.constant(1e9), t.constant(1e9));
@@ -137,22 +137,22 @@ impl Integrator<'_> {
         let step = R::select(is_inside, inside_step.min(outside), outside).at_least(1e-6);
         let here = *crossed;
         let crossed = R::when(is_inside, here, || {
-            let stuff = self.medium_properties(media, p, &depths, ray.direction, dice);
-            let left = (-(stuff.extinction * step)).exp();
-            let share = (left.constant(1.0) - left) * here.transmittance / stuff.extinction.at_least(1e-9);
-            let sent = stuff.source * share;
+            let properties = self.medium_properties(media, p, &depths, ray.direction, sampler);
+            let left = (-(properties.extinction * step)).exp();
+            let share = (left.constant(1.0) - left) * here.transmittance / properties.extinction.at_least(1e-9);
+            let sent = properties.source * share;
             let sent = match &self.scene.fog {
                 None => sent,
                 Some(fog) => {
                     let clear = fog.transmittance(ray, t);
-                    let veiled = (clear.constant(1.0) - clear) * share * stuff.extinction;
+                    let veiled = (clear.constant(1.0) - clear) * share * properties.extinction;
                     self.fog_color(fog, ray.direction).mul_add(veiled, sent * clear)
                 }
             };
             MediumSegment {
                 color: here.color + sent,
                 transmittance: here.transmittance * left,
-                evaluations: here.evaluations + stuff.evaluations,
+                evaluations: here.evaluations + properties.evaluations,
             }
         });
         (step, crossed)
@@ -165,27 +165,27 @@ impl Integrator<'_> {
         p: Vec3<R>,
         depths: &[R],
         direction: Vec3<R>,
-        dice: &Sampler<R>,
+        sampler: &Sampler<R>,
     ) -> MediumProperties<R> {
         let zero = p.x.constant(0.0);
         let black = vec3(zero, zero, zero);
-        let mut stuff = MediumProperties { extinction: zero, source: black, evaluations: zero };
+        let mut properties = MediumProperties { extinction: zero, source: black, evaluations: zero };
         let mut scattering = Vec::new();
         for (medium, &depth) in media.all.iter().zip(depths) {
             let extinction = medium.material.extinction(p, depth);
-            stuff.extinction = stuff.extinction + extinction;
-            stuff.source = medium.material.emission(p.x).mul_add(extinction, stuff.source);
+            properties.extinction = properties.extinction + extinction;
+            properties.source = medium.material.emission(p.x).mul_add(extinction, properties.source);
             if let Some(volume) = medium.material.as_scattering() {
                 scattering.push((volume, extinction));
             }
         }
         if scattering.is_empty() {
-            return stuff;
+            return properties;
         }
         let thick = scattering.iter().fold(zero, |sum, (_, extinction)| sum + *extinction).above(1e-6);
-        (stuff.source, stuff.evaluations) = R::when(thick, (stuff.source, zero), || {
-            let (mut sent, mut evaluations) = (stuff.source, zero);
-            for (source, incoming, distance) in sample_lights(self, p, dice) {
+        (properties.source, properties.evaluations) = R::when(thick, (properties.source, zero), || {
+            let (mut sent, mut evaluations) = (properties.source, zero);
+            for (source, incoming, distance) in sample_lights(self, p, sampler) {
                 let (lit, of_shadow) = self.light_optical_depth(source, p, incoming.direction, distance);
                 evaluations = evaluations + of_shadow;
                 let cosine = direction.dot(incoming.direction);
@@ -209,7 +209,7 @@ impl Integrator<'_> {
             }
             (sent, evaluations)
         });
-        stuff
+        properties
     }
 
     /// Optical depth τ between a light and `p`; 80 if a surface is in between, so that exp(−τ) is 0. And the number of

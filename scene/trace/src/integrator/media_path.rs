@@ -42,13 +42,13 @@ bundle!(Scatterer { albedo, emission, anisotropy, group });
 
 impl Integrator<'_> {
     /// Distance of a ray's next collision with media; [`NEVER`] if there is none before `farthest`.
-    pub(super) fn free_flight<R: Real>(&self, media: &Media<'_>, ray: &Ray<R>, farthest: R, dice: &Sampler<R>) -> R {
+    pub(super) fn free_flight<R: Real>(&self, media: &Media<'_>, ray: &Ray<R>, farthest: R, sampler: &Sampler<R>) -> R {
         let never = farthest.constant(NEVER);
         let (near, far) = media.bounds.intersect_ray(ray, farthest);
         R::when(near.lt(far), never, || {
             let zero = farthest.constant(0.0);
             let (_, _, collision) = R::repeat(MAX_COLLISIONS, (near, zero, never), |(t, count, _)| {
-                let (step, (_, choice)) = tentative_step(media, count, dice, IN_MEDIA);
+                let (step, (_, choice)) = tentative_step(media, count, sampler, IN_MEDIA);
                 let t = t + step;
                 let is_inside = t.lt(far);
                 let majorant = zero.uniform(media.majorant);
@@ -66,13 +66,13 @@ impl Integrator<'_> {
         media: &Media<'_>,
         ray: &Ray<R>,
         farthest: R,
-        dice: &Sampler<R>,
+        sampler: &Sampler<R>,
     ) -> R {
         let (zero, one) = (farthest.constant(0.0), farthest.constant(1.0));
         let (near, far) = media.bounds.intersect_ray(ray, farthest);
         R::when(near.lt(far), one, || {
             let (_, _, left) = R::repeat(MAX_COLLISIONS, (near, zero, one), |(t, count, left)| {
-                let (step, _) = tentative_step(media, count, dice, IN_SHADOWING_MEDIA);
+                let (step, _) = tentative_step(media, count, sampler, IN_SHADOWING_MEDIA);
                 let t = t + step;
                 let is_inside = t.lt(far);
                 let left = R::when(is_inside, left, || {
@@ -92,11 +92,11 @@ impl Integrator<'_> {
         media: &Media<'_>,
         t: R,
         max_bounces: u32,
-        dice: &Sampler<R>,
+        sampler: &Sampler<R>,
     ) -> LightPath<R> {
         let zero = t.constant(0.0);
         let p = path.ray.at(t);
-        let scatterer = self.scatterer(media, p, dice.get_2d(OF_LOBE).1);
+        let scatterer = self.scatterer(media, p, sampler.get_2d(OF_LOBE).1);
         let emitted = path.throughput.mul_elementwise(scatterer.emission);
         let (color, groups) = (path.color + emitted, path.groups.with_chosen(emitted, scatterer.group));
         let ended = LightPath { color, groups, background_weight: zero, is_active: MaskValue(zero.above(0.0)), ..path };
@@ -105,12 +105,12 @@ impl Integrator<'_> {
             let throughput = path.throughput.mul_elementwise(scatterer.albedo);
             let near = zero.uniform(self.tolerance.floor);
             let here = self.vertex(p);
-            let NextEvent { direction, arriving, density, shadow } = self.next_event(None, &here, dice);
+            let NextEvent { direction, arriving, density, shadow } = self.next_event(None, &here, sampler);
             let scattered = phase(scatterer.anisotropy, path.ray.direction.dot(direction));
             let weight = R::select(density.above(0.0), density / (density + scattered).at_least(1e-30), zero + 1.0);
             let light = throughput.mul_elementwise(arriving) * (scattered * PI * weight);
-            let direction = sample_phase(scatterer.anisotropy, path.ray.direction, dice.get_2d(OF_DIRECTION));
-            let (goes_on, throughput) = path.after_roulette(throughput, dice);
+            let direction = sample_phase(scatterer.anisotropy, path.ray.direction, sampler.get_2d(OF_DIRECTION));
+            let (goes_on, throughput) = path.after_roulette(throughput, sampler);
             let next = LightPath {
                 ray: Ray { origin: p, direction },
                 epsilon: near,
@@ -158,8 +158,8 @@ impl Integrator<'_> {
 }
 
 /// Length of the step to the next tentative collision, and the random numbers of that.
-fn tentative_step<R: Real>(media: &Media<'_>, count: R, dice: &Sampler<R>, purpose: u32) -> (R, (R, R)) {
-    let pair = dice.after((count + 1.0).mul_add(count.constant(BOUNCES), dice.bounce())).get_2d(purpose);
+fn tentative_step<R: Real>(media: &Media<'_>, count: R, sampler: &Sampler<R>, purpose: u32) -> (R, (R, R)) {
+    let pair = sampler.after((count + 1.0).mul_add(count.constant(BOUNCES), sampler.bounce())).get_2d(purpose);
     let majorant = count.uniform(media.majorant).at_least(1e-30);
     (-(count.constant(1.0) - pair.0).ln() / majorant, pair)
 }

@@ -16,9 +16,9 @@ pub(super) struct NextFrame<'a> {
 
 impl<'a> NextFrame<'a> {
     /// The next frame of a job whose pictures show motion; `None` of others, and if nothing in the job is animated.
-    pub(super) fn of(still: &'a JobAtFrame<'_>) -> Option<Self> {
-        let scene = still.next_scene()?;
-        let [width, height] = still.image().full_size();
+    pub(super) fn of(at_frame: &'a JobAtFrame<'_>) -> Option<Self> {
+        let scene = at_frame.next_scene()?;
+        let [width, height] = at_frame.image().full_size();
         Some(Self { scene, view: scene.camera.view(width, height) })
     }
 }

@@ -50,7 +50,7 @@ const MIN_THROUGHPUT: f32 = 1.0 / 512.0;
 
 impl Integrator<'_> {
     /// Radiance along a ray from the camera.
-    pub(super) fn path<R: Real>(&self, ray: &Ray<R>, dice: &Sampler<R>) -> Radiance<R> {
+    pub(super) fn path<R: Real>(&self, ray: &Ray<R>, sampler: &Sampler<R>) -> Radiance<R> {
         let (zero, one) = (ray.direction.x.constant(0.0), ray.direction.x.constant(1.0));
         let start = PathState {
             ray: *ray,
@@ -65,12 +65,12 @@ impl Integrator<'_> {
         };
         let max_bounces = self.scene.march.max_bounces;
         let end = match &self.of_reflections {
-            None if self.sends_on => self.trace_segments(max_bounces + 1, start, dice),
+            None if self.sends_on => self.trace_segments(max_bounces + 1, start, sampler),
             Some(onward) if self.sends_on && max_bounces > 0 => {
-                let first = self.trace_segment(start, dice);
-                R::when(first.is_active.0, first, || onward.trace_segments(max_bounces, first, dice))
+                let first = self.trace_segment(start, sampler);
+                R::when(first.is_active.0, first, || onward.trace_segments(max_bounces, first, sampler))
             }
-            _ => self.trace_segment(start, dice),
+            _ => self.trace_segment(start, sampler),
         };
         // After the last bounce, the radiance behind all surfaces is used.
         let rest = end.throughput.mul_elementwise(self.radiance_behind(end.ray.direction, end.background_weight));
@@ -87,16 +87,16 @@ impl Integrator<'_> {
     }
 
     /// Traces a path over at most `limit` segments.
-    fn trace_segments<R: Real>(&self, limit: u32, path: PathState<R>, dice: &Sampler<R>) -> PathState<R> {
+    fn trace_segments<R: Real>(&self, limit: u32, path: PathState<R>, sampler: &Sampler<R>) -> PathState<R> {
         R::repeat(limit, path, |path| {
-            let next = self.trace_segment(path, dice);
+            let next = self.trace_segment(path, sampler);
             (next.is_active.0, next)
         })
     }
 
     /// Traces a path to its next surface, and samples the bounce there.
-    fn trace_segment<R: Real>(&self, path: PathState<R>, dice: &Sampler<R>) -> PathState<R> {
-        let dice = dice.after(path.bounce);
+    fn trace_segment<R: Real>(&self, path: PathState<R>, sampler: &Sampler<R>) -> PathState<R> {
+        let sampler = sampler.after(path.bounce);
         let marched = self.march_from(&path.ray, path.epsilon);
         let mut path = path;
         path.evaluations = path.evaluations + marched.evaluations;
@@ -106,7 +106,7 @@ impl Integrator<'_> {
         let seen = self.seen_light(&path.ray, length);
         let seen = seen.map(|(is_seen, at, light)| (is_seen & path.background_weight.above(0.0), at, light));
         let end = seen.map_or(length, |(is_seen, at, _)| R::select(is_seen, at, length));
-        if let Some(crossed) = self.crossed_media(&path.ray, end, &dice) {
+        if let Some(crossed) = self.crossed_media(&path.ray, end, &sampler) {
             path.color = path.color + path.throughput.mul_elementwise(crossed.color);
             path.throughput = path.throughput * crossed.transmittance;
             path.background_weight = path.background_weight * crossed.transmittance;
@@ -119,7 +119,7 @@ impl Integrator<'_> {
             ..path
         };
         let Some((is_seen, _, light)) = seen else {
-            return R::when(marched.hit.0, missed, || self.scatter(path, &marched, &dice));
+            return R::when(marched.hit.0, missed, || self.scatter(path, &marched, &sampler));
         };
         let zero = path.epsilon.constant(0.0);
         let color = path.color + path.throughput.mul_elementwise(light);
@@ -128,7 +128,7 @@ impl Integrator<'_> {
             background_weight: R::select(is_seen, zero, missed.background_weight),
             ..missed
         };
-        R::when(marched.hit.0 & !is_seen, ended, || self.scatter(path, &marched, &dice))
+        R::when(marched.hit.0 & !is_seen, ended, || self.scatter(path, &marched, &sampler))
     }
 
     /// Clouds, volumes and fog along a part of a ray; `None` if the scene has none.
@@ -136,9 +136,9 @@ impl Integrator<'_> {
         &self,
         ray: &Ray<R>,
         length: R,
-        dice: &Sampler<R>,
+        sampler: &Sampler<R>,
     ) -> Option<MediumSegment<R>> {
-        let crossed = self.media.as_ref().map(|media| self.integrate_media(media, ray, length, dice));
+        let crossed = self.media.as_ref().map(|media| self.integrate_media(media, ray, length, sampler));
         let Some(fog) = &self.scene.fog else { return crossed };
         let (zero, one) = (length.constant(0.0), length.constant(1.0));
         let nothing = MediumSegment { color: vec3(zero, zero, zero), transmittance: one, evaluations: zero };
@@ -159,11 +159,11 @@ impl Integrator<'_> {
     }
 
     /// Shades the surface that a path has hit and continues the path.
-    fn scatter<R: Real>(&self, path: PathState<R>, marched: &MarchResult<R>, dice: &Sampler<R>) -> PathState<R> {
+    fn scatter<R: Real>(&self, path: PathState<R>, marched: &MarchResult<R>, sampler: &Sampler<R>) -> PathState<R> {
         let zero = path.epsilon.constant(0.0);
         let met = self.hit(&path.ray, marched);
         let hit = Hit { t: met.t + path.t, ..met };
-        let (light, evaluations) = self.incident_light(&hit, dice);
+        let (light, evaluations) = self.incident_light(&hit, sampler);
         let evaluations = path.evaluations + evaluations + self.surface_evaluations();
         let clear = self.shadow_transparency(&hit, &path.ray, &light);
         let mut path = path;
@@ -185,7 +185,7 @@ impl Integrator<'_> {
         let (seen, finish) = self.shade_with_specular(&hit, &path.ray, &light);
         let seen = Vec3::select(path.bounce.above(0.5), clamp_indirect(seen), seen);
         let color = path.color + path.throughput.mul_elementwise(seen);
-        let onward = self.sample_bsdf(&hit, -path.ray.direction, &finish, dice);
+        let onward = self.sample_bsdf(&hit, -path.ray.direction, &finish, sampler);
         let near = self.tolerance.at(hit.t);
         let side = R::select(onward.is_transmitted.0, near * -4.0, near * 4.0);
         let ray = Ray { origin: hit.normal.mul_add(side, hit.position), direction: onward.direction };
@@ -214,14 +214,14 @@ impl Integrator<'_> {
         hit: &Hit<R>,
         to_viewer: Vec3<R>,
         finish: &SpecularBsdf<R>,
-        dice: &Sampler<R>,
+        sampler: &Sampler<R>,
     ) -> BsdfSample<R> {
         let (zero, one) = (hit.t.constant(0.0), hit.t.constant(1.0));
         let frame = ShadingFrame::from_normal(hit.normal);
         let viewer = frame.local(to_viewer);
         let viewer = vec3(viewer.x, viewer.y, viewer.z.at_least(1e-3));
         let alpha = alpha_from_roughness(finish.roughness);
-        let (u, v) = dice.get_2d(OF_DIRECTION);
+        let (u, v) = sampler.get_2d(OF_DIRECTION);
         let facet = sample_visible_normal(viewer, alpha, u, v);
         let cosine = facet.dot(viewer).at_least(1e-4);
         let mirrored = facet.mul_add(cosine + cosine, -viewer);
@@ -246,7 +246,7 @@ impl Integrator<'_> {
         let likely = of_mirror / (of_mirror + of_passage).at_least(1e-6);
         // Rarely chosen directions would be noise.
         let likely = R::select(likely.below(0.01), zero, likely);
-        let (choice, _) = dice.get_2d(OF_LOBE);
+        let (choice, _) = sampler.get_2d(OF_LOBE);
         let mirrors = choice.lt(likely) | of_passage.below(1e-6);
         let refracted = facet.mul_add(ratio.mul_add(cosine, -cosine_beyond), viewer * -ratio);
         let through = passed * (one / (one - likely).at_least(1e-3));

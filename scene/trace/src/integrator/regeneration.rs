@@ -187,9 +187,9 @@ impl PathSteps<'_> {
             let is_met = path.shadow.is_traced.0 & found.hit.0;
             let glass =
                 R::when(is_met, Glass::opaque(found.t.constant(0.0)), || all.glass_in_the_way(&path, &ray, &found));
-            let goes_through = glass.tint.max_element().above(0.0);
+            let goes_through = glass.filter.max_element().above(0.0);
             path.shadow.color =
-                Vec3::select(goes_through, path.shadow.color.mul_elementwise(glass.tint), path.shadow.color);
+                Vec3::select(goes_through, path.shadow.color.mul_elementwise(glass.filter), path.shadow.color);
             next = R::select(goes_through, glass.beyond, next);
             path.evaluations = path.evaluations + glass.evaluations;
             passes = passes | (goes_through & has_steps);
@@ -199,10 +199,11 @@ impl PathSteps<'_> {
         R::when(!passes, Lane { march: further, sample, sum, path, farthest }, || {
             let mut path = path;
             path.evaluations = path.evaluations + march.steps;
-            let dice = pixel.sample(sample);
+            let sampler = pixel.sample(sample);
             let is_shadow = path.shadow.is_traced.0;
-            let bounced =
-                R::when(!is_shadow, path, || all.after_march(path, &found, self.max_bounces, &dice.after(path.bounce)));
+            let bounced = R::when(!is_shadow, path, || {
+                all.after_march(path, &found, self.max_bounces, &sampler.after(path.bounce))
+            });
             let path = R::when(is_shadow, bounced, || {
                 let occluded = found.is_occluded(farthest);
                 let mut visible = R::select(occluded, found.t.constant(0.0), found.t.constant(1.0));
@@ -215,7 +216,7 @@ impl PathSteps<'_> {
                     });
                 }
                 let visible =
-                    all.through_media(ray.origin, visible, length, ray.direction, &dice.after(path.bounce - 1.0));
+                    all.through_media(ray.origin, visible, length, ray.direction, &sampler.after(path.bounce - 1.0));
                 path.shadow_ray_traced(visible, found.t.constant(0.0))
             });
             let has_ended = !path.is_active.0 & !path.shadow.is_traced.0;

@@ -41,21 +41,21 @@ impl MaterialTable {
     pub(super) fn new(scene: &Scene) -> Self {
         let slots = scene.used_materials();
         let painted: Vec<bool> = scene.objects.iter().map(|object| object.shape.has_own_materials()).collect();
-        let worn: Vec<usize> = (0..slots.len()).filter(|&slot| !slots[slot].is_medium()).collect();
+        let surfaces: Vec<usize> = (0..slots.len()).filter(|&slot| !slots[slot].is_medium()).collect();
         let is_textured = |slot: usize| slots[slot].is_textured() && painted.contains(&true);
-        let only = match worn[..] {
+        let only = match surfaces[..] {
             [only] if slots.len() == 1 && !is_textured(only) => Some(only),
             _ => None,
         };
-        let needs_own_normal = worn.iter().any(|&slot| slots[slot].needs_local_normal());
-        let needs_footprint = worn.iter().any(|&slot| slots[slot].needs_footprint());
-        let catches_shadows = worn.iter().any(|&slot| slots[slot].is_shadow_catcher());
-        let lobes = worn.iter().fold(Lobes::default(), |lobes, &slot| lobes.or(slots[slot].lobes()));
+        let needs_own_normal = surfaces.iter().any(|&slot| slots[slot].needs_local_normal());
+        let needs_footprint = surfaces.iter().any(|&slot| slots[slot].needs_footprint());
+        let catches_shadows = surfaces.iter().any(|&slot| slots[slot].is_shadow_catcher());
+        let lobes = surfaces.iter().fold(Lobes::default(), |lobes, &slot| lobes.or(slots[slot].lobes()));
         Self {
             catches_shadows,
             lobes,
             has_own_materials: painted,
-            surface_slots: worn,
+            surface_slots: surfaces,
             single_slot: only,
             needs_own_normal,
             needs_footprint,
@@ -84,7 +84,7 @@ impl MaterialTable {
 
     /// Index of a slot among those of surfaces.
     fn place_of(&self, slot: u32) -> Option<usize> {
-        self.surface_slots.iter().position(|&worn| worn == slot as usize)
+        self.surface_slots.iter().position(|&surface| surface == slot as usize)
     }
 
     pub(super) fn slots(&self) -> impl Iterator<Item = usize> + '_ {
@@ -247,17 +247,17 @@ impl Integrator<'_> {
         add: impl Fn(T, T, R) -> T,
     ) -> T {
         let mut sum = nothing;
-        for worn in self.hit_materials(hit, footprint, object) {
+        for material in self.hit_materials(hit, footprint, object) {
             let place = ShadingPoint {
-                local_point: worn.point,
-                local_normal: worn.own_normal,
-                ..shading_point(hit, ray, worn.footprint)
+                local_point: material.point,
+                local_normal: material.own_normal,
+                ..shading_point(hit, ray, material.footprint)
             };
-            let is_seen = worn.weight.above(0.0);
-            let part = R::when(is_seen, nothing, || of_slot(worn.slot, &place));
+            let is_seen = material.weight.above(0.0);
+            let part = R::when(is_seen, nothing, || of_slot(material.slot, &place));
             let weight = match self.visits {
-                None => worn.weight,
-                Some(_) => R::when(is_seen, worn.weight, || self.asked_for(worn.slot, worn.weight)),
+                None => material.weight,
+                Some(_) => R::when(is_seen, material.weight, || self.asked_for(material.slot, material.weight)),
             };
             sum = add(sum, part, weight);
         }
@@ -289,8 +289,8 @@ impl Integrator<'_> {
     /// Materials at a hit of an object, each with its point in the space of its textures.
     fn hit_materials<R: Real>(&self, hit: &Hit<R>, footprint: [Vec3<R>; 2], object: R) -> Vec<HitMaterial<R>> {
         let (p, zero) = (hit.position, object.constant(0.0));
-        let worn = |slot| HitMaterial { slot, weight: zero, point: p, own_normal: hit.normal, footprint };
-        let mut all: Vec<HitMaterial<R>> = self.materials.slots().map(worn).collect();
+        let material = |slot| HitMaterial { slot, weight: zero, point: p, own_normal: hit.normal, footprint };
+        let mut all: Vec<HitMaterial<R>> = self.materials.slots().map(material).collect();
         for &index in &self.surfaces {
             let tree = &self.scene.objects[index];
             let here = (object - index as f32).abs().below(0.5);
@@ -327,17 +327,17 @@ impl Integrator<'_> {
         let ends = self.materials.needs_footprint.then(|| footprint.map(|end| weights_at(p + end)));
         for (number, coat) in coats.iter().enumerate() {
             let Some(place) = coat.slot.and_then(|slot| self.materials.place_of(slot)) else { continue };
-            let worn = &mut all[place];
+            let material = &mut all[place];
             let here = is_here(coat);
-            worn.weight = R::select(here, coat.weight, p.x.constant(0.0)) + worn.weight;
-            if self.scene.used_materials()[worn.slot].is_textured() {
-                worn.point = Vec3::select(here, coat.point, worn.point);
+            material.weight = R::select(here, coat.weight, p.x.constant(0.0)) + material.weight;
+            if self.scene.used_materials()[material.slot].is_textured() {
+                material.point = Vec3::select(here, coat.point, material.point);
                 if let Some(further) = &further {
                     let own_normal = (further[number].point - coat.point).normalize();
-                    worn.own_normal = Vec3::select(here, own_normal, worn.own_normal);
+                    material.own_normal = Vec3::select(here, own_normal, material.own_normal);
                 }
                 if let Some(ends) = &ends {
-                    for (seen, end) in worn.footprint.iter_mut().zip(ends) {
+                    for (seen, end) in material.footprint.iter_mut().zip(ends) {
                         *seen = Vec3::select(here, end[number].point - coat.point, *seen);
                     }
                 }

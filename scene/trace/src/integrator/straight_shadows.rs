@@ -14,19 +14,19 @@ use crate::transport::{PathSettings, Transport};
 #[derive(Clone, Copy)]
 pub(super) struct Glass<R> {
     /// Fraction of the light that it lets through, by channel.
-    pub(super) tint: Vec3<R>,
+    pub(super) filter: Vec3<R>,
     /// Distance along the ray at which it is left behind.
     pub(super) beyond: R,
     /// Evaluations of the distance field.
     pub(super) evaluations: R,
 }
 
-bundle!(Glass { tint, beyond, evaluations });
+bundle!(Glass { filter, beyond, evaluations });
 
 impl<R: Real> Glass<R> {
     /// A surface that lets nothing through.
     pub(super) fn opaque(zero: R) -> Self {
-        Self { tint: vec3(zero, zero, zero), beyond: zero, evaluations: zero }
+        Self { filter: vec3(zero, zero, zero), beyond: zero, evaluations: zero }
     }
 }
 
@@ -54,7 +54,7 @@ impl Integrator<'_> {
         let tolerance = hit.t.mul_add(hit.t.constant(SHADOW_SLOPE), path.epsilon);
         let evaluations = self.object_evaluations() + self.detail_evaluations() + NORMAL_EVALUATIONS;
         Glass {
-            tint: bsdf.straight_transmittance(self.materials.lobes, &seen),
+            filter: bsdf.straight_transmittance(self.materials.lobes, &seen),
             // The march ended within the tolerance before the surface, and is to begin beyond it.
             beyond: hit.t + tolerance * 3.0 / cosine,
             evaluations: hit.t.constant(evaluations),

@@ -104,9 +104,9 @@ async fn a_wrong_clock_and_another_kind_of_server_are_explained() {
         let settings = Settings::from_env(&location, &bucket).with(&endpoint.serve().await);
         let error = settings.check().await.expect_err("it is no S3 store, or refuses");
         assert_eq!(error.fault(), fault, "{error}");
-        let told = error.to_string();
-        assert!(told.contains(words) && told.contains(fault.cure()), "{told}");
-        println!("{told}");
+        let received = error.to_string();
+        assert!(received.contains(words) && received.contains(fault.cure()), "{received}");
+        println!("{received}");
     }
 }
 

@@ -14,7 +14,7 @@ use crate::http::body::{self, RequestBody};
 use crate::http::content_encoding::ContentEncoding;
 use crate::http::error::ApiError;
 use crate::http::state::handle_group;
-use crate::job_cache::{JobCache, Reader};
+use crate::job_cache::{JobCache, ParseReason};
 use crate::tile_plan::TilePlan;
 
 handle_group! {
@@ -65,7 +65,8 @@ pub(in crate::http) async fn price(
     let (text, room) = body::read_encoded(request, encoding, scene::limits::MAX_BODY_BYTES).await?.into_parts();
     let edge_px = prices.config.tile_edge_px;
     let plan = move |job: scene::Job| TilePlan::new(&job, edge_px);
-    let parsed = prices.jobs.parse(Reader::Submitter(&submitter), text.clone(), move |parsed| parsed.map(plan)).await?;
+    let parsed =
+        prices.jobs.parse(ParseReason::Submitter(&submitter), text.clone(), move |parsed| parsed.map(plan)).await?;
     let plan = parsed?;
     let text = String::from_utf8(text.into()).map_err(|error| ApiError::Internal(Box::new(error)))?;
     let parts = PriceParts { map, savings: savings.unwrap_or(true) };

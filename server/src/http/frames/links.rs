@@ -13,7 +13,7 @@ use crate::clock::rfc3339;
 use crate::http::body::{self, RequestBody};
 use crate::http::error::ApiError;
 use crate::http::frames::images::{self, StoredPictures};
-use crate::http::frames::previews::{Previews, Reader};
+use crate::http::frames::previews::{PreviewClient, Previews};
 use crate::http::jobs::job_id;
 use crate::queue::{Queue, StoredImage};
 use crate::signed_links::{LinkClaims, LinkSigner};
@@ -50,19 +50,19 @@ pub(in crate::http) async fn sign(
     headers: HeaderMap,
     request: RequestBody,
 ) -> Result<Json<LinkView>, ApiError> {
-    let wish: LinkRequest = body::read_json(&headers, request, MAX_BYTES).await?;
+    let requested: LinkRequest = body::read_json(&headers, request, MAX_BYTES).await?;
     let (job, frame) = images::frame_of(&queue, &id, &frame).await?;
     match queue.image(job, frame).await? {
         StoredImage::Stored { .. } | StoredImage::NotYet(_) => {}
         StoredImage::NoFrame(frames) => return Err(ApiError::UnknownFrame { job, frame: frame.to_string(), frames }),
         StoredImage::NoJob => return Err(ApiError::UnknownJob(id)),
     }
-    let expires_seconds = queue.wall_seconds() + i64::from(wish.expires_in_seconds);
-    let signature = links.sign(&LinkClaims { job, frame, content: wish.shows, expires_seconds });
+    let expires_seconds = queue.wall_seconds() + i64::from(requested.expires_in_seconds);
+    let signature = links.sign(&LinkClaims { job, frame, content: requested.shows, expires_seconds });
     Ok(Json(LinkView {
         url: format!(
             "/v1/pictures/{job}/{frame}/{}?expires={expires_seconds}&signature={signature}",
-            wish.shows.name()
+            requested.shows.name()
         ),
         expires_at: rfc3339(expires_seconds.saturating_mul(1000)),
     }))
@@ -111,7 +111,7 @@ pub(in crate::http) async fn follow(
     let mut response = match content {
         LinkContent::Image => stored.answer(job, frame, &method, &headers).await?,
         LinkContent::Preview => {
-            let reader = Reader { name: LINK_READER, headers: &headers };
+            let reader = PreviewClient { name: LINK_READER, headers: &headers };
             previews.answer(reader, job, frame, None).await?
         }
     };

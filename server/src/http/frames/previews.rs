@@ -92,7 +92,7 @@ pub(in crate::http) async fn preview(
 ) -> Result<Response, ApiError> {
     let width = WidthQuery::read(&uri)?;
     let (job, frame) = images::frame_of(&previews.queue, &id, &frame).await?;
-    previews.answer(Reader { name: caller.name(), headers: &headers }, job, frame, width).await
+    previews.answer(PreviewClient { name: caller.name(), headers: &headers }, job, frame, width).await
 }
 
 /// Get a stored picture as a small PNG.
@@ -117,13 +117,13 @@ pub(in crate::http) async fn thumbnail(
 ) -> Result<Response, ApiError> {
     let width_px = WidthQuery::read(&uri)?.unwrap_or(THUMBNAIL_PX);
     let stored = StoredFrame::find(&previews, &id, &frame).await?;
-    let reader = Reader { name: caller.name(), headers: &headers };
+    let reader = PreviewClient { name: caller.name(), headers: &headers };
     previews.scaled(reader, &stored.hash, stored.size_bytes, width_px, images::IMMUTABLE).await
 }
 
 /// Client that asks for a preview.
 #[derive(Clone, Copy, Debug)]
-pub(in crate::http) struct Reader<'a> {
+pub(in crate::http) struct PreviewClient<'a> {
     /// Name under which it waits for a helper.
     pub(in crate::http) name: &'a str,
     /// Headers of its request.
@@ -134,7 +134,7 @@ impl Previews {
     /// Draws a preview of a frame.
     pub(in crate::http) async fn answer(
         &self,
-        reader: Reader<'_>,
+        reader: PreviewClient<'_>,
         job: JobId,
         frame: u32,
         width_px: Option<u32>,
@@ -154,7 +154,7 @@ impl Previews {
 
     async fn scaled(
         &self,
-        reader: Reader<'_>,
+        reader: PreviewClient<'_>,
         hash: &str,
         size_bytes: u64,
         width_px: u32,
@@ -175,7 +175,7 @@ impl Previews {
 
     async fn unfinished(
         &self,
-        reader: Reader<'_>,
+        reader: PreviewClient<'_>,
         job: JobId,
         frame: u32,
         width_px: u32,

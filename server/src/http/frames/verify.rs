@@ -5,7 +5,7 @@ use axum::extract::{Path, State};
 use axum::http::Uri;
 use proto::preview_helper::HelperRequest;
 use proto::rounding;
-use proto::verify::{Comparison, Verification, chance_to_find, tiles, tiles_found_surely};
+use proto::verify::{Comparison, Verification, probability_to_find, tiles, tiles_found_surely};
 use serde::Deserialize;
 
 use crate::blobs::ContentKind;
@@ -75,7 +75,7 @@ pub(in crate::http) async fn verify(
         same,
         tiles_checked,
         tiles_total,
-        finds_one_tile: rounding::fraction(chance_to_find(tiles_checked, tiles_total, 1)),
+        finds_one_tile: rounding::fraction(probability_to_find(tiles_checked, tiles_total, 1)),
         finds_tiles: tiles_found_surely(tiles_checked, tiles_total),
         pixels_different,
         differs,

@@ -18,7 +18,7 @@ use crate::http::jobs::quota;
 use crate::http::jobs::{job_id, view};
 use crate::http::{body, jobs};
 use crate::orphans::Orphans;
-use crate::queue::{ChangeOutcome, DeleteOutcome, MoveOutcome, Place, Queue, RetryOutcome};
+use crate::queue::{ChangeOutcome, DeleteOutcome, Queue, QueuePosition, ReorderOutcome, RetryOutcome};
 use crate::space_reserve::SpaceReserve;
 
 /// Maximum size of a request body; valid ones are smaller.
@@ -98,7 +98,7 @@ pub(in crate::http) async fn patch(
     request_body(content = ref("#/components/schemas/JobMove"), content_type = "application/json"),
     responses((status = 200, description = "The moved job", body = ref("#/components/schemas/JobView")))
 )]
-pub(in crate::http) async fn move_job(
+pub(in crate::http) async fn reorder_job(
     State(queue): State<Queue>,
     caller: Caller,
     Path(id): Path<String>,
@@ -107,9 +107,9 @@ pub(in crate::http) async fn move_job(
 ) -> Result<Json<JobView>, ApiError> {
     let job = job_id(&id)?;
     let (place, other) = match body::read_json(&headers, request, MAX_BYTES).await? {
-        JobMove { before: Some(other), after: None, first: false } => (Place::Before(other), Some(other)),
-        JobMove { before: None, after: Some(other), first: false } => (Place::After(other), Some(other)),
-        JobMove { before: None, after: None, first: true } => (Place::First, None),
+        JobMove { before: Some(other), after: None, first: false } => (QueuePosition::Before(other), Some(other)),
+        JobMove { before: None, after: Some(other), first: false } => (QueuePosition::After(other), Some(other)),
+        JobMove { before: None, after: None, first: true } => (QueuePosition::First, None),
         JobMove { .. } => {
             let message = "say where: one of {\"before\": ID}, {\"after\": ID} and {\"first\": true}".to_owned();
             return Err(body::invalid_body("", message));
@@ -123,10 +123,10 @@ pub(in crate::http) async fn move_job(
     if priority != own {
         quota::check_priority(&caller, priority)?;
     }
-    match queue.move_job(job, place, priority).await? {
-        MoveOutcome::Done => view(&queue, job).await,
-        MoveOutcome::Finished(job, state) => Err(ApiError::Finished { job, state }),
-        MoveOutcome::Unknown(job) => Err(ApiError::UnknownJob(job.to_string())),
+    match queue.reorder_job(job, place, priority).await? {
+        ReorderOutcome::Done => view(&queue, job).await,
+        ReorderOutcome::Finished(job, state) => Err(ApiError::Finished { job, state }),
+        ReorderOutcome::Unknown(job) => Err(ApiError::UnknownJob(job.to_string())),
     }
 }
 

@@ -7,7 +7,7 @@ use scene::Job;
 use crate::http::body::{self, RequestBody, Room};
 use crate::http::content_encoding::ContentEncoding;
 use crate::http::error::ApiError;
-use crate::job_cache::{JobCache, Reader};
+use crate::job_cache::{JobCache, ParseReason};
 
 /// A valid job file.
 #[derive(Debug)]
@@ -31,7 +31,7 @@ pub(in crate::http) async fn read(
     let (text, room) = body::read_encoded(request, encoding, scene::limits::MAX_BODY_BYTES).await?.into_parts();
     let checked = text.clone();
     let check = move |parsed: Result<Job, scene::ParseError>| check_frame(&checked, &parsed?, frame);
-    jobs.parse(Reader::Submitter(&submitter), text.clone(), check).await??;
+    jobs.parse(ParseReason::Submitter(&submitter), text.clone(), check).await??;
     let text = String::from_utf8(text.into()).map_err(|error| ApiError::Internal(Box::new(error)))?;
     Ok(JobBody { text, _room: room })
 }

@@ -59,10 +59,10 @@ impl JobWaiter {
         let deadline = monotonic_now() + wait;
         let Some(followed) = self.queue.event_position(id, 0).await? else { return Ok(()) };
         let topic = self.events.topic(followed.job).await?;
-        let mut bell = topic.changes();
+        let mut changes = topic.changes();
         while self.queue.has_ended(followed.job).await? == Some(false) {
             tokio::select! {
-                rung = bell.changed() => if rung.is_err() { break },
+                rung = changes.changed() => if rung.is_err() { break },
                 () = tokio::time::sleep_until(deadline) => break,
                 () = self.shutdown.begun().cancelled() => break,
             }

@@ -25,7 +25,7 @@ use crate::http::jobs::prefer::JobWaiter;
 use crate::http::jobs::{quota, submit_options};
 use crate::http::state::handle_group;
 use crate::http::workers::trace_context;
-use crate::job_cache::{JobCache, Reader};
+use crate::job_cache::{JobCache, ParseReason};
 use crate::queue::{NewJob, Queue, SubmitOutcome};
 use crate::shutdown::Shutdown;
 use crate::space_reserve::SpaceReserve;
@@ -143,7 +143,7 @@ impl Submission {
         room: Room,
     ) -> Result<Response, ApiError> {
         let Self { caller, uri, headers, submitter, query, keep, tile_seconds, based_on } = self;
-        let reader = Reader::Submitter(&submitter);
+        let reader = ParseReason::Submitter(&submitter);
         let values = submit_options::values(&uri)?;
         let text = if values.is_empty() {
             text
@@ -151,7 +151,7 @@ impl Submission {
             intake.jobs.run(reader, move || submit_options::with_values(&values, text)).await??
         };
         let limits = quota::limits(&intake.gate.config, &caller);
-        let wish = submit_options::read(&uri, &headers, &text, &intake.webhook_addresses, limits)?;
+        let options = submit_options::read(&uri, &headers, &text, &intake.webhook_addresses, limits)?;
         let (dry_run, edge_px) = (query.dry_run, intake.gate.config.tile_edge_px);
         let recorded = query.record || based_on.is_some();
         let read = move |job: scene::Job| {
@@ -190,7 +190,7 @@ impl Submission {
             file_text: into_utf8(text)?,
         };
         trace_context::store_trace(&intake.gate.queue, id, &headers).await?;
-        let submitting = intake.submissions.accept(new, Arc::new(job), wish, reader);
+        let submitting = intake.submissions.accept(new, Arc::new(job), options, reader);
         let (status, id) = match submitting.instrument(tracing::info_span!("submit", job = %id)).await? {
             SubmitOutcome::Created(_) => (StatusCode::CREATED, id),
             SubmitOutcome::Replayed(id) => (StatusCode::OK, id),

@@ -141,15 +141,15 @@ pub(in crate::http) async fn sync(
     };
     let mut metrics = Some(request.metrics);
     loop {
-        let bell = syncs.queue.wake_signals();
-        let (mut work, mut news) = (pin!(bell.work.notified()), pin!(bell.updates.notified()));
+        let signals = syncs.queue.wake_signals();
+        let (mut work, mut news) = (pin!(signals.work.notified()), pin!(signals.updates.notified()));
         // Subscribes before the first attempt, so that no wake signal is missed.
         work.as_mut().enable();
         news.as_mut().enable();
         let prompt = turn.has_reports();
         let again = turn.without_reports();
         let begun = monotonic_now();
-        let Some(turned) = syncs.worker_sync.sync(turn).await? else {
+        let Some(synced) = syncs.worker_sync.sync(turn).await? else {
             return Err(unknown_worker(&syncs.queue, again.worker).await?);
         };
         if let Some(metrics) = metrics.take() {
@@ -159,15 +159,15 @@ pub(in crate::http) async fn sync(
         if again.wants_work {
             syncs.telemetry.metrics.record_claim(now - begun);
         }
-        if turned.drain && !again.held_leases.is_empty() {
+        if synced.drain && !again.held_leases.is_empty() {
             // The worker may already know that it must drain; it must not poll continuously while it finishes.
             deadline = deadline.min(now + MAX_DRAINING_WAIT);
         }
-        let drains = turned.drain && again.held_leases.is_empty();
-        if prompt || drains || turned.needs_response() || now >= deadline || syncs.shutdown.closing().is_cancelled() {
-            return Ok(Json(reply(&syncs.telemetry, again.worker, turned).await));
+        let drains = synced.drain && again.held_leases.is_empty();
+        if prompt || drains || synced.needs_response() || now >= deadline || syncs.shutdown.closing().is_cancelled() {
+            return Ok(Json(reply(&syncs.telemetry, again.worker, synced).await));
         }
-        let wake = turned.retry_in().map_or(deadline, |wait| deadline.min(now + wait));
+        let wake = synced.retry_in().map_or(deadline, |wait| deadline.min(now + wait));
         tokio::select! {
             () = &mut work, if again.wants_work => {}
             () = &mut news => {}
@@ -204,8 +204,8 @@ fn max_wait(queue: &Queue, request: &SyncRequest) -> Duration {
     asked.min(third)
 }
 
-async fn reply(telemetry: &Telemetry, worker: WorkerId, turned: SyncOutcome) -> SyncResponse {
-    let run = match turned.next {
+async fn reply(telemetry: &Telemetry, worker: WorkerId, synced: SyncOutcome) -> SyncResponse {
+    let run = match synced.next {
         NextWork::Run(run) => {
             fail_point::trigger_infallible(FailPoint::Claimed);
             Some(run)
@@ -216,12 +216,12 @@ async fn reply(telemetry: &Telemetry, worker: WorkerId, turned: SyncOutcome) -> 
         Some(run) => trace_context::batch_traceparent(telemetry, worker, run).await,
         None => None,
     };
-    let mut more = Vec::with_capacity(turned.more.len());
-    for batch in turned.more {
+    let mut more = Vec::with_capacity(synced.more.len());
+    for batch in synced.more {
         let trace = trace_context::batch_traceparent(telemetry, worker, &batch).await;
         more.push(TracedBatch { batch, trace });
     }
-    SyncResponse { batch: run, revoked_leases: turned.revoked_leases, drain: turned.drain, trace, more }
+    SyncResponse { batch: run, revoked_leases: synced.revoked_leases, drain: synced.drain, trace, more }
 }
 
 /// Returns the JSON of a job, as it was submitted.

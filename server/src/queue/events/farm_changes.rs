@@ -124,9 +124,9 @@ mod tests {
         for paused in [true, false, true] {
             bench.queue.pause(id, paused, None).await.expect("changes");
         }
-        let told = bench.queue.changes_after(start).await.expect("reads");
-        assert_eq!((told.jobs.len(), told.deleted.len()), (1, 0));
-        assert_eq!(told.position, bench.queue.newest_change().await.expect("reads"));
+        let changes = bench.queue.changes_after(start).await.expect("reads");
+        assert_eq!((changes.jobs.len(), changes.deleted.len()), (1, 0));
+        assert_eq!(changes.position, bench.queue.newest_change().await.expect("reads"));
         let prune =
             |keep| bench.queue.database.write(Durability::Relaxed, move |connection| Box::pin(prune(connection, keep)));
         prune(1).await.expect("prunes");
@@ -135,8 +135,8 @@ mod tests {
         assert_eq!(left, 1);
         prune(0).await.expect("prunes");
         bench.queue.delete(id).await.expect("deletes");
-        let told = bench.queue.changes_after(told.position).await.expect("reads");
-        assert_eq!(told.deleted, [DeletedJob { id: id.to_string(), submitter: "local".to_owned() }]);
+        let changes = bench.queue.changes_after(changes.position).await.expect("reads");
+        assert_eq!(changes.deleted, [DeletedJob { id: id.to_string(), submitter: "local".to_owned() }]);
         assert!(bench.queue.jobs_numbered(&[1].into()).await.expect("reads").is_empty());
     }
 }

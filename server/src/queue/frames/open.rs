@@ -39,9 +39,9 @@ pub(crate) enum OpenOutcome {
 pub(in crate::queue) async fn open(
     connection: &mut Connection,
     opening: &FrameOpening,
-    moment: TransitionContext,
+    context: TransitionContext,
 ) -> Result<OpenOutcome> {
-    match open_from_cache(connection, opening, moment).await? {
+    match open_from_cache(connection, opening, context).await? {
         OpenOutcome::Open => {}
         settled @ (OpenOutcome::Stored | OpenOutcome::Stale) => return Ok(settled),
     }
@@ -88,7 +88,7 @@ const JOB_SQL: &str = "SELECT fresh = 1 OR (recorded = 1 AND based_on IS NULL) A
 pub(in crate::queue) async fn open_from_cache(
     connection: &mut Connection,
     opening: &FrameOpening,
-    moment: TransitionContext,
+    context: TransitionContext,
 ) -> Result<OpenOutcome> {
     let job = db::query(JOB_SQL).bind(opening.job).bind(opening.frame).fetch_optional(&mut *connection).await?;
     let Some(job) = job else { return Ok(OpenOutcome::Stale) };
@@ -115,7 +115,7 @@ pub(in crate::queue) async fn open_from_cache(
     let (tiles, peak_before) = (row_count(opening.tiles.len()), job.get("rays_peak")?);
     let progress = Progress::of_cached_frame(picture, tiles, rays.cast_signed(), peak_before);
     if transitions::progress(connection, opening.job, progress).await?.is_complete {
-        transitions::succeed(connection, opening.job, moment).await?;
+        transitions::succeed(connection, opening.job, context).await?;
     }
     Ok(OpenOutcome::Stored)
 }

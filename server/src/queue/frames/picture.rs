@@ -31,11 +31,11 @@ pub(in crate::queue) async fn store(
     connection: &mut Connection,
     picture: &StoredPicture<'_>,
     leases: &[UsedLease<'_>],
-    moment: TransitionContext,
+    context: TransitionContext,
     delivered: &mut DeliverResult,
 ) -> Result<()> {
     let ids: Vec<i64> = leases.iter().map(|used| used.held.live.tile).collect();
-    delivered.ring.add(ends::finish(connection, leases, moment).await?);
+    delivered.woken.add(ends::finish(connection, leases, context).await?);
     let progress = results::finish(connection, &ids).await?;
     let stored = db::query(
         "UPDATE frame SET state = 'stored', picture = ?1, size_bytes = ?2, tiles_done = tiles_total
@@ -51,19 +51,19 @@ pub(in crate::queue) async fn store(
     .await?;
     let stored = stored.ok_or(DatabaseError::Rows { what: "frame: to stored", expected: 1, changed: 0 })?;
     let (key, first): (String, Option<String>) = (stored.get("picture_key")?, stored.get("first")?);
-    delivered.nondeterministic += cache_picture(connection, picture, &key, first, moment).await?;
+    delivered.nondeterministic += cache_picture(connection, picture, &key, first, context).await?;
     let stored = FramePicture { frame: picture.frame, hash: picture.hash.to_owned(), size_bytes: picture.size_bytes };
     let progressed = transitions::progress(connection, picture.job, progress.with_picture(stored)).await?;
     if !picture.stitched {
-        record_durations(connection, leases, progressed.tiles_done, moment).await?;
+        record_durations(connection, leases, progressed.tiles_done, context).await?;
     }
     if progressed.is_complete {
-        transitions::succeed(connection, picture.job, moment).await?;
+        transitions::succeed(connection, picture.job, context).await?;
     }
     if picture.stitched {
         let blobs = db::query(BLOBS_SQL).bind(picture.job).bind(picture.frame).fetch_all(connection).await?;
         for row in blobs {
-            delivered.leftovers.push(row.get("blob")?);
+            delivered.orphans.push(row.get("blob")?);
         }
     }
     Ok(())
@@ -80,7 +80,7 @@ async fn cache_picture(
     picture: &StoredPicture<'_>,
     key: &str,
     first: Option<String>,
-    moment: TransitionContext,
+    context: TransitionContext,
 ) -> Result<u64> {
     db::query(
         "INSERT INTO picture (key, hash, size_bytes, media_type, stored_at_ms)
@@ -92,7 +92,7 @@ async fn cache_picture(
     .bind(key)
     .bind(picture.hash)
     .bind(picture.size_bytes.cast_signed())
-    .bind(moment.wall_ms)
+    .bind(context.wall_ms)
     .bind(picture.job)
     .execute(&mut *connection)
     .await?;

@@ -27,20 +27,20 @@ pub(in crate::queue) async fn redo_tiles(
     connection: &mut Connection,
     held: &LiveLease,
     positions: &[u32],
-    moment: TransitionContext,
+    context: TransitionContext,
 ) -> Result<Wake> {
-    let mut ring =
-        leases::end_without_result(connection, held, LeaseEnd::Lost, "its blobs were damaged repeatedly", moment)
+    let mut woken =
+        leases::end_without_result(connection, held, LeaseEnd::Lost, "its blobs were damaged repeatedly", context)
             .await?;
     if !is_stitching(connection, held).await? {
-        return Ok(ring);
+        return Ok(woken);
     }
     let progress = results::reopen_positions(connection, held.job, held.frame, positions).await?;
     if progress.tiles == 0 {
-        return Ok(ring);
+        return Ok(woken);
     }
-    ring.add(Wake::WORK);
-    ring.add(ends::revoke(connection, std::iter::once(held.tile), moment).await?);
+    woken.add(Wake::WORK);
+    woken.add(ends::revoke(connection, std::iter::once(held.tile), context).await?);
     let job = crate::queue::job_id(connection, held.job).await?;
     tracing::warn!(%job, frame = held.frame, tiles = -progress.tiles, "blobs damaged; rendering their tiles again");
     let void = db::query("UPDATE tile SET state = 'void' WHERE id = ? AND state IN ('ready', 'leased')")
@@ -58,7 +58,7 @@ pub(in crate::queue) async fn redo_tiles(
     .await?;
     expect_rows("frame: stitching to open", 1, open)?;
     transitions::progress(connection, held.job, progress).await?;
-    Ok(ring)
+    Ok(woken)
 }
 
 async fn is_stitching(connection: &mut Connection, held: &LiveLease) -> Result<bool> {

@@ -41,11 +41,11 @@ impl Queue {
     /// Requeues the dead tiles of a failed job, which is unfinished work like a new job.
     pub(crate) async fn retry(&self, job: JobId, limits: BacklogLimits) -> Result<RetryOutcome> {
         loop {
-            let moment = self.context();
+            let context = self.context();
             let step = self
                 .database
                 .write(Durability::Full, move |connection| {
-                    Box::pin(async move { retry(connection, job, limits, moment).await })
+                    Box::pin(async move { retry(connection, job, limits, context).await })
                 })
                 .await?;
             match step {
@@ -123,7 +123,7 @@ async fn retry(
     connection: &mut Connection,
     id: JobId,
     limits: BacklogLimits,
-    moment: TransitionContext,
+    context: TransitionContext,
 ) -> Result<RetryStep> {
     let failed = db::query(
         "SELECT number, cleanup, submitter, rays_total FROM job WHERE id = ? AND state = 'failed' AND tiles_dead > 0",
@@ -144,8 +144,8 @@ async fn retry(
     if failed.get::<Option<String>>("cleanup")?.is_some() {
         return Ok(RetryStep::CleanUpFirst(job));
     }
-    transitions::retry(connection, job, moment).await?;
-    cleanup::piece(connection, job, moment).await?;
+    transitions::retry(connection, job, context).await?;
+    cleanup::piece(connection, job, context).await?;
     Ok(RetryStep::Outcome(RetryOutcome::Changed(ChangeOutcome::Done)))
 }
 

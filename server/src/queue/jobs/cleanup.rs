@@ -36,7 +36,7 @@ impl Queue {
         if left.is_none() {
             return Ok(None);
         }
-        let moment = self.context();
+        let context = self.context();
         let removed = self
             .database
             .write(Durability::Relaxed, move |connection| {
@@ -44,7 +44,7 @@ impl Queue {
                     let next: Option<i64> = db::query_scalar(NEXT_SQL).fetch_optional(&mut *connection).await?;
                     let Some(job) = next else { return Ok(None) };
                     let adds_work = cleanup_of(connection, job).await?.as_deref() == Some("requeue");
-                    Ok(Some((adds_work, piece(connection, job, moment).await?)))
+                    Ok(Some((adds_work, piece(connection, job, context).await?)))
                 })
             })
             .await?;
@@ -59,12 +59,12 @@ impl Queue {
     /// Makes the pieces that are left of one job's change.
     pub(in crate::queue) async fn finish_cleanup(&self, job: i64) -> Result<()> {
         loop {
-            let moment = self.context();
+            let context = self.context();
             let is_done = self
                 .database
                 .write(Durability::Relaxed, move |connection| {
                     Box::pin(async move {
-                        piece(connection, job, moment).await?;
+                        piece(connection, job, context).await?;
                         Ok(cleanup_of(connection, job).await?.is_none())
                     })
                 })
@@ -87,13 +87,13 @@ pub(in crate::queue) async fn cleanup_of(connection: &mut Connection, job: i64) 
 pub(in crate::queue) async fn piece(
     connection: &mut Connection,
     job: i64,
-    moment: TransitionContext,
+    context: TransitionContext,
 ) -> Result<RemovedContent> {
     let Some(cleanup) = cleanup_of(connection, job).await? else { return Ok(RemovedContent::default()) };
     let (is_done, removed) = match cleanup.as_str() {
-        "void" => void_piece(connection, job, moment).await?,
-        "requeue" => (requeue_piece(connection, job, moment).await?, RemovedContent::default()),
-        "delete" => (false, delete_piece(connection, job, moment).await?),
+        "void" => void_piece(connection, job, context).await?,
+        "requeue" => (requeue_piece(connection, job, context).await?, RemovedContent::default()),
+        "delete" => (false, delete_piece(connection, job, context).await?),
         _ => return Err(DatabaseError::Value { column: "job.cleanup", value: cleanup }),
     };
     if is_done {
@@ -112,15 +112,15 @@ async fn next_frame(connection: &mut Connection, statement: &'static str, job: i
 async fn void_piece(
     connection: &mut Connection,
     job: i64,
-    moment: TransitionContext,
+    context: TransitionContext,
 ) -> Result<(bool, RemovedContent)> {
     const NEXT_OPEN_SQL: &str = "SELECT number FROM frame @index(frame_unfinished)
          WHERE job = ? AND state IN ('open', 'stitching') ORDER BY number LIMIT 1";
     let mut removed = RemovedContent::default();
-    let mut left = moment.piece_rows;
+    let mut left = context.piece_rows;
     while left > 0 {
         let Some(frame) = next_frame(connection, NEXT_OPEN_SQL, job).await? else { return Ok((true, removed)) };
-        let voided = void_tiles(connection, job, frame, left, moment).await?;
+        let voided = void_tiles(connection, job, frame, left, context).await?;
         left -= voided;
         if left <= 0 {
             break;
@@ -149,7 +149,7 @@ async fn void_tiles(
     job: i64,
     frame: u32,
     limit: i64,
-    moment: TransitionContext,
+    context: TransitionContext,
 ) -> Result<i64> {
     let tiles: Vec<i64> = db::query_scalar(
         "SELECT id FROM tile WHERE job = ? AND frame = ? AND state IN ('ready', 'leased') ORDER BY position LIMIT ?",
@@ -170,8 +170,8 @@ async fn void_tiles(
     .await?;
     if !leases.is_empty() {
         let leases = json_list(leases);
-        fair_share::store_used_time_of(connection, &leases, moment).await?;
-        ends::void(connection, &leases, moment).await?;
+        fair_share::store_used_time_of(connection, &leases, context).await?;
+        ends::void(connection, &leases, context).await?;
     }
     let voided = db::query("UPDATE tile SET state = 'void' WHERE id IN (SELECT value FROM @numbers(?))")
         .bind(&tiles)
@@ -182,10 +182,10 @@ async fn void_tiles(
 }
 
 /// Opens void frames of a retried job, whose dead and void tiles become ready; returns whether none is left.
-async fn requeue_piece(connection: &mut Connection, job: i64, moment: TransitionContext) -> Result<bool> {
+async fn requeue_piece(connection: &mut Connection, job: i64, context: TransitionContext) -> Result<bool> {
     const NEXT_VOID_SQL: &str = "SELECT number FROM frame @index(frame_void)
          WHERE job = ? AND state = 'void' ORDER BY number LIMIT 1";
-    let mut left = moment.piece_rows;
+    let mut left = context.piece_rows;
     while left > 0 {
         let Some(frame) = next_frame(connection, NEXT_VOID_SQL, job).await? else { return Ok(true) };
         let state: String = db::query_scalar(
@@ -227,18 +227,18 @@ async fn requeue_piece(connection: &mut Connection, job: i64, moment: Transition
 }
 
 /// Deletes tiles, then frames, then events of a deleted job, and at last the job itself.
-async fn delete_piece(connection: &mut Connection, job: i64, moment: TransitionContext) -> Result<RemovedContent> {
+async fn delete_piece(connection: &mut Connection, job: i64, context: TransitionContext) -> Result<RemovedContent> {
     let tiles =
         db::query("DELETE FROM tile WHERE id IN (SELECT id FROM tile WHERE job = ? LIMIT ?) RETURNING blob, record")
             .bind(job)
-            .bind(moment.piece_rows)
+            .bind(context.piece_rows)
             .fetch_all(&mut *connection)
             .await?;
     let mut blobs: Vec<Option<String>> = Vec::with_capacity(2 * tiles.len());
     for tile in &tiles {
         blobs.extend([tile.get("blob")?, tile.get("record")?]);
     }
-    let mut left = moment.piece_rows - row_count(tiles.len());
+    let mut left = context.piece_rows - row_count(tiles.len());
     let mut removed = RemovedContent { pictures: Vec::new(), blobs: distinct(blobs) };
     if left <= 0 {
         return Ok(removed);

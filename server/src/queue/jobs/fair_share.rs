@@ -69,9 +69,9 @@ pub(in crate::queue) async fn charge(connection: &mut Connection, share: &FairSh
 
 /// Times that were used for leases of one worker: the time since their grant, or since the worker's previous delivery if
 /// that is later, divided among them by their charges.
-fn divide(since_ms: impl Iterator<Item = i64>, charged_us: &[i64], moment: TransitionContext) -> Vec<i64> {
-    let since_ms = since_ms.min().unwrap_or(moment.now_ms);
-    let time_us = (moment.now_ms - since_ms).max(0) as f64 * 1e3;
+fn divide(since_ms: impl Iterator<Item = i64>, charged_us: &[i64], context: TransitionContext) -> Vec<i64> {
+    let since_ms = since_ms.min().unwrap_or(context.now_ms);
+    let time_us = (context.now_ms - since_ms).max(0) as f64 * 1e3;
     // Stitches and duplicate leases have no estimate, but some weight.
     let weight = |charged_us: i64| charged_us.max(1) as f64;
     let weights: f64 = charged_us.iter().map(|charged_us| weight(*charged_us)).sum();
@@ -84,11 +84,11 @@ pub(in crate::queue) async fn record_delivery<'a>(
     connection: &mut Connection,
     worker: &WorkerState,
     delivered: &[&'a HeldLease],
-    moment: TransitionContext,
+    context: TransitionContext,
 ) -> Result<Vec<UsedLease<'a>>> {
     let since_ms = delivered.iter().map(|held| held.live.granted_ms.max(worker.delivered_ms));
     let charged_us: Vec<i64> = delivered.iter().map(|held| held.charged_us).collect();
-    let times_us = divide(since_ms, &charged_us, moment);
+    let times_us = divide(since_ms, &charged_us, context);
     let mut jobs: BTreeMap<i64, (f64, i64)> = BTreeMap::new();
     for (held, used_us) in delivered.iter().zip(&times_us) {
         let (rays, time_us) = jobs.entry(held.live.job).or_default();
@@ -98,7 +98,7 @@ pub(in crate::queue) async fn record_delivery<'a>(
         }
     }
     for (job, (rays, time_us)) in jobs {
-        speeds::record(connection, &worker.id, job, rays, time_us as f64 / 1e6, moment).await?;
+        speeds::record(connection, &worker.id, job, rays, time_us as f64 / 1e6, context).await?;
     }
     Ok(delivered.iter().zip(times_us).map(|(held, used_us)| UsedLease { held, used_us }).collect())
 }
@@ -114,7 +114,7 @@ const USED_SQL: &str = "SELECT lease.id, lease.worker, lease.charged_us,
 pub(in crate::queue) async fn store_used_time_of(
     connection: &mut Connection,
     leases: &str,
-    moment: TransitionContext,
+    context: TransitionContext,
 ) -> Result<()> {
     let rows = db::query(USED_SQL).bind(leases).fetch_all(&mut *connection).await?;
     let mut workers: BTreeMap<String, Vec<(String, i64, i64)>> = BTreeMap::new();
@@ -125,7 +125,7 @@ pub(in crate::queue) async fn store_used_time_of(
     let mut used = Vec::new();
     for leases in workers.values() {
         let charged_us: Vec<i64> = leases.iter().map(|(_, charged_us, _)| *charged_us).collect();
-        let times_us = divide(leases.iter().map(|(_, _, since_ms)| *since_ms), &charged_us, moment);
+        let times_us = divide(leases.iter().map(|(_, _, since_ms)| *since_ms), &charged_us, context);
         used.extend(leases.iter().zip(times_us).map(|((lease, _, _), used_us)| (lease.as_str(), used_us)));
     }
     store_used_times(connection, &used).await

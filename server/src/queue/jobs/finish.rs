@@ -40,11 +40,11 @@ pub(in crate::queue) async fn fail(
     connection: &mut Connection,
     job: i64,
     message: &str,
-    moment: TransitionContext,
+    context: TransitionContext,
 ) -> Result<()> {
-    let is_failed = transitions::fail(connection, job, message, 1, moment).await?;
+    let is_failed = transitions::fail(connection, job, message, 1, context).await?;
     expect_rows_in("job: failed", 1, usize::from(is_failed))?;
-    cleanup::piece(connection, job, moment).await.map(drop)
+    cleanup::piece(connection, job, context).await.map(drop)
 }
 
 /// Fails the job of a frame that cannot be opened, unless the job has finished.
@@ -52,20 +52,20 @@ pub(in crate::queue) async fn refuse(
     connection: &mut Connection,
     job: i64,
     message: &str,
-    moment: TransitionContext,
+    context: TransitionContext,
 ) -> Result<()> {
-    transitions::fail(connection, job, message, 0, moment).await?;
-    cleanup::piece(connection, job, moment).await.map(drop)
+    transitions::fail(connection, job, message, 0, context).await?;
+    cleanup::piece(connection, job, context).await.map(drop)
 }
 
 /// Cancels a job that has not finished.
 pub(in crate::queue) async fn cancel(
     connection: &mut Connection,
     id: JobId,
-    moment: TransitionContext,
+    context: TransitionContext,
 ) -> Result<CancelOutcome> {
-    if let Some(job) = transitions::cancel(connection, id, moment).await? {
-        return cleanup::piece(connection, job, moment).await.map(CancelOutcome::Done);
+    if let Some(job) = transitions::cancel(connection, id, context).await? {
+        return cleanup::piece(connection, job, context).await.map(CancelOutcome::Done);
     }
     let state: Option<String> =
         db::query_scalar("SELECT state FROM job WHERE id = ?").bind(id.to_string()).fetch_optional(connection).await?;
@@ -77,7 +77,7 @@ pub(in crate::queue) async fn cancel(
 pub(in crate::queue) async fn delete(
     connection: &mut Connection,
     id: JobId,
-    moment: TransitionContext,
+    context: TransitionContext,
 ) -> Result<DeleteOutcome> {
     let row = db::query("SELECT number, state FROM job WHERE id = ?")
         .bind(id.to_string())
@@ -89,5 +89,5 @@ pub(in crate::queue) async fn delete(
     }
     let job = row.get("number")?;
     cleanup::mark_deleted(connection, job).await?;
-    cleanup::piece(connection, job, moment).await.map(DeleteOutcome::Done)
+    cleanup::piece(connection, job, context).await.map(DeleteOutcome::Done)
 }

@@ -63,11 +63,11 @@ pub(crate) enum SubmitOutcome {
 impl Queue {
     /// Accepts a job, once for each idempotency key; durable when it returns.
     pub(crate) async fn submit_with(&self, job: NewJob, options: SubmitOptions) -> Result<SubmitOutcome> {
-        let moment = self.context();
+        let context = self.context();
         let submitted = self
             .database
             .write(Durability::Full, move |connection| {
-                Box::pin(async move { accept(connection, &job, &options, moment).await })
+                Box::pin(async move { accept(connection, &job, &options, context).await })
             })
             .await?;
         self.wake(Wake::WORK);
@@ -106,21 +106,21 @@ impl Queue {
 async fn accept(
     connection: &mut Connection,
     job: &NewJob,
-    wish: &SubmitOptions,
-    moment: TransitionContext,
+    options: &SubmitOptions,
+    context: TransitionContext,
 ) -> Result<SubmitOutcome> {
-    if let Some(once) = &wish.idempotency
+    if let Some(once) = &options.idempotency
         && let Some(granted) = earlier_submission(connection, &job.submitter, once).await?
     {
         return Ok(granted);
     }
     // Decided here, because transactions are serial: concurrent submissions cannot exceed a limit together.
     let rays = job.plan.rays_total();
-    if let Some(limit) = wish.limits.find_exceeded(connection, &job.submitter, rays).await? {
+    if let Some(limit) = options.limits.find_exceeded(connection, &job.submitter, rays).await? {
         return Ok(SubmitOutcome::Rejected(limit));
     }
-    let number = submit::submit(connection, job, moment).await?;
-    if let Some(once) = &wish.idempotency {
+    let number = submit::submit(connection, job, context).await?;
+    if let Some(once) = &options.idempotency {
         let kept = db::query(
             "INSERT INTO idempotency (submitter, key, fingerprint, job, created_at_ms) VALUES (?, ?, ?, ?, ?)",
         )
@@ -128,12 +128,12 @@ async fn accept(
         .bind(&once.key)
         .bind(&once.fingerprint)
         .bind(number)
-        .bind(moment.wall_ms)
+        .bind(context.wall_ms)
         .execute(&mut *connection)
         .await?;
         expect_rows("idempotency: stored", 1, kept)?;
     }
-    for webhook in &wish.webhooks {
+    for webhook in &options.webhooks {
         let kept = db::query("INSERT INTO webhook (job, url, target, events) VALUES (?, ?, ?, ?)")
             .bind(number)
             .bind(&webhook.url)

@@ -15,7 +15,7 @@ const STEP: i64 = 1 << 20;
 
 /// Place that a job is moved to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Place {
+pub(crate) enum QueuePosition {
     /// Before all other jobs of the priority.
     First,
     /// Right before another job.
@@ -26,7 +26,7 @@ pub(crate) enum Place {
 
 /// Outcome of moving a job.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum MoveOutcome {
+pub(crate) enum ReorderOutcome {
     /// The job has its new place.
     Done,
     /// This job, the moved one or the one beside it, has finished.
@@ -50,11 +50,11 @@ impl Queue {
     }
 
     /// Moves a job in the queue, to this priority.
-    pub(crate) async fn move_job(&self, job: JobId, place: Place, priority: i32) -> Result<MoveOutcome> {
+    pub(crate) async fn reorder_job(&self, job: JobId, place: QueuePosition, priority: i32) -> Result<ReorderOutcome> {
         let moved = self
             .database
             .write(Durability::Full, move |connection| {
-                Box::pin(async move { move_job(connection, job, place, priority).await })
+                Box::pin(async move { reorder_job(connection, job, place, priority).await })
             })
             .await?;
         self.wake(Wake::WORK);
@@ -62,52 +62,57 @@ impl Queue {
     }
 }
 
-async fn move_job(connection: &mut Connection, id: JobId, place: Place, priority: i32) -> Result<MoveOutcome> {
+async fn reorder_job(
+    connection: &mut Connection,
+    id: JobId,
+    place: QueuePosition,
+    priority: i32,
+) -> Result<ReorderOutcome> {
     let job = match queued(connection, id).await? {
         Ok(job) => job,
         Err(refused) => return Ok(refused),
     };
     let other = match place {
-        Place::First => None,
-        Place::Before(other) | Place::After(other) => match queued(connection, other).await? {
+        QueuePosition::First => None,
+        QueuePosition::Before(other) | QueuePosition::After(other) => match queued(connection, other).await? {
             Ok(other) => Some(other),
             Err(refused) => return Ok(refused),
         },
     };
     if other.as_ref().is_some_and(|other| other.number == job.number) {
-        return Ok(MoveOutcome::Done);
+        return Ok(ReorderOutcome::Done);
     }
     let mut key = free_key(connection, &job, place, other.as_ref(), priority).await?;
-    if let (None, Place::Before(id) | Place::After(id)) = (key, place) {
+    if let (None, QueuePosition::Before(id) | QueuePosition::After(id)) = (key, place) {
         spread(connection, priority).await?;
         let other = queued(connection, id).await?.ok();
         // Now all places are apart.
         key = free_key(connection, &job, place, other.as_ref(), priority).await?;
     }
     transitions::set_place(connection, id, key.unwrap_or(job.key), priority).await?;
-    Ok(MoveOutcome::Done)
+    Ok(ReorderOutcome::Done)
 }
 
 /// A key for the place, between those of its neighbors; `None` if none is left.
 async fn free_key(
     connection: &mut Connection,
     job: &Queued,
-    place: Place,
+    place: QueuePosition,
     other: Option<&Queued>,
     priority: i32,
 ) -> Result<Option<i64>> {
     let (low, high) = match (place, other) {
-        (Place::After(_), Some(other)) => {
+        (QueuePosition::After(_), Some(other)) => {
             let next = neighbor(connection, NEXT_SQL, job, other, priority).await?;
             // Jobs that are submitted from now on come after it.
             let newest: i64 = db::query_scalar("SELECT max(number) FROM job").fetch_one(&mut *connection).await?;
             (other.key, next.unwrap_or((newest + 1).saturating_mul(STEP).max(other.key + 2)))
         }
-        (Place::Before(_), Some(other)) => {
+        (QueuePosition::Before(_), Some(other)) => {
             let previous = neighbor(connection, PREVIOUS_SQL, job, other, priority).await?;
             (previous.unwrap_or(other.key - 2 * STEP), other.key)
         }
-        (Place::First | Place::Before(_) | Place::After(_), _) => {
+        (QueuePosition::First | QueuePosition::Before(_) | QueuePosition::After(_), _) => {
             let first: Option<i64> =
                 db::query_scalar(FIRST_SQL).bind(priority).bind(job.number).fetch_one(&mut *connection).await?;
             first.map_or((job.key - 1, job.key + 1), |first| (first - 2 * STEP, first))
@@ -164,7 +169,7 @@ async fn spread(connection: &mut Connection, priority: i32) -> Result<()> {
 }
 
 /// A job that has not finished.
-async fn queued(connection: &mut Connection, id: JobId) -> Result<std::result::Result<Queued, MoveOutcome>> {
+async fn queued(connection: &mut Connection, id: JobId) -> Result<std::result::Result<Queued, ReorderOutcome>> {
     let row = db::query(
         "SELECT number, state, finished_at_ms IS NULL AS is_open, coalesce(place, number * 1048576) AS sort_key
          FROM job WHERE id = ?",
@@ -172,9 +177,9 @@ async fn queued(connection: &mut Connection, id: JobId) -> Result<std::result::R
     .bind(id.to_string())
     .fetch_optional(connection)
     .await?;
-    let Some(row) = row else { return Ok(Err(MoveOutcome::Unknown(id))) };
+    let Some(row) = row else { return Ok(Err(ReorderOutcome::Unknown(id))) };
     if !row.get::<bool>("is_open")? {
-        return Ok(Err(MoveOutcome::Finished(id, finish::job_state(&row.get::<String>("state")?)?)));
+        return Ok(Err(ReorderOutcome::Finished(id, finish::job_state(&row.get::<String>("state")?)?)));
     }
     Ok(Ok(Queued { number: row.get("number")?, key: row.get("sort_key")? }))
 }

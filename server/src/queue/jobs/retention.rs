@@ -101,10 +101,10 @@ impl Queue {
 
     /// Deletes a job if it has not changed since it was read; `None` if it has.
     pub(crate) async fn remove(&self, job: &FinishedJob) -> Result<Option<RemovedContent>> {
-        let (job, moment) = (job.clone(), self.context());
+        let (job, context) = (job.clone(), self.context());
         let removed = self
             .database
-            .write(Durability::Full, move |connection| Box::pin(async move { remove(connection, &job, moment).await }))
+            .write(Durability::Full, move |connection| Box::pin(async move { remove(connection, &job, context).await }))
             .await?;
         self.wake_signals.cleanup.notify_one();
         Ok(removed)
@@ -114,7 +114,7 @@ impl Queue {
 async fn remove(
     connection: &mut Connection,
     job: &FinishedJob,
-    moment: TransitionContext,
+    context: TransitionContext,
 ) -> Result<Option<RemovedContent>> {
     let same: Option<i64> = db::query_scalar(
         "SELECT number FROM job
@@ -127,7 +127,7 @@ async fn remove(
     .await?;
     let Some(number) = same else { return Ok(None) };
     cleanup::mark_deleted(connection, number).await?;
-    cleanup::piece(connection, number, moment).await.map(Some)
+    cleanup::piece(connection, number, context).await.map(Some)
 }
 
 #[cfg(test)]

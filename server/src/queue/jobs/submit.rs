@@ -67,9 +67,9 @@ impl NewJob {
 pub(in crate::queue) async fn submit(
     connection: &mut Connection,
     job: &NewJob,
-    moment: TransitionContext,
+    context: TransitionContext,
 ) -> Result<i64> {
-    let number = transitions::insert(connection, job, moment).await?;
+    let number = transitions::insert(connection, job, context).await?;
     db::query("INSERT INTO job_file (job, text) VALUES (?, ?)")
         .bind(number)
         .bind(&job.file_text)

@@ -35,7 +35,7 @@ async fn change_one(connection: &mut Connection, what: &'static str, statement: 
 pub(in crate::queue) async fn insert(
     connection: &mut Connection,
     job: &NewJob,
-    moment: TransitionContext,
+    context: TransitionContext,
 ) -> Result<i64> {
     let plan = job.plan;
     let number: i64 = db::query_scalar(
@@ -63,20 +63,20 @@ pub(in crate::queue) async fn insert(
     .bind(job.tile_seconds)
     .bind(job.recorded)
     .bind(job.based_on.map(|id| id.to_string()))
-    .bind(moment.wall_ms)
+    .bind(context.wall_ms)
     .fetch_one(&mut *connection)
     .await?;
-    effects::job_accepted(connection, number, job, moment.wall_ms).await?;
+    effects::job_accepted(connection, number, job, context.wall_ms).await?;
     Ok(number)
 }
 
 /// Marks a job as running when its first lease is granted.
-pub(in crate::queue) async fn start(connection: &mut Connection, job: i64, moment: TransitionContext) -> Result<()> {
+pub(in crate::queue) async fn start(connection: &mut Connection, job: i64, context: TransitionContext) -> Result<()> {
     let statement = db::query(concat!(
         "UPDATE job SET state = 'running', started_at_ms = ? WHERE number = ? AND state = 'queued' RETURNING ",
         changed_job_columns!()
     ));
-    match change(connection, statement.bind(moment.wall_ms).bind(job)).await? {
+    match change(connection, statement.bind(context.wall_ms).bind(job)).await? {
         Some(started) => effects::job_state_changed(connection, &started).await,
         None => Ok(()),
     }
@@ -110,13 +110,13 @@ pub(in crate::queue) async fn progress(connection: &mut Connection, job: i64, by
 }
 
 /// Marks a job as succeeded if it has not finished and all its frames are stored.
-pub(in crate::queue) async fn succeed(connection: &mut Connection, job: i64, moment: TransitionContext) -> Result<()> {
+pub(in crate::queue) async fn succeed(connection: &mut Connection, job: i64, context: TransitionContext) -> Result<()> {
     let statement = db::query(concat!(
         "UPDATE job SET state = 'succeeded', finished_at_ms = ?1, started_at_ms = coalesce(started_at_ms, ?1)
          WHERE number = ?2 AND frames_stored = frames_total AND finished_at_ms IS NULL RETURNING ",
         changed_job_columns!()
     ));
-    finish(connection, statement.bind(moment.wall_ms).bind(job)).await.map(drop)
+    finish(connection, statement.bind(context.wall_ms).bind(job)).await.map(drop)
 }
 
 /// Marks a job as failed if it has not finished; returns whether it is now.
@@ -125,14 +125,14 @@ pub(in crate::queue) async fn fail(
     job: i64,
     message: &str,
     dead_tiles: i64,
-    moment: TransitionContext,
+    context: TransitionContext,
 ) -> Result<bool> {
     let statement = db::query(concat!(
         "UPDATE job SET state = 'failed', error = ?, finished_at_ms = ?, tiles_dead = tiles_dead + ?, cleanup = 'void'
          WHERE number = ? AND finished_at_ms IS NULL RETURNING ",
         changed_job_columns!()
     ));
-    let statement = statement.bind(message).bind(moment.wall_ms).bind(dead_tiles).bind(job);
+    let statement = statement.bind(message).bind(context.wall_ms).bind(dead_tiles).bind(job);
     Ok(finish(connection, statement).await?.is_some())
 }
 
@@ -140,14 +140,14 @@ pub(in crate::queue) async fn fail(
 pub(in crate::queue) async fn cancel(
     connection: &mut Connection,
     id: JobId,
-    moment: TransitionContext,
+    context: TransitionContext,
 ) -> Result<Option<i64>> {
     let statement = db::query(concat!(
         "UPDATE job SET state = 'cancelled', finished_at_ms = ?, cleanup = 'void'
          WHERE id = ? AND finished_at_ms IS NULL RETURNING ",
         changed_job_columns!()
     ));
-    finish(connection, statement.bind(moment.wall_ms).bind(id.to_string())).await
+    finish(connection, statement.bind(context.wall_ms).bind(id.to_string())).await
 }
 
 /// Runs a statement that finishes an unfinished job; returns the job's number if it did.
@@ -158,14 +158,14 @@ async fn finish(connection: &mut Connection, statement: Statement) -> Result<Opt
 }
 
 /// Marks a failed job as running again.
-pub(in crate::queue) async fn retry(connection: &mut Connection, job: i64, moment: TransitionContext) -> Result<()> {
+pub(in crate::queue) async fn retry(connection: &mut Connection, job: i64, context: TransitionContext) -> Result<()> {
     let statement = db::query(concat!(
         "UPDATE job SET state = 'running', error = NULL, finished_at_ms = NULL, events_kept = 1, cleanup = 'requeue',
                         retried_at_ms = ?1, started_at_ms = coalesce(started_at_ms, ?1)
          WHERE number = ?2 AND state = 'failed' RETURNING ",
         changed_job_columns!()
     ));
-    let retried = change_one(connection, "job: failed to running", statement.bind(moment.wall_ms).bind(job)).await?;
+    let retried = change_one(connection, "job: failed to running", statement.bind(context.wall_ms).bind(job)).await?;
     effects::job_state_changed(connection, &retried).await?;
     let before = Standing { is_finished: true, ..retried.standing };
     effects::job_standing_changed(connection, &retried, before).await

@@ -144,16 +144,16 @@ impl ClaimFilter {
 pub(in crate::queue) async fn claim(
     connection: &mut Connection,
     claimant: ClaimRequest,
-    moment: TransitionContext,
+    context: TransitionContext,
 ) -> Result<ClaimOutcome> {
     let view = ClaimFilter {
-        now_ms: moment.now_ms,
+        now_ms: context.now_ms,
         worker: claimant.worker.to_string(),
         others_max_nodes: claimant.others_max_nodes,
         max_nodes: claimant.max_nodes,
     };
     let Some(row) = view.bind(NEXT_JOB_SQL).fetch_optional(&mut *connection).await? else {
-        return claim_straggler(connection, &view, claimant, moment).await;
+        return claim_straggler(connection, &view, claimant, context).await;
     };
     let job = ClaimableJob::read(&row)?;
     let rows = view.bind(NEXT_TILES_SQL).bind(job.number).bind(job.nodes).fetch_all(&mut *connection).await?;
@@ -163,13 +163,13 @@ pub(in crate::queue) async fn claim(
     let frame: u32 = next.get("frame")?;
     let (work, time) = if next.get::<String>("kind")? == "stitch" {
         let lease = LeaseId::new();
-        grant(connection, &[NewLease::free(next.get("id")?, lease)], &view.worker, moment).await?;
+        grant(connection, &[NewLease::free(next.get("id")?, lease)], &view.worker, context).await?;
         (stitch_work(connection, job.number, frame, lease).await?, None)
     } else {
-        claim_tiles(connection, &job, &rows, &view, claimant, moment).await?
+        claim_tiles(connection, &job, &rows, &view, claimant, context).await?
     };
     if job.queued {
-        transitions::start(connection, job.number, moment).await?;
+        transitions::start(connection, job.number, context).await?;
     }
     let recording = recorded::recording(connection, &job, frame, &work).await?;
     Ok(ClaimOutcome::Run(Batch { job: job.id, frame, tile_seconds: Some(job.tile_seconds), work, recording }, time))
@@ -186,14 +186,14 @@ async fn claim_straggler(
     connection: &mut Connection,
     view: &ClaimFilter,
     claimant: ClaimRequest,
-    moment: TransitionContext,
+    context: TransitionContext,
 ) -> Result<ClaimOutcome> {
-    let again_ms = match straggler::claim(connection, view, claimant, moment).await? {
+    let again_ms = match straggler::claim(connection, view, claimant, context).await? {
         StragglerOutcome::Run(run) => return Ok(ClaimOutcome::Run(run, None)),
         StragglerOutcome::Nothing(again_ms) => again_ms,
     };
-    let ready_ms: Option<i64> = db::query_scalar(NEXT_RETRY_SQL).bind(moment.now_ms).fetch_one(connection).await?;
-    Ok(ClaimOutcome::Nothing(again_ms.into_iter().chain(ready_ms.map(|ready_ms| ready_ms - moment.now_ms)).min()))
+    let ready_ms: Option<i64> = db::query_scalar(NEXT_RETRY_SQL).bind(context.now_ms).fetch_one(connection).await?;
+    Ok(ClaimOutcome::Nothing(again_ms.into_iter().chain(ready_ms.map(|ready_ms| ready_ms - context.now_ms)).min()))
 }
 
 /// A job by its number.
@@ -268,7 +268,7 @@ async fn peers(
     connection: &mut Connection,
     worker: &str,
     job: &ClaimableJob,
-    moment: TransitionContext,
+    context: TransitionContext,
 ) -> Result<Peers> {
     let row = db::query(concat!(
         "SELECT max(measured) FILTER (WHERE id = ?3) AS own,
@@ -287,7 +287,7 @@ async fn peers(
     .bind(job.nodes)
     .bind(worker)
     .bind(job.number)
-    .bind(moment.now_ms - speeds::MAX_AGE_MS)
+    .bind(context.now_ms - speeds::MAX_AGE_MS)
     .fetch_one(connection)
     .await?;
     Ok(Peers {
@@ -328,9 +328,9 @@ async fn claim_tiles(
     rows: &[Row],
     view: &ClaimFilter,
     claimant: ClaimRequest,
-    moment: TransitionContext,
+    context: TransitionContext,
 ) -> Result<(BatchWork, Option<BatchTime>)> {
-    let peers = peers(connection, &view.worker, job, moment).await?;
+    let peers = peers(connection, &view.worker, job, context).await?;
     let share = peers.share(claimant.rays_per_second.map(RaysPerSecond::get));
     let whole = frame_load(job);
     let ready = rows.iter().map(read_ready).collect::<Result<Vec<_>>>()?;
@@ -347,7 +347,7 @@ async fn claim_tiles(
     for (grant, charged_us) in grants.iter_mut().zip(&charges_us) {
         grant.charged_us = *charged_us;
     }
-    grant(connection, &grants, &view.worker, moment).await?;
+    grant(connection, &grants, &view.worker, context).await?;
     fair_share::charge(connection, &job.share, charges_us.iter().sum()).await?;
     let whole_frame = !job.recorded && batch_size::is_whole_frame(length, whole);
     let time = if whole_frame { batch_size::frame_time(&ready, whole, share) } else { None };
@@ -427,7 +427,7 @@ async fn grant(
     connection: &mut Connection,
     grants: &[NewLease],
     worker: &str,
-    moment: TransitionContext,
+    context: TransitionContext,
 ) -> Result<()> {
     let tiles = crate::queue::json_numbers(grants.iter().map(|grant| grant.tile));
     let leased = db::query(
@@ -438,7 +438,7 @@ async fn grant(
     .execute(&mut *connection)
     .await?;
     expect_rows("tile: ready to leased", grants.len() as u64, leased)?;
-    make_leases(connection, grants, worker, moment).await
+    make_leases(connection, grants, worker, context).await
 }
 
 /// Inserts the leases of newly leased tiles.
@@ -446,7 +446,7 @@ pub(in crate::queue) async fn make_leases(
     connection: &mut Connection,
     grants: &[NewLease],
     worker: &str,
-    moment: TransitionContext,
+    context: TransitionContext,
 ) -> Result<()> {
     let rows: Vec<(i64, String, i64)> =
         grants.iter().map(|grant| (grant.tile, grant.lease.to_string(), grant.charged_us)).collect();
@@ -457,9 +457,9 @@ pub(in crate::queue) async fn make_leases(
          @join job ON job.number = tile.job",
     )
     .bind(worker)
-    .bind(moment.generation)
-    .bind(moment.now_ms)
-    .bind(moment.now_ms + moment.lease_ms)
+    .bind(context.generation)
+    .bind(context.now_ms)
+    .bind(context.now_ms + context.lease_ms)
     .bind(serde_json::json!(rows).to_string())
     .execute(connection)
     .await?;

@@ -35,9 +35,9 @@ pub(in crate::queue) struct DeliverResult {
     /// Number of results that differ from the first result of the same tile.
     pub(in crate::queue) nondeterministic: u64,
     /// Wake signals to send.
-    pub(in crate::queue) ring: Wake,
+    pub(in crate::queue) woken: Wake,
     /// Blobs of frames that have been stored.
-    pub(in crate::queue) leftovers: Vec<String>,
+    pub(in crate::queue) orphans: Vec<String>,
     /// Number of results that should be verified, but cannot be.
     pub(in crate::queue) unverified: u64,
     /// Results that counted.
@@ -69,24 +69,24 @@ pub(in crate::queue) async fn deliver(
     connection: &mut Connection,
     worker: &WorkerState,
     reports: &[LeaseReport],
-    moment: TransitionContext,
+    context: TransitionContext,
 ) -> Result<DeliverResult> {
     let mut delivered = DeliverResult::default();
     if reports.is_empty() {
         return Ok(delivered);
     }
-    let results = sort(connection, worker, reports, moment, &mut delivered).await?;
+    let results = sort(connection, worker, reports, context, &mut delivered).await?;
     for (picture, leases) in &results.pictures {
-        picture::store(connection, picture, leases, moment, &mut delivered).await?;
+        picture::store(connection, picture, leases, context, &mut delivered).await?;
         delivered.rendered.add(Rendered { frames: 1, ..rendered_by(leases.iter()) });
         let candidate: Vec<Candidate> = Candidate::picture(leases, picture.hash).into_iter().collect();
-        choose(connection, worker, &candidate, moment, &mut delivered).await?;
+        choose(connection, worker, &candidate, context, &mut delivered).await?;
     }
     for ((job, frame), tiles) in &results.tiles {
         let candidates: Vec<Candidate> = tiles.iter().map(|tile| Candidate::tile(tile.used.held, tile.hash)).collect();
-        choose(connection, worker, &candidates, moment, &mut delivered).await?;
-        let ring = finish_tiles(connection, *job, *frame, tiles, moment).await?;
-        delivered.ring.add(ring);
+        choose(connection, worker, &candidates, context, &mut delivered).await?;
+        let woken = finish_tiles(connection, *job, *frame, tiles, context).await?;
+        delivered.woken.add(woken);
         delivered.rendered.add(rendered_by(tiles.iter().map(|tile| &tile.used)));
     }
     let misfits = results.misfits.iter().map(|(used, _, _)| used);
@@ -97,11 +97,11 @@ pub(in crate::queue) async fn deliver(
         delivered.has_failures = true;
         // The failure of a job, earlier in this loop, may have ended more of these leases.
         let Some(held) = leases::live_lease(connection, &used.held.live.lease).await? else { continue };
-        delivered.ring.add(leases::end_without_result(connection, &held, *cause, message, moment).await?);
+        delivered.woken.add(leases::end_without_result(connection, &held, *cause, message, context).await?);
     }
     for report in reports.iter().filter(|report| !is_result(report)) {
         delivered.has_failures = true;
-        accept_failure(connection, worker, report, moment, &mut delivered).await?;
+        accept_failure(connection, worker, report, context, &mut delivered).await?;
     }
     Ok(delivered)
 }
@@ -124,14 +124,14 @@ async fn sort<'a>(
     connection: &mut Connection,
     worker: &'a WorkerState,
     reports: &'a [LeaseReport],
-    moment: TransitionContext,
+    context: TransitionContext,
     delivered: &mut DeliverResult,
 ) -> Result<Results<'a>> {
     let names: HashSet<String> =
         reports.iter().filter(|report| is_result(report)).map(|report| report.lease.to_string()).collect();
     let held: Vec<_> = worker.leases.iter().filter(|held| names.contains(&held.live.lease)).collect();
     delivered.has_results = !held.is_empty();
-    let used = fair_share::record_delivery(connection, worker, &held, moment).await?;
+    let used = fair_share::record_delivery(connection, worker, &held, context).await?;
     let (open, late): (Vec<_>, Vec<_>) = used.into_iter().partition(|used| used.held.is_open);
     let mut results = Results { late, ..Results::default() };
     let mut live: HashMap<&str, UsedLease<'a>> =
@@ -197,12 +197,12 @@ async fn choose(
     connection: &mut Connection,
     worker: &WorkerState,
     candidates: &[Candidate],
-    moment: TransitionContext,
+    context: TransitionContext,
     delivered: &mut DeliverResult,
 ) -> Result<()> {
-    let (unverified, wake) = verification::choose(connection, worker, candidates, moment).await?;
+    let (unverified, wake) = verification::choose(connection, worker, candidates, context).await?;
     delivered.unverified += unverified;
-    delivered.ring.add(wake);
+    delivered.woken.add(wake);
     Ok(())
 }
 
@@ -211,7 +211,7 @@ async fn accept_failure(
     connection: &mut Connection,
     worker: &WorkerState,
     report: &LeaseReport,
-    moment: TransitionContext,
+    context: TransitionContext,
     delivered: &mut DeliverResult,
 ) -> Result<()> {
     // Read again, because an earlier failure may have ended it.
@@ -220,20 +220,22 @@ async fn accept_failure(
         delivered.lost.push(report.lease);
         return Ok(());
     };
-    let ring = match &report.outcome {
-        LeaseOutcome::BadBlobs { tiles } if held.stitch => stitch::redo_tiles(connection, &held, tiles, moment).await?,
+    let woken = match &report.outcome {
+        LeaseOutcome::BadBlobs { tiles } if held.stitch => {
+            stitch::redo_tiles(connection, &held, tiles, context).await?
+        }
         LeaseOutcome::Failed { message } => {
-            leases::end_without_result(connection, &held, LeaseEnd::Failed, message, moment).await?
+            leases::end_without_result(connection, &held, LeaseEnd::Failed, message, context).await?
         }
         LeaseOutcome::Released => {
-            leases::end_without_result(connection, &held, LeaseEnd::Released, "its worker released it", moment).await?
+            leases::end_without_result(connection, &held, LeaseEnd::Released, "its worker released it", context).await?
         }
         LeaseOutcome::Blob { .. } | LeaseOutcome::BadBlobs { .. } | LeaseOutcome::Picture { .. } => {
             let message = "its worker sent a result that was not requested";
-            leases::end_without_result(connection, &held, LeaseEnd::Failed, message, moment).await?
+            leases::end_without_result(connection, &held, LeaseEnd::Failed, message, context).await?
         }
     };
-    delivered.ring.add(ring);
+    delivered.woken.add(woken);
     Ok(())
 }
 
@@ -268,14 +270,14 @@ async fn finish_tiles(
     job: i64,
     frame: u32,
     tiles: &[FinishedTile<'_>],
-    moment: TransitionContext,
+    context: TransitionContext,
 ) -> Result<Wake> {
     let leases: Vec<_> = tiles.iter().map(|tile| tile.used).collect();
-    let mut ring = ends::finish(connection, &leases, moment).await?;
+    let mut woken = ends::finish(connection, &leases, context).await?;
     let results: Vec<_> = tiles.iter().map(|tile| (tile.used.held.live.tile, tile.hash, tile.size_bytes)).collect();
     let progress = results::store_blobs(connection, &results).await?;
     let number = transitions::progress(connection, job, progress).await?.tiles_done;
-    record_durations(connection, &leases, number, moment).await?;
+    record_durations(connection, &leases, number, context).await?;
     let complete: bool = db::query_scalar(
         "UPDATE frame SET tiles_done = tiles_done + ?1,
                           state = CASE WHEN tiles_done + ?1 = tiles_total THEN 'stitching' ELSE state END
@@ -288,9 +290,9 @@ async fn finish_tiles(
     .await?;
     if complete {
         stitch::create(connection, job, frame).await?;
-        ring.add(Wake::WORK);
+        woken.add(Wake::WORK);
     }
-    Ok(ring)
+    Ok(woken)
 }
 
 /// Records the duration of tiles that were delivered together; `number` is the job's count of finished tiles.
@@ -298,12 +300,12 @@ pub(in crate::queue) async fn record_durations(
     connection: &mut Connection,
     leases: &[UsedLease<'_>],
     number: i64,
-    moment: TransitionContext,
+    context: TransitionContext,
 ) -> Result<()> {
     let first: Option<&LiveLease> = leases.iter().map(|used| &used.held.live).min_by_key(|held| held.granted_ms);
     match first {
         Some(first) => {
-            durations::record_duration(connection, first.job, number, moment.now_ms - first.granted_ms).await
+            durations::record_duration(connection, first.job, number, context.now_ms - first.granted_ms).await
         }
         None => Ok(()),
     }

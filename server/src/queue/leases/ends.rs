@@ -24,7 +24,7 @@ async fn run(connection: &mut Connection, statement: Statement) -> Result<Vec<En
 pub(in crate::queue) async fn finish(
     connection: &mut Connection,
     leases: &[UsedLease<'_>],
-    moment: TransitionContext,
+    context: TransitionContext,
 ) -> Result<Wake> {
     let rows: Vec<(&str, i64)> = leases.iter().map(|used| (used.held.live.lease.as_str(), used.used_us)).collect();
     let done = db::query(
@@ -33,8 +33,8 @@ pub(in crate::queue) async fn finish(
          FROM @rows(?1) WHERE lease.id = listed.value ->> 0 AND @unindexed(lease.ended) IS NULL",
     )
     .bind(serde_json::json!(rows).to_string())
-    .bind(moment.wall_ms)
-    .bind(moment.now_ms)
+    .bind(context.wall_ms)
+    .bind(context.now_ms)
     .execute(&mut *connection)
     .await?;
     expect_rows("lease: live to ended", leases.len() as u64, done)?;
@@ -42,30 +42,30 @@ pub(in crate::queue) async fn finish(
     let duplicated: Vec<i64> =
         leases.iter().filter(|used| used.held.has_duplicate).map(|used| used.held.live.tile).collect();
     if !duplicated.is_empty() {
-        ended.extend(run(connection, revocation(duplicated.into_iter(), moment)).await?);
+        ended.extend(run(connection, revocation(duplicated.into_iter(), context)).await?);
     }
     effects::leases_ended(connection, &ended).await?;
     Ok(if ended.len() > leases.len() { Wake::UPDATES } else { Wake::default() })
 }
 
 /// Statement that ends the leases of tiles; nothing is charged for them.
-fn revocation(tiles: impl Iterator<Item = i64>, moment: TransitionContext) -> Statement {
+fn revocation(tiles: impl Iterator<Item = i64>, context: TransitionContext) -> Statement {
     let statement = db::query(concat!(
         "UPDATE lease SET ended = 'void', used_us = 0, ended_at_ms = ?2,
                           took_ms = @max(CAST(?3 AS BIGINT) - granted_ms, 0)
          WHERE ended IS NULL AND tile IN (SELECT value FROM @numbers(?1)) RETURNING ",
         ended_lease_columns!()
     ));
-    statement.bind(json_numbers(tiles)).bind(moment.wall_ms).bind(moment.now_ms)
+    statement.bind(json_numbers(tiles)).bind(context.wall_ms).bind(context.now_ms)
 }
 
 /// Ends the leases of tiles that need no result any more; nothing is charged for them.
 pub(in crate::queue) async fn revoke(
     connection: &mut Connection,
     tiles: impl Iterator<Item = i64>,
-    moment: TransitionContext,
+    context: TransitionContext,
 ) -> Result<Wake> {
-    let ended = end(connection, revocation(tiles, moment)).await?;
+    let ended = end(connection, revocation(tiles, context)).await?;
     Ok(if ended.is_empty() { Wake::default() } else { Wake::UPDATES })
 }
 
@@ -75,7 +75,7 @@ pub(in crate::queue) async fn give_up(
     lease: &str,
     ended: &str,
     used_us: i64,
-    moment: TransitionContext,
+    context: TransitionContext,
 ) -> Result<()> {
     let statement = db::query(concat!(
         "UPDATE lease SET ended = ?1, used_us = @min(charged_us, coalesce(used_us, ?2)), ended_at_ms = ?4,
@@ -84,19 +84,23 @@ pub(in crate::queue) async fn give_up(
         ended_lease_columns!()
     ));
     let ended =
-        end(connection, statement.bind(ended).bind(used_us).bind(lease).bind(moment.wall_ms).bind(moment.now_ms))
+        end(connection, statement.bind(ended).bind(used_us).bind(lease).bind(context.wall_ms).bind(context.now_ms))
             .await?;
     expect_rows_in("lease: live to ended", 1, ended.len())
 }
 
 /// Ends leases of a job that ended; their used time is stored.
-pub(in crate::queue) async fn void(connection: &mut Connection, leases: &str, moment: TransitionContext) -> Result<()> {
+pub(in crate::queue) async fn void(
+    connection: &mut Connection,
+    leases: &str,
+    context: TransitionContext,
+) -> Result<()> {
     let statement = db::query(concat!(
         "UPDATE lease SET ended = 'void', ended_at_ms = ?2, took_ms = @max(CAST(?3 AS BIGINT) - granted_ms, 0)
          WHERE @unindexed(ended) IS NULL AND id IN (SELECT value FROM @texts(?1)) RETURNING ",
         ended_lease_columns!()
     ));
-    end(connection, statement.bind(leases).bind(moment.wall_ms).bind(moment.now_ms)).await.map(drop)
+    end(connection, statement.bind(leases).bind(context.wall_ms).bind(context.now_ms)).await.map(drop)
 }
 
 /// Ends all leases of the pool, whose workers exited with the last server; returns their tiles. How long they lasted is

@@ -59,11 +59,11 @@ struct OldLease {
 
 impl OldLease {
     /// Time at which it becomes a straggler's.
-    async fn patience_ends_ms(
+    async fn overdue_ms(
         &self,
         connection: &mut Connection,
         median_ms: Option<i64>,
-        moment: TransitionContext,
+        context: TransitionContext,
     ) -> Result<i64> {
         let ends_ms = match median_ms {
             _ if self.stitch => {
@@ -72,7 +72,7 @@ impl OldLease {
             }
             Some(median_ms) => self.granted_ms.saturating_add(MAX_RATIO.saturating_mul(median_ms).max(MIN_AGE_MS)),
             None => {
-                let speed = speeds::of_holder(connection, &self.worker, self.job, moment).await?;
+                let speed = speeds::of_holder(connection, &self.worker, self.job, context).await?;
                 let rays: i64 =
                     db::query_scalar(HELD_RAYS_SQL).bind(&self.worker).bind(self.job).fetch_one(connection).await?;
                 let rays_per_second = speed.map_or(fair_share::DEFAULT_RAYS_PER_SECOND, JobSpeed::get);
@@ -98,10 +98,10 @@ pub(in crate::queue) async fn claim(
     connection: &mut Connection,
     view: &ClaimFilter,
     claimant: ClaimRequest,
-    moment: TransitionContext,
+    context: TransitionContext,
 ) -> Result<StragglerOutcome> {
     let found = view.bind(OLDEST_LEASES_SQL).bind(MAX_CANDIDATES).fetch_all(&mut *connection).await?;
-    let mut patience: HashMap<i64, Option<i64>> = HashMap::new();
+    let mut medians: HashMap<i64, Option<i64>> = HashMap::new();
     let mut again_ms: Option<i64> = None;
     for row in &found {
         let old = OldLease {
@@ -111,23 +111,24 @@ pub(in crate::queue) async fn claim(
             worker: row.get("worker")?,
             granted_ms: row.get("granted_ms")?,
         };
-        let median_ms = match patience.get(&old.job) {
+        let median_ms = match medians.get(&old.job) {
             Some(known) => *known,
-            None => *patience.entry(old.job).or_insert(durations::median_ms(connection, old.job).await?),
+            None => *medians.entry(old.job).or_insert(durations::median_ms(connection, old.job).await?),
         };
-        let mut ends_ms = old.patience_ends_ms(connection, median_ms, moment).await?;
-        if ends_ms <= moment.now_ms && speeds::is_slow(connection, &view.worker, &old.worker, old.job, moment).await? {
+        let mut ends_ms = old.overdue_ms(connection, median_ms, context).await?;
+        if ends_ms <= context.now_ms && speeds::is_slow(connection, &view.worker, &old.worker, old.job, context).await?
+        {
             // A tile has at most two leases, and a faster worker is soon idle; if it is not, any worker may help.
             ends_ms = old.granted_ms.saturating_add(MAX_EXCLUSIVE_MS);
         }
-        let left_ms = ends_ms - moment.now_ms;
+        let left_ms = ends_ms - context.now_ms;
         if left_ms > 0 {
             again_ms = Some(again_ms.map_or(left_ms, |again_ms| again_ms.min(left_ms)));
             continue;
         }
         let job = crate::queue::job_id(connection, old.job).await?;
         tracing::info!(%job, frame = old.frame, holder = %old.worker, "granted a duplicate lease on a straggler");
-        return Ok(StragglerOutcome::Run(duplicate_leases(connection, &old, view, claimant, moment).await?));
+        return Ok(StragglerOutcome::Run(duplicate_leases(connection, &old, view, claimant, context).await?));
     }
     Ok(StragglerOutcome::Nothing(again_ms))
 }
@@ -137,13 +138,13 @@ async fn duplicate_leases(
     old: &OldLease,
     view: &ClaimFilter,
     claimant: ClaimRequest,
-    moment: TransitionContext,
+    context: TransitionContext,
 ) -> Result<Batch> {
     let job = claim::job(connection, old.job).await?;
     if old.stitch {
         let tile = claim::stitch_tile(connection, job.number, old.frame).await?;
         let lease = LeaseId::new();
-        grant(connection, &[NewLease::free(tile, lease)], view, moment).await?;
+        grant(connection, &[NewLease::free(tile, lease)], view, context).await?;
         let work = claim::stitch_work(connection, job.number, old.frame, lease).await?;
         return Ok(Batch {
             job: job.id,
@@ -171,7 +172,7 @@ async fn duplicate_leases(
         batch_size::batch_len(&ready, whole, WorkerShare::alone(speed))
     };
     let (tiles, grants) = claim::new_leases(&held[..length])?;
-    grant(connection, &grants, view, moment).await?;
+    grant(connection, &grants, view, context).await?;
     let whole_frame = !job.recorded && batch_size::is_whole_frame(length, whole);
     let work = BatchWork::Render { whole_frame, tiles };
     let recording = recorded::recording(connection, &job, old.frame, &work).await?;
@@ -183,7 +184,7 @@ async fn grant(
     connection: &mut Connection,
     grants: &[NewLease],
     view: &ClaimFilter,
-    moment: TransitionContext,
+    context: TransitionContext,
 ) -> Result<()> {
     let again =
         db::query("UPDATE tile SET epoch = epoch + 1 WHERE state = 'leased' AND id IN (SELECT value FROM @numbers(?))")
@@ -191,5 +192,5 @@ async fn grant(
             .execute(&mut *connection)
             .await?;
     expect_rows("tile: leased to leased twice", row_count(grants.len()).unsigned_abs(), again)?;
-    claim::make_leases(connection, grants, &view.worker, moment).await
+    claim::make_leases(connection, grants, &view.worker, context).await
 }

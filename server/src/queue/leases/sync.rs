@@ -88,7 +88,7 @@ pub(crate) struct SyncOutcome {
     /// Further batches, granted with the first.
     pub(crate) more: Vec<Batch>,
     /// Blobs that may be orphans.
-    pub(crate) leftovers: Vec<String>,
+    pub(crate) orphans: Vec<String>,
     /// Number of leases found to be overdue.
     pub(crate) expired: u64,
     /// Number of fenced results.
@@ -101,7 +101,7 @@ pub(crate) struct SyncOutcome {
     pub(crate) rendered: Rendered,
     /// Changes of verifications.
     pub(crate) verification: VerificationOutcome,
-    pub(in crate::queue) ring: Wake,
+    pub(in crate::queue) woken: Wake,
 }
 
 impl SyncOutcome {
@@ -146,16 +146,16 @@ pub(crate) enum NextWork {
 pub(in crate::queue) async fn sync(
     connection: &mut Connection,
     turn: SyncInput,
-    moment: TransitionContext,
+    context: TransitionContext,
 ) -> Result<Option<SyncOutcome>> {
-    let Some(mut worker) = WorkerState::read(connection, &turn, moment).await? else { return Ok(None) };
+    let Some(mut worker) = WorkerState::read(connection, &turn, context).await? else { return Ok(None) };
     // A pass with the opening that the previous pass asked for belongs to the same sync.
     let is_new = turn.opening.is_none();
-    let (mut expired, mut ring) = (0, Wake::default());
+    let (mut expired, mut woken) = (0, Wake::default());
     if is_new && worker.is_anything_overdue {
-        state::touch(connection, &turn, false, moment).await?;
-        (expired, ring) = leases::rescue(connection, moment).await?;
-        let Some(rescued) = WorkerState::read(connection, &turn, moment).await? else { return Ok(None) };
+        state::touch(connection, &turn, false, context).await?;
+        (expired, woken) = leases::rescue(connection, context).await?;
+        let Some(rescued) = WorkerState::read(connection, &turn, context).await? else { return Ok(None) };
         worker = rescued;
     }
     // The leases of verifications are apart from those of tiles.
@@ -167,29 +167,29 @@ pub(in crate::queue) async fn sync(
     };
     let (verifications, reports): (Vec<_>, Vec<_>) =
         turn.reports.iter().cloned().partition(|report| is_verified(&report.lease));
-    let delivered = deliver::deliver(connection, &worker, &reports, moment).await?;
+    let delivered = deliver::deliver(connection, &worker, &reports, context).await?;
     recorded::store(connection, &turn.records, &delivered.ended).await?;
     if is_new {
-        state::touch(connection, &turn, delivered.has_results, moment).await?;
+        state::touch(connection, &turn, delivered.has_results, context).await?;
     }
-    ring.add(delivered.ring);
+    woken.add(delivered.woken);
     let (mut verification, verdict_wake) =
-        verification::deliver(connection, &worker, &verified, &verifications, moment).await?;
-    ring.add(verdict_wake);
+        verification::deliver(connection, &worker, &verified, &verifications, context).await?;
+    woken.add(verdict_wake);
     verification.skipped += delivered.unverified;
     let (fenced, nondeterministic) = (delivered.lost.len() as u64, delivered.nondeterministic);
     let mut lost = delivered.lost;
     let (late, is_quarantined, rejection_wake) =
-        reported::reject(connection, turn.worker, &turn.rejected, moment).await?;
+        reported::reject(connection, turn.worker, &turn.rejected, context).await?;
     lost.extend(late);
-    ring.add(rejection_wake);
+    woken.add(rejection_wake);
     // Otherwise nothing has happened but to the delivered leases and their tiles.
     let is_known = verification.differed == 0 && turn.rejected.is_empty() && !delivered.has_failures;
     if is_new {
         let (held, tiles): (Vec<LeaseId>, Vec<LeaseId>) = turn.held_leases.iter().partition(|lease| is_verified(lease));
         if verified.len() > verifications.len() {
             let held: Vec<String> = held.iter().map(ToString::to_string).collect();
-            ring.add(verification::renew(connection, &worker.id, &held, moment).await?);
+            woken.add(verification::renew(connection, &worker.id, &held, context).await?);
         }
         let live = if is_known {
             let open = worker.leases.iter().filter(|held| held.is_open && !delivered.ended.contains(&held.live.lease));
@@ -197,17 +197,17 @@ pub(in crate::queue) async fn sync(
         } else {
             leases::live_leases(connection, &worker.id).await?
         };
-        ring.add(renew_leases(connection, turn.worker, &live, &tiles, moment, &mut lost).await?);
+        woken.add(renew_leases(connection, turn.worker, &live, &tiles, context, &mut lost).await?);
     }
     if turn.shutting_down {
-        ring.add(workers::deregister(connection, turn.worker, moment).await?);
+        woken.add(workers::deregister(connection, turn.worker, context).await?);
     }
     let (next, more) =
         if turn.wants_work && !turn.shutting_down && worker.status == WorkerStatus::Ready && !is_quarantined {
             if !is_known {
                 worker.others_max_nodes = claim::others_max_nodes(connection, &worker.id).await?;
             }
-            claim_work(connection, &turn, &worker, moment).await?
+            claim_work(connection, &turn, &worker, context).await?
         } else {
             (NextWork::Nothing(None), Vec::new())
         };
@@ -217,14 +217,14 @@ pub(in crate::queue) async fn sync(
         drain,
         next,
         more,
-        leftovers: delivered.leftovers,
+        orphans: delivered.orphans,
         expired,
         fenced,
         nondeterministic,
         rejected: turn.rejected.len() as u64,
         rendered: delivered.rendered,
         verification,
-        ring,
+        woken,
     }))
 }
 
@@ -235,31 +235,31 @@ async fn renew_leases(
     worker: WorkerId,
     live: &[LeaseGrant],
     held_leases: &[LeaseId],
-    moment: TransitionContext,
+    context: TransitionContext,
     lost: &mut Vec<LeaseId>,
 ) -> Result<Wake> {
     let mut holding: HashSet<String> = held_leases.iter().map(ToString::to_string).collect();
     let (held, unknown): (Vec<_>, Vec<_>) = live.iter().partition(|live| holding.remove(&live.lease));
     lost.extend(held_leases.iter().filter(|lease| holding.contains(&lease.to_string())));
     let held: Vec<&str> = held.into_iter().map(|live| live.lease.as_str()).collect();
-    leases::renew(connection, &held, moment).await?;
-    let mut ring = Wake::default();
-    for unheard in unknown.into_iter().filter(|live| live.granted_ms <= moment.now_ms - UNHEARD_LEASE_MS) {
+    leases::renew(connection, &held, context).await?;
+    let mut woken = Wake::default();
+    for unheard in unknown.into_iter().filter(|live| live.granted_ms <= context.now_ms - UNHEARD_LEASE_MS) {
         // The failure of a job, earlier in this loop, may have ended more of these leases.
         let Some(held) = leases::live_lease(connection, &unheard.lease).await? else { continue };
         tracing::warn!(lease = %held.lease, %worker, "a worker never received its lease");
-        ring.add(
+        woken.add(
             leases::end_without_result(
                 connection,
                 &held,
                 LeaseEnd::Released,
                 "its worker never received the lease",
-                moment,
+                context,
             )
             .await?,
         );
     }
-    Ok(ring)
+    Ok(woken)
 }
 
 /// Claims a batch, and further ones as long as they are short and the worker asks for them.
@@ -267,10 +267,10 @@ async fn claim_work(
     connection: &mut Connection,
     turn: &SyncInput,
     worker: &WorkerState,
-    moment: TransitionContext,
+    context: TransitionContext,
 ) -> Result<(NextWork, Vec<Batch>)> {
     if let Some(opening) = &turn.opening {
-        open::open(connection, opening, moment).await?;
+        open::open(connection, opening, context).await?;
     }
     if worker.is_paused {
         return Ok((NextWork::Nothing(None), Vec::new()));
@@ -283,14 +283,14 @@ async fn claim_work(
     };
     // A worker does not verify what it has just delivered.
     if worker.has_verifications
-        && let Some(batch) = verification::claim(connection, claimant, moment).await?
+        && let Some(batch) = verification::claim(connection, claimant, context).await?
     {
         return Ok((NextWork::Run(batch), Vec::new()));
     }
     let mut openings = turn.next_openings.iter();
     let (mut first, mut more, mut seconds) = (None, Vec::new(), 0.0);
     let reason = loop {
-        let time = match claim::claim(connection, claimant, moment).await? {
+        let time = match claim::claim(connection, claimant, context).await? {
             ClaimOutcome::Run(batch, time) => {
                 match first {
                     None => first = Some(batch),
@@ -300,7 +300,7 @@ async fn claim_work(
             }
             ClaimOutcome::NeedsFrame { job, frame, plan } => {
                 match openings.find(|opening| (opening.job, opening.frame) == (job, frame)) {
-                    Some(opening) => open::open(connection, opening, moment).await?,
+                    Some(opening) => open::open(connection, opening, context).await?,
                     None => break NextWork::OpenFrame { job, frame, plan },
                 };
                 continue;

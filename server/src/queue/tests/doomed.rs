@@ -97,9 +97,9 @@ impl Report {
             }
             _ if self.is_found => {
                 let reports = std::mem::take(&mut self.reports);
-                let turned =
+                let synced =
                     server.turn(SyncInput { reports, checked: self.checked.take(), ..turn(self.worker) }).await;
-                self.is_accepted = turned.expect("known").rejected == 0;
+                self.is_accepted = synced.expect("known").rejected == 0;
             }
             _ => {}
         }

@@ -30,8 +30,8 @@ fn opening(job: i64) -> FrameOpening {
 async fn render(bench: &Fixture, worker: WorkerId, job: i64, rays_per_second: f64, outcome: LeaseOutcome) {
     let asks = SyncInput { wants_work: true, rays_per_second: speed(rays_per_second), ..turn(worker) };
     let asks = SyncInput { opening: Some(opening(job)), ..asks };
-    let turned = bench.queue.turn(asks).await.expect("a sync").expect("known");
-    let NextWork::Run(run) = turned.next else { panic!("there is work: {:?}", turned.next) };
+    let synced = bench.queue.turn(asks).await.expect("a sync").expect("known");
+    let NextWork::Run(run) = synced.next else { panic!("there is work: {:?}", synced.next) };
     let reports = leases(&run).map(|lease| LeaseReport { lease, outcome: outcome.clone() }).collect();
     bench.queue.turn(SyncInput { reports, ..turn(worker) }).await.expect("a sync").expect("known");
 }

@@ -77,11 +77,11 @@ async fn a_cancelled_job_is_voided_in_pieces_by_the_next_server() {
     assert_eq!(state(&bench, job).await, Some(JobState::Cancelled));
     // Its leases are revoked at once, also those whose tiles are not void yet, and results have no effect.
     let (first, second) = (leases(&held[0]).collect::<Vec<_>>(), leases(&held[1]).collect::<Vec<_>>());
-    let told =
+    let received =
         sync(&bench, SyncInput { held_leases: first.clone(), reports: results(&held[1], &blob()), ..turn(worker) })
             .await;
     let mut expected: Vec<_> = first.into_iter().chain(second).collect();
-    let mut revoked = told.revoked_leases;
+    let mut revoked = received.revoked_leases;
     expected.sort();
     revoked.sort();
     assert_eq!(revoked, expected);

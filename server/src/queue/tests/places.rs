@@ -4,7 +4,7 @@ use proto::JobId;
 use proto::job::JobState;
 
 use super::{Fixture, NewJob, new_job};
-use crate::queue::{MoveOutcome, Place};
+use crate::queue::{QueuePosition, ReorderOutcome};
 
 /// Jobs in the order of their places.
 async fn queued(bench: &Fixture) -> Vec<JobId> {
@@ -15,9 +15,9 @@ async fn queued(bench: &Fixture) -> Vec<JobId> {
     jobs.into_iter().map(|job| job.id).collect()
 }
 
-async fn move_job(bench: &Fixture, job: JobId, place: Place) {
-    let moved = bench.queue.move_job(job, place, 0).await.expect("moves");
-    assert_eq!(moved, MoveOutcome::Done);
+async fn reorder_job(bench: &Fixture, job: JobId, place: QueuePosition) {
+    let moved = bench.queue.reorder_job(job, place, 0).await.expect("moves");
+    assert_eq!(moved, ReorderOutcome::Done);
     bench.check().await;
 }
 
@@ -34,18 +34,18 @@ async fn jobs_are_claimed_in_the_order_they_were_moved_to() {
         let (from, to) = (step * 7 % 6, step * 5 % 6);
         let (job, other) = (expected[from], expected[to]);
         let place = match step % 3 {
-            0 => Place::Before(other),
-            1 => Place::After(other),
-            _ => Place::First,
+            0 => QueuePosition::Before(other),
+            1 => QueuePosition::After(other),
+            _ => QueuePosition::First,
         };
-        move_job(&bench, job, place).await;
-        if job != other || place == Place::First {
+        reorder_job(&bench, job, place).await;
+        if job != other || place == QueuePosition::First {
             expected.remove(from);
             let at = |wanted: JobId, jobs: &[JobId]| jobs.iter().position(|job| *job == wanted).expect("listed");
             let index = match place {
-                Place::Before(other) => at(other, &expected),
-                Place::After(other) => at(other, &expected) + 1,
-                Place::First => 0,
+                QueuePosition::Before(other) => at(other, &expected),
+                QueuePosition::After(other) => at(other, &expected) + 1,
+                QueuePosition::First => 0,
             };
             expected.insert(index, job);
         }
@@ -54,7 +54,7 @@ async fn jobs_are_claimed_in_the_order_they_were_moved_to() {
     // Always between the same two.
     for _ in 0..50 {
         let last = expected.pop().expect("six jobs");
-        move_job(&bench, last, Place::Before(expected[1])).await;
+        reorder_job(&bench, last, QueuePosition::Before(expected[1])).await;
         expected.insert(1, last);
         assert_eq!(queued(&bench).await, expected);
     }
@@ -74,17 +74,23 @@ async fn a_job_beside_another_takes_its_priority() {
     urgent.expect("accepted");
     let first = queued(&bench).await[0];
     let job = bench.submit(1, 1).await;
-    assert_eq!(bench.queue.move_job(job, Place::Before(first), 5).await.expect("moves"), MoveOutcome::Done);
+    assert_eq!(
+        bench.queue.reorder_job(job, QueuePosition::Before(first), 5).await.expect("moves"),
+        ReorderOutcome::Done
+    );
     assert_eq!(queued(&bench).await, [job, first]);
     assert_eq!(bench.queue.job(job).await.expect("reads").expect("there").priority, 5);
     bench.check().await;
     let stranger = JobId::new();
-    for place in [Place::Before(stranger), Place::After(stranger)] {
-        assert_eq!(bench.queue.move_job(job, place, 0).await.expect("answers"), MoveOutcome::Unknown(stranger));
+    for place in [QueuePosition::Before(stranger), QueuePosition::After(stranger)] {
+        assert_eq!(bench.queue.reorder_job(job, place, 0).await.expect("answers"), ReorderOutcome::Unknown(stranger));
     }
-    assert_eq!(bench.queue.move_job(stranger, Place::First, 0).await.expect("answers"), MoveOutcome::Unknown(stranger));
+    assert_eq!(
+        bench.queue.reorder_job(stranger, QueuePosition::First, 0).await.expect("answers"),
+        ReorderOutcome::Unknown(stranger)
+    );
     bench.queue.cancel(first).await.expect("cancels");
-    let finished = MoveOutcome::Finished(first, JobState::Cancelled);
-    assert_eq!(bench.queue.move_job(job, Place::After(first), 0).await.expect("answers"), finished);
-    assert_eq!(bench.queue.move_job(first, Place::First, 0).await.expect("answers"), finished);
+    let finished = ReorderOutcome::Finished(first, JobState::Cancelled);
+    assert_eq!(bench.queue.reorder_job(job, QueuePosition::After(first), 0).await.expect("answers"), finished);
+    assert_eq!(bench.queue.reorder_job(first, QueuePosition::First, 0).await.expect("answers"), finished);
 }

@@ -109,14 +109,14 @@ async fn ask(bench: &Fixture) {
     }
     queue.has_picture("no key").await.expect("reads");
     queue.is_paused().await.expect("reads");
-    let told = queue.changes_after(ChangePosition::default()).await.expect("reads");
+    let changes = queue.changes_after(ChangePosition::default()).await.expect("reads");
     queue.newest_change().await.expect("reads");
     queue.failing_webhooks().await.expect("reads");
     queue.tiles(id, None, None, 10).await.expect("reads");
     queue.makers(id, 0).await.expect("reads");
     queue.prune().await.expect("prunes");
     queue.failing_workers().await.expect("reads");
-    queue.jobs_numbered(&told.jobs).await.expect("reads");
+    queue.jobs_numbered(&changes.jobs).await.expect("reads");
     queue.prune_changes().await.expect("prunes");
     queue.delete_preview(id).await.expect("reads");
     queue.check().await.expect("responds");

@@ -19,13 +19,13 @@ async fn records_of_counted_results_are_named_to_later_jobs() {
         lease,
         outcome: LeaseOutcome::Blob { hash: hash(&format!("blob {index}")), size_bytes: 1 },
     });
-    let told = leases(&run).zip(records).map(|(lease, name)| TileRecord {
+    let received = leases(&run).zip(records).map(|(lease, name)| TileRecord {
         lease: if name.ends_with("lease") { proto::LeaseId::new() } else { lease },
         hash: if name.starts_with("right") { hash(name) } else { name.to_owned() },
         size_bytes: 1,
         kept: false,
     });
-    let input = SyncInput { reports: reports.collect(), records: told.collect(), ..turn(worker) };
+    let input = SyncInput { reports: reports.collect(), records: received.collect(), ..turn(worker) };
     bench.turn(input).await.expect("known");
     bench.check().await;
     workers::claim(&bench, worker).await.expect("the stitch");

@@ -158,16 +158,16 @@ impl Pair {
         };
         let mut lost = Vec::new();
         let runs: Vec<Batch> = loop {
-            let Some(turned) = self.bench.queue.turn(said.clone()).await.expect("a sync") else {
+            let Some(synced) = self.bench.queue.turn(said.clone()).await.expect("a sync") else {
                 let (takes_large, pool) = (worker.takes_large, worker.pool);
                 let id = self.register(takes_large, pool).await;
                 self.workers[index].id = id;
                 return None;
             };
-            lost.extend(turned.revoked_leases);
-            let NextWork::OpenFrame { job, frame, plan } = turned.next else {
-                break if let NextWork::Run(run) = turned.next {
-                    std::iter::once(run).chain(turned.more).collect()
+            lost.extend(synced.revoked_leases);
+            let NextWork::OpenFrame { job, frame, plan } = synced.next else {
+                break if let NextWork::Run(run) = synced.next {
+                    std::iter::once(run).chain(synced.more).collect()
                 } else {
                     Vec::new()
                 };
@@ -245,10 +245,10 @@ impl Pair {
     async fn submit(&mut self, new: NewJob, large: bool) {
         let (id, frames) = (new.id, new.plan.frames);
         let webhooks = if new.submitter == "0" { webhooks() } else { Vec::new() };
-        let told = webhooks.iter().map(|webhook| (webhook.url.clone(), webhook.events.clone())).collect();
+        let received = webhooks.iter().map(|webhook| (webhook.url.clone(), webhook.events.clone())).collect();
         let options = SubmitOptions { webhooks, ..SubmitOptions::default() };
         self.bench.queue.submit_with(new, options).await.expect("accepted");
-        self.model.submit(id, frames, large, told);
+        self.model.submit(id, frames, large, received);
         self.jobs.push(id);
     }
 

@@ -23,9 +23,9 @@ async fn claim(bench: &Fixture, worker: WorkerId, max_batches: u32, held: &[&Bat
         held_leases,
         ..turn(worker)
     };
-    let turned = bench.turn(asks).await.expect("known");
-    match turned.next {
-        NextWork::Run(first) => std::iter::once(first).chain(turned.more).collect(),
+    let synced = bench.turn(asks).await.expect("known");
+    match synced.next {
+        NextWork::Run(first) => std::iter::once(first).chain(synced.more).collect(),
         NextWork::OpenFrame { .. } | NextWork::Nothing(_) => Vec::new(),
     }
 }

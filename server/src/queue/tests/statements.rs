@@ -121,8 +121,8 @@ async fn a_verification_has_few_statements() {
     let hash = |index: usize| reports[index].outcome.clone();
     let reports = leases(&second).enumerate().map(|(index, lease)| LeaseReport { lease, outcome: hash(index) });
     let said = SyncInput { reports: reports.collect(), ..turn(other) };
-    let turned = bench.turn(said).await.expect("known");
-    assert_eq!((turned.verification.agreed, turned.verification.differed), (8, 0));
+    let synced = bench.turn(said).await.expect("known");
+    assert_eq!((synced.verification.agreed, synced.verification.differed), (8, 0));
     assert_sent("a delivery of verified tiles", 9);
     let left = sync(&bench, asks(other)).await.expect("work");
     assert_eq!(leases(&left).count(), 2, "the others");

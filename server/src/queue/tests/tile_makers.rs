@@ -27,8 +27,8 @@ async fn count(bench: &Fixture, statement: &'static str) -> i64 {
 
 /// Claims, and delivers this outcome after a while.
 async fn render(bench: &Fixture, worker: WorkerId, outcome: LeaseOutcome) {
-    let turned = bench.turn(SyncInput { wants_work: true, ..turn(worker) }).await.expect("known");
-    let NextWork::Run(run) = turned.next else { panic!("there is work: {:?}", turned.next) };
+    let synced = bench.turn(SyncInput { wants_work: true, ..turn(worker) }).await.expect("known");
+    let NextWork::Run(run) = synced.next else { panic!("there is work: {:?}", synced.next) };
     bench.hand.advance(std::time::Duration::from_millis(250));
     let reports = leases(&run).map(|lease| LeaseReport { lease, outcome: outcome.clone() }).collect();
     bench.queue.turn(SyncInput { reports, ..turn(worker) }).await.expect("a sync").expect("known");

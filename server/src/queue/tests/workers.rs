@@ -105,8 +105,8 @@ async fn a_worker_that_shuts_down_releases_its_leases_at_once() {
     let run = claim(&bench, leaving).await.expect("work");
     assert!(claim(&bench, other).await.is_none());
     let said = SyncInput { shutting_down: true, wants_work: true, ..turn(leaving) };
-    let turned = bench.turn(said).await.expect("known");
-    assert!(turned.drain && matches!(turned.next, NextWork::Nothing(_)));
+    let synced = bench.turn(said).await.expect("known");
+    assert!(synced.drain && matches!(synced.next, NextWork::Nothing(_)));
     assert_eq!((state(&bench, leaving).await.as_str(), state(&bench, other).await.as_str()), ("gone", "ready"));
     let again = claim(&bench, other).await.expect("the released tiles");
     assert_eq!(leases(&again).count(), leases(&run).count());
@@ -152,8 +152,8 @@ async fn claim_under_one_key(bench: &Fixture, worker: WorkerId) -> Batch {
     let asked = bench.queue.turn(said.clone()).await.expect("a sync").expect("known");
     let NextWork::OpenFrame { job, frame, plan } = asked.next else { panic!("a frame must be opened") };
     let opening = opening(job, frame, plan);
-    let turned = bench.queue.turn(SyncInput { opening: Some(opening), ..said }).await.expect("a sync").expect("known");
-    let NextWork::Run(run) = turned.next else { panic!("there is work") };
+    let synced = bench.queue.turn(SyncInput { opening: Some(opening), ..said }).await.expect("a sync").expect("known");
+    let NextWork::Run(run) = synced.next else { panic!("there is work") };
     run
 }
 

@@ -99,13 +99,13 @@ pub(in crate::queue) async fn reject(
     connection: &mut Connection,
     worker: WorkerId,
     rejected: &[RejectedResult],
-    moment: TransitionContext,
+    context: TransitionContext,
 ) -> Result<(Vec<LeaseId>, bool, Wake)> {
-    let (mut lost, mut ring) = (Vec::new(), Wake::default());
+    let (mut lost, mut woken) = (Vec::new(), Wake::default());
     // All tiles of a frame share a picture, which counts once.
     let mut hashes: BTreeMap<&str, bool> = BTreeMap::new();
     let (verifications, wake) = verification::reject(connection, &worker.to_string(), rejected).await?;
-    ring.add(wake);
+    woken.add(wake);
     for result in rejected {
         if verifications.contains(&result.lease) {
             hashes.insert(&result.hash, result.is_wrong);
@@ -122,13 +122,13 @@ pub(in crate::queue) async fn reject(
                 "a worker delivered something else than was asked for; another renders it"
             );
         }
-        ring.add(leases::end_without_result(connection, &held, LeaseEnd::Rejected, &result.reason, moment).await?);
+        woken.add(leases::end_without_result(connection, &held, LeaseEnd::Rejected, &result.reason, context).await?);
     }
     let wrong = hashes.values().filter(|is_wrong| **is_wrong).count();
     let is_quarantined = exclusion::record_wrong_results(connection, worker, wrong).await?;
     if is_quarantined {
         let reason = "its worker is quarantined";
-        ring.add(workers::end_leases(connection, &worker.to_string(), LeaseEnd::Released, reason, moment).await?);
+        woken.add(workers::end_leases(connection, &worker.to_string(), LeaseEnd::Released, reason, context).await?);
     }
-    Ok((lost, is_quarantined, ring))
+    Ok((lost, is_quarantined, woken))
 }

@@ -17,15 +17,15 @@ pub(super) async fn grant(
     connection: &mut Connection,
     worker: &str,
     granted: &[(i64, LeaseId, i64)],
-    moment: TransitionContext,
+    context: TransitionContext,
 ) -> Result<()> {
     db::query(
         "UPDATE verification SET verifier = ?, granted_ms = ?, expires_ms = ?
          WHERE verifier IS NULL AND number IN (SELECT value FROM @numbers(?))",
     )
     .bind(worker)
-    .bind(moment.now_ms)
-    .bind(moment.now_ms + moment.lease_ms)
+    .bind(context.now_ms)
+    .bind(context.now_ms + context.lease_ms)
     .bind(json_numbers(granted.iter().map(|(number, _, _)| *number)))
     .execute(&mut *connection)
     .await?;
@@ -56,14 +56,14 @@ pub(in crate::queue) async fn renew(
     connection: &mut Connection,
     worker: &str,
     held: &[String],
-    moment: TransitionContext,
+    context: TransitionContext,
 ) -> Result<Wake> {
     db::query(
         "UPDATE verification SET expires_ms = ?1 WHERE verifier = ?2 AND EXISTS (
              SELECT 1 FROM verification_lease
              WHERE verification = number AND id IN (SELECT value FROM @texts(?3)))",
     )
-    .bind(moment.now_ms + moment.lease_ms)
+    .bind(context.now_ms + context.lease_ms)
     .bind(worker)
     .bind(json_list(held))
     .execute(&mut *connection)
@@ -74,7 +74,7 @@ pub(in crate::queue) async fn renew(
              WHERE verification = number AND id IN (SELECT value FROM @texts(?3)))",
     )
     .bind(worker)
-    .bind(moment.now_ms - UNHEARD_LEASE_MS)
+    .bind(context.now_ms - UNHEARD_LEASE_MS)
     .bind(json_list(held))
     .fetch_all(&mut *connection)
     .await?;
@@ -119,14 +119,14 @@ pub(super) async fn release_all(connection: &mut Connection, leases: &[String]) 
 /// Releases overdue verifications, and gives up those that no worker could verify for long; returns their number.
 pub(in crate::queue) async fn discard_expired(
     connection: &mut Connection,
-    moment: TransitionContext,
+    context: TransitionContext,
 ) -> Result<(u64, Wake)> {
     let rows = db::query(
         "SELECT number, verifier IS NULL AS old FROM verification
          WHERE expires_ms <= ? OR (verifier IS NULL AND created_ms <= ?)",
     )
-    .bind(moment.now_ms)
-    .bind(moment.now_ms - MAX_AGE_MS)
+    .bind(context.now_ms)
+    .bind(context.now_ms - MAX_AGE_MS)
     .fetch_all(&mut *connection)
     .await?;
     let (mut expired, mut old) = (Vec::new(), Vec::new());

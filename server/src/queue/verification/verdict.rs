@@ -103,22 +103,22 @@ pub(in crate::queue) async fn deliver(
     worker: &WorkerState,
     live: &[VerifierLease],
     reports: &[LeaseReport],
-    moment: TransitionContext,
+    context: TransitionContext,
 ) -> Result<(VerificationOutcome, Wake)> {
-    let (mut outcome, mut ring) = (VerificationOutcome::default(), Wake::default());
+    let (mut outcome, mut woken) = (VerificationOutcome::default(), Wake::default());
     let reported: HashMap<String, &LeaseOutcome> =
         reports.iter().map(|report| (report.lease.to_string(), &report.outcome)).collect();
     let mut cases: BTreeMap<i64, (&Case, &LeaseOutcome)> = BTreeMap::new();
     for lease in live {
-        if let Some(told) = reported.get(&lease.lease) {
-            cases.entry(lease.case.number).or_insert((&lease.case, told));
+        if let Some(verified) = reported.get(&lease.lease) {
+            cases.entry(lease.case.number).or_insert((&lease.case, verified));
         }
     }
-    let (mut released, mut dropped, mut told_hashes) = (Vec::new(), Vec::new(), Vec::new());
-    for (number, (case, told)) in cases {
-        match told {
-            LeaseOutcome::Blob { hash, .. } if case.position >= 0 => told_hashes.push((case, hash)),
-            LeaseOutcome::Picture { hash, .. } if case.position < 0 => told_hashes.push((case, hash)),
+    let (mut released, mut dropped, mut result_hashes) = (Vec::new(), Vec::new(), Vec::new());
+    for (number, (case, verified)) in cases {
+        match verified {
+            LeaseOutcome::Blob { hash, .. } if case.position >= 0 => result_hashes.push((case, hash)),
+            LeaseOutcome::Picture { hash, .. } if case.position < 0 => result_hashes.push((case, hash)),
             LeaseOutcome::Released => released.push(number),
             LeaseOutcome::Blob { .. }
             | LeaseOutcome::Picture { .. }
@@ -130,21 +130,21 @@ pub(in crate::queue) async fn deliver(
             }
         }
     }
-    ring.add(leases::release(connection, &released).await?);
+    woken.add(leases::release(connection, &released).await?);
     let is_plain =
         |(case, hash): &(&Case, &String)| case.decide(hash, worker.is_pool) == Verdict::Confirmed { wrong: None };
-    if told_hashes.iter().all(is_plain) {
-        outcome.agreed += told_hashes.len() as u64;
-        confirm(connection, told_hashes.iter().map(|(case, _)| *case)).await?;
-        dropped.extend(told_hashes.iter().map(|(case, _)| case.number));
-        told_hashes.clear();
+    if result_hashes.iter().all(is_plain) {
+        outcome.agreed += result_hashes.len() as u64;
+        confirm(connection, result_hashes.iter().map(|(case, _)| *case)).await?;
+        dropped.extend(result_hashes.iter().map(|(case, _)| case.number));
+        result_hashes.clear();
     }
     drop_cases(connection, &dropped).await?;
     // In their order, because a verdict undoes what was delivered since the last confirmed result.
-    for (case, hash) in told_hashes {
-        ring.add(conclude(connection, case, &worker.id, hash, worker.is_pool, moment, &mut outcome).await?);
+    for (case, hash) in result_hashes {
+        woken.add(conclude(connection, case, &worker.id, hash, worker.is_pool, context, &mut outcome).await?);
     }
-    Ok((outcome, ring))
+    Ok((outcome, woken))
 }
 
 /// Records for each worker the newest of its confirmed results.
@@ -174,7 +174,7 @@ async fn conclude(
     worker: &str,
     hash: &str,
     is_pool: bool,
-    moment: TransitionContext,
+    context: TransitionContext,
     outcome: &mut VerificationOutcome,
 ) -> Result<Wake> {
     let verdict = case.decide(hash, is_pool);
@@ -190,15 +190,15 @@ async fn conclude(
     }
     let wrong = match verdict {
         Verdict::Open => {
-            let mut ring = leases::release(connection, &[case.number]).await?;
+            let mut woken = leases::release(connection, &[case.number]).await?;
             db::query("UPDATE verification SET second_worker = ?, second_hash = ? WHERE number = ?")
                 .bind(worker)
                 .bind(hash)
                 .bind(case.number)
                 .execute(&mut *connection)
                 .await?;
-            ring.add(Wake::WORK);
-            return Ok(ring);
+            woken.add(Wake::WORK);
+            return Ok(woken);
         }
         Verdict::Confirmed { wrong } => {
             confirm(connection, std::iter::once(case)).await?;
@@ -208,23 +208,23 @@ async fn conclude(
         Verdict::Undecided => Vec::new(),
     };
     drop_cases(connection, &[case.number]).await?;
-    let mut ring = Wake::default();
+    let mut woken = Wake::default();
     for wrong in wrong {
-        ring.add(condemn(connection, &wrong, moment, outcome).await?);
+        woken.add(condemn(connection, &wrong, context, outcome).await?);
     }
-    Ok(ring)
+    Ok(woken)
 }
 
 /// Quarantines a worker whose result was wrong, and undoes what it delivered since its last confirmed result.
 async fn condemn(
     connection: &mut Connection,
     worker: &str,
-    moment: TransitionContext,
+    context: TransitionContext,
     outcome: &mut VerificationOutcome,
 ) -> Result<Wake> {
     exclusion::quarantine_at_once(connection, worker, "another worker rendered a result of it differently").await?;
     let reason = "its worker is quarantined";
-    let mut ring = workers::end_leases(connection, worker, LeaseEnd::Released, reason, moment).await?;
+    let mut woken = workers::end_leases(connection, worker, LeaseEnd::Released, reason, context).await?;
     for statement in [
         "DELETE FROM verification WHERE worker = ?",
         "UPDATE verification SET second_worker = NULL, second_hash = NULL WHERE second_worker = ?",
@@ -232,9 +232,9 @@ async fn condemn(
         db::query(statement).bind(worker).execute(&mut *connection).await?;
     }
     let undone = undo::undo_unconfirmed(connection, worker).await?;
-    ring.add(Wake { work: true, news: true });
+    woken.add(Wake { work: true, news: true });
     outcome.forgotten.extend(undone);
-    Ok(ring)
+    Ok(woken)
 }
 
 /// Releases the verifications whose results were rejected; returns the other rejected results.
@@ -250,8 +250,8 @@ pub(in crate::queue) async fn reject(
     let own: Vec<LeaseId> =
         rejected.iter().map(|result| result.lease).filter(|lease| live.contains(&lease.to_string())).collect();
     let ids: Vec<String> = own.iter().map(ToString::to_string).collect();
-    let ring = leases::release_all(connection, &ids).await?;
-    Ok((own, ring))
+    let woken = leases::release_all(connection, &ids).await?;
+    Ok((own, woken))
 }
 
 async fn drop_cases(connection: &mut Connection, numbers: &[i64]) -> Result<()> {

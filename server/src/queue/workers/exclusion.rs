@@ -57,7 +57,7 @@ pub(in crate::queue) async fn record_error(
     connection: &mut Connection,
     worker: &str,
     job: i64,
-    moment: TransitionContext,
+    context: TransitionContext,
 ) -> Result<()> {
     let errors: i64 = db::query_scalar(
         "INSERT INTO strike (job, worker, errors, until_ms) VALUES (?1, ?2, 1, NULL)
@@ -69,7 +69,7 @@ pub(in crate::queue) async fn record_error(
     )
     .bind(job)
     .bind(worker)
-    .bind(moment.now_ms)
+    .bind(context.now_ms)
     .bind(ERRORS_BEFORE_EXCLUSION)
     .bind(EXCLUSION_MS)
     .fetch_one(&mut *connection)
@@ -79,11 +79,11 @@ pub(in crate::queue) async fn record_error(
     }
     let job = crate::queue::job_id(connection, job).await?;
     tracing::warn!(worker, %job, errors, "a worker failed too often in a job; it is excluded from the job");
-    quarantine(connection, worker, moment).await
+    quarantine(connection, worker, context).await
 }
 
 /// Quarantines a worker that is excluded from three jobs or more, unless it is the last ready worker.
-async fn quarantine(connection: &mut Connection, worker: &str, moment: TransitionContext) -> Result<()> {
+async fn quarantine(connection: &mut Connection, worker: &str, context: TransitionContext) -> Result<()> {
     let quarantined = db::query(
         "UPDATE worker SET state = 'quarantined' WHERE id = ?1 AND state = 'ready'
          AND (SELECT count(*) FROM strike JOIN job ON job.number = strike.job
@@ -92,7 +92,7 @@ async fn quarantine(connection: &mut Connection, worker: &str, moment: Transitio
               WHERE other.state <> 'gone' AND other.state = 'ready' AND other.id <> ?1)",
     )
     .bind(worker)
-    .bind(moment.now_ms)
+    .bind(context.now_ms)
     .bind(EXCLUSIONS_BEFORE_QUARANTINE)
     .execute(connection)
     .await?;
@@ -156,13 +156,13 @@ fn log_quarantine(quarantined: db::Changed, worker: &str, reason: &str) {
 pub(in crate::queue) async fn is_other_worker_excluded(
     connection: &mut Connection,
     held: &LiveLease,
-    moment: TransitionContext,
+    context: TransitionContext,
 ) -> Result<bool> {
     let barred: Option<i64> =
         db::query_scalar("SELECT 1 FROM strike WHERE job = ? AND worker <> ? AND until_ms > ? LIMIT 1")
             .bind(held.job)
             .bind(&held.worker)
-            .bind(moment.now_ms)
+            .bind(context.now_ms)
             .fetch_optional(connection)
             .await?;
     Ok(barred.is_some())

@@ -53,7 +53,7 @@ pub(in crate::queue) async fn record(
     job: i64,
     rays: f64,
     seconds: f64,
-    moment: TransitionContext,
+    context: TransitionContext,
 ) -> Result<()> {
     if rays <= 0.0 || seconds < MIN_SECONDS {
         return Ok(());
@@ -70,7 +70,7 @@ pub(in crate::queue) async fn record(
     .bind(worker)
     .bind(rays.min(MAX_RAYS))
     .bind(seconds.clamp(0.0, MAX_SECONDS))
-    .bind(moment.now_ms)
+    .bind(context.now_ms)
     .bind((1.0 - seconds / DECAY_SECONDS).max(0.0))
     .bind(MAX_RAYS)
     .bind(MAX_SECONDS)
@@ -85,7 +85,7 @@ pub(in crate::queue) async fn of_holder(
     connection: &mut Connection,
     worker: &str,
     job: i64,
-    moment: TransitionContext,
+    context: TransitionContext,
 ) -> Result<Option<JobSpeed>> {
     let row = db::query(concat!(
         "SELECT max(",
@@ -97,7 +97,7 @@ pub(in crate::queue) async fn of_holder(
     ))
     .bind(job)
     .bind(worker)
-    .bind(moment.now_ms - MAX_AGE_MS)
+    .bind(context.now_ms - MAX_AGE_MS)
     .fetch_one(connection)
     .await?;
     let measured = row.get::<Option<f64>>("own")?.or(row.get("fastest")?);
@@ -112,7 +112,7 @@ pub(in crate::queue) async fn is_slow(
     worker: &str,
     holder: &str,
     job: i64,
-    moment: TransitionContext,
+    context: TransitionContext,
 ) -> Result<bool> {
     let row = db::query(concat!(
         "SELECT max(",
@@ -126,7 +126,7 @@ pub(in crate::queue) async fn is_slow(
     .bind(job)
     .bind(worker)
     .bind(holder)
-    .bind(moment.now_ms - MAX_AGE_MS)
+    .bind(context.now_ms - MAX_AGE_MS)
     .fetch_one(connection)
     .await?;
     let (own, other): (Option<f64>, Option<f64>) = (row.get("own")?, row.get("other")?);

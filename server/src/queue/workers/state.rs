@@ -106,14 +106,14 @@ impl WorkerState {
     pub(in crate::queue) async fn read(
         connection: &mut Connection,
         turn: &SyncInput,
-        moment: TransitionContext,
+        context: TransitionContext,
     ) -> Result<Option<Self>> {
         let id = turn.worker.to_string();
         let rows = db::query(WORKER_SQL)
             .bind(&id)
             .bind(ANY_NODES)
-            .bind(moment.now_ms)
-            .bind(moment.now_ms - moment.lease_ms)
+            .bind(context.now_ms)
+            .bind(context.now_ms - context.lease_ms)
             .bind(&turn.owner)
             .fetch_all(connection)
             .await?;
@@ -166,14 +166,14 @@ pub(in crate::queue) async fn touch(
     connection: &mut Connection,
     turn: &SyncInput,
     has_delivered: bool,
-    moment: TransitionContext,
+    context: TransitionContext,
 ) -> Result<()> {
     let touched = db::query(
         "UPDATE worker SET seen_ms = ?1, rays_per_second = coalesce(?2, rays_per_second), owner = coalesce(owner, ?3),
                            delivered_ms = CASE WHEN ?4 <> 0 THEN ?1 ELSE delivered_ms END
          WHERE id = ?5",
     )
-    .bind(moment.now_ms)
+    .bind(context.now_ms)
     .bind(turn.rays_per_second.map(proto::bounded::RaysPerSecond::get))
     .bind(&turn.owner)
     .bind(has_delivered)

@@ -43,7 +43,7 @@ struct ClusterSoak<'a> {
     plan: &'a SoakPlan,
     reference_jobs: &'a [ReferenceJob],
     folder: &'a Path,
-    chance: SeededRng,
+    random: SeededRng,
     log: Arc<ServerLog>,
     ports: Vec<u16>,
     clients: Arc<[Client]>,
@@ -53,7 +53,7 @@ struct ClusterSoak<'a> {
     waiting: BTreeMap<JobId, usize>,
     followers: JoinSet<anyhow::Result<Followed>>,
     checks: Checks,
-    tally: SoakReport,
+    summary: SoakReport,
     next_task: usize,
 }
 
@@ -72,7 +72,7 @@ pub(super) async fn soak(
         plan,
         reference_jobs: tasks,
         folder,
-        chance: SeededRng::new(plan.seed),
+        random: SeededRng::new(plan.seed),
         log: Arc::default(),
         clients: clients?.into(),
         servers: ports.iter().map(|_| None).collect(),
@@ -82,7 +82,7 @@ pub(super) async fn soak(
         waiting: BTreeMap::new(),
         followers: JoinSet::new(),
         checks: Checks::default(),
-        tally: SoakReport::default(),
+        summary: SoakReport::default(),
         next_task: 0,
     };
     soak.start_missing(false).await?;
@@ -91,26 +91,26 @@ pub(super) async fn soak(
         soak.workers.push(worker);
     }
     let mut checked = 0;
-    while !soak.is_fulfilled(start) && soak.tally.violations.is_empty() {
+    while !soak.is_fulfilled(start) && soak.summary.violations.is_empty() {
         soak.start_missing(true).await?;
         soak.submit().await;
-        tokio::time::sleep(soak.chance.pause(KILL_INTERVAL)).await;
+        tokio::time::sleep(soak.random.pause(KILL_INTERVAL)).await;
         soak.kill_one().await?;
-        let kills = soak.tally.all_server_kills() + soak.tally.all_worker_kills();
+        let kills = soak.summary.all_server_kills() + soak.summary.all_worker_kills();
         if kills >= checked + KILLS_A_CHECK {
             checked = kills;
             soak.check_database().await?;
             eprintln!(
                 "{} workers and {} servers killed, {} jobs succeeded",
-                soak.tally.all_worker_kills(),
-                soak.tally.all_server_kills(),
-                soak.tally.succeeded
+                soak.summary.all_worker_kills(),
+                soak.summary.all_server_kills(),
+                soak.summary.succeeded
             );
         }
     }
     soak.finish().await?;
-    soak.tally.took = start.elapsed();
-    Ok(soak.tally)
+    soak.summary.took = start.elapsed();
+    Ok(soak.summary)
 }
 
 /// Ports that are free now.
@@ -134,11 +134,11 @@ impl ClusterSoak<'_> {
     }
 
     fn workers_left(&self) -> u64 {
-        u64::from(self.plan.worker_kills).saturating_sub(self.tally.all_worker_kills())
+        u64::from(self.plan.worker_kills).saturating_sub(self.summary.all_worker_kills())
     }
 
     fn servers_left(&self) -> u64 {
-        u64::from(self.plan.server_kills).saturating_sub(self.tally.all_server_kills())
+        u64::from(self.plan.server_kills).saturating_sub(self.summary.all_server_kills())
     }
 
     fn data(&self, slot: usize) -> PathBuf {
@@ -162,9 +162,9 @@ impl ClusterSoak<'_> {
             let mut fail_points = Vec::new();
             if disturbed {
                 fail_points.push("telling=error/2".to_owned());
-                if self.servers_left() > 0 && self.chance.below(3) == 0 {
-                    let point = self.chance.pick(&kills::SERVER_POINTS).unwrap_or_default();
-                    fail_points.push(format!("{point}=kill@{}", 1 + self.chance.below(40)));
+                if self.servers_left() > 0 && self.random.below(3) == 0 {
+                    let point = self.random.pick(&kills::SERVER_POINTS).unwrap_or_default();
+                    fail_points.push(format!("{point}=kill@{}", 1 + self.random.below(40)));
                 }
             }
             let store = self.plan.store.clone().context("several servers need a store: pass --store")?;
@@ -178,8 +178,8 @@ impl ClusterSoak<'_> {
                 fail_points: &fail_points.join(","),
             };
             if let Some(server) = ServerProcess::start(&launch, &self.log).await? {
-                self.tally.slowest_ready = self.tally.slowest_ready.max(server.ready);
-                self.tally.ready = (self.tally.ready.0 + server.ready, self.tally.ready.1 + 1);
+                self.summary.slowest_ready = self.summary.slowest_ready.max(server.ready);
+                self.summary.ready = (self.summary.ready.0 + server.ready, self.summary.ready.1 + 1);
                 self.servers[slot] = Some(server);
             }
         }
@@ -200,20 +200,20 @@ impl ClusterSoak<'_> {
     /// Kills a worker or a server, and starts another worker.
     async fn kill_one(&mut self) -> anyhow::Result<()> {
         let all = self.workers_left() + self.servers_left();
-        if self.chance.below(all) < self.servers_left() {
-            let slot = self.chance.below(self.servers.len() as u64) as usize;
+        if self.random.below(all) < self.servers_left() {
+            let slot = self.random.below(self.servers.len() as u64) as usize;
             if let Some(mut server) = self.servers[slot].take() {
-                self.tally.server_kills += u32::from(!server.has_ended()?);
+                self.summary.server_kills += u32::from(!server.has_ended()?);
                 let orphans = server.kill().await?;
                 if orphans > 0 {
-                    self.tally.violation(format!("{orphans} workers outlived their server"));
+                    self.summary.violation(format!("{orphans} workers outlived their server"));
                 }
             }
         } else if !self.workers.is_empty() {
-            let victim = self.chance.below(self.workers.len() as u64) as usize;
+            let victim = self.random.below(self.workers.len() as u64) as usize;
             // Dropping kills it.
             self.workers[victim] = self.spawn_worker()?;
-            self.tally.worker_kills += 1;
+            self.summary.worker_kills += 1;
         }
         Ok(())
     }
@@ -221,7 +221,7 @@ impl ClusterSoak<'_> {
     /// Client of a server that runs.
     fn client(&mut self) -> Client {
         let running: Vec<usize> = (0..self.servers.len()).filter(|slot| self.servers[*slot].is_some()).collect();
-        let slot = self.chance.pick(&running).unwrap_or_default();
+        let slot = self.random.pick(&running).unwrap_or_default();
         self.clients[slot].clone()
     }
 
@@ -229,7 +229,7 @@ impl ClusterSoak<'_> {
     async fn submit(&mut self) {
         for (id, task) in self.waiting.clone() {
             let client = self.client();
-            match kills::check_pictures(&client, id, &self.reference_jobs[task], &mut self.tally).await {
+            match kills::check_pictures(&client, id, &self.reference_jobs[task], &mut self.summary).await {
                 Ok(true) => drop(self.waiting.remove(&id)),
                 Ok(false) => {}
                 Err(error) => self.take_error(&format!("job {id}"), &error),
@@ -241,13 +241,13 @@ impl ClusterSoak<'_> {
             let client = self.client();
             match client.submit(self.reference_jobs[task].text.clone(), true).await {
                 Ok(job) => {
-                    self.tally.accepted += 1;
+                    self.summary.accepted += 1;
                     self.accepted.insert(job.id);
                     self.waiting.insert(job.id, task);
                     self.followers.spawn(follow(Arc::clone(&self.clients), job.id, self.next_task));
                 }
                 Err(error) => {
-                    self.tally.unanswered += 1;
+                    self.summary.unanswered += 1;
                     self.take_error("a valid job", &error);
                     return;
                 }
@@ -259,7 +259,7 @@ impl ClusterSoak<'_> {
         if let ClientError::Problem(problem) = error
             && problem.status < 500
         {
-            self.tally.violation(format!("{subject}: {}", problem.detail));
+            self.summary.violation(format!("{subject}: {}", problem.detail));
         }
     }
 
@@ -273,13 +273,13 @@ impl ClusterSoak<'_> {
             tokio::time::sleep(POLL_INTERVAL).await;
             found = check_integrity(&data).await;
         }
-        self.checks.take(found?, &self.accepted, &mut self.tally);
+        self.checks.take(found?, &self.accepted, &mut self.summary);
         Ok(())
     }
 
     fn count_fail_points(&mut self) {
-        self.tally.workers_hit = self.log.workers_hit.load(Ordering::Relaxed);
-        self.tally.servers_hit = self.log.servers_hit.load(Ordering::Relaxed);
+        self.summary.workers_hit = self.log.workers_hit.load(Ordering::Relaxed);
+        self.summary.servers_hit = self.log.servers_hit.load(Ordering::Relaxed);
     }
 
     /// Finishes all accepted jobs with every server running, and checks what followers received.
@@ -289,7 +289,7 @@ impl ClusterSoak<'_> {
             self.start_missing(false).await?;
             for (id, task) in self.waiting.clone() {
                 let client = self.client();
-                match kills::check_pictures(&client, id, &self.reference_jobs[task], &mut self.tally).await {
+                match kills::check_pictures(&client, id, &self.reference_jobs[task], &mut self.summary).await {
                     Ok(true) => drop(self.waiting.remove(&id)),
                     Ok(false) => {}
                     Err(error) => self.take_error(&format!("job {id}"), &error),
@@ -298,7 +298,7 @@ impl ClusterSoak<'_> {
             tokio::time::sleep(POLL_INTERVAL * 10).await;
         }
         if !self.waiting.is_empty() {
-            self.tally.violation(format!("{} jobs did not finish within {LAST_JOBS_TIMEOUT:?}", self.waiting.len()));
+            self.summary.violation(format!("{} jobs did not finish within {LAST_JOBS_TIMEOUT:?}", self.waiting.len()));
         }
         self.start_missing(false).await?;
         self.check_followers().await?;
@@ -306,10 +306,10 @@ impl ClusterSoak<'_> {
         self.workers.clear();
         for server in self.servers.drain(..).flatten() {
             if !server.terminate().await? {
-                self.tally.violation("a server did not shut down gracefully after SIGTERM".to_owned());
+                self.summary.violation("a server did not shut down gracefully after SIGTERM".to_owned());
             }
         }
-        kills::count_log(&self.log, &mut self.tally);
+        kills::count_log(&self.log, &mut self.summary);
         self.count_fail_points();
         Ok(())
     }
@@ -320,9 +320,9 @@ impl ClusterSoak<'_> {
             let (id, received) = followed.context("a follower panicked")??;
             let clients: Arc<[Client]> = Arc::clone(&self.clients);
             let (_, listed) = follow(clients, id, 0).await?;
-            self.tally.followed += received.len();
+            self.summary.followed += received.len();
             if received != listed {
-                self.tally.violation(format!(
+                self.summary.violation(format!(
                     "a follower of job {id} received {} events, and there are {}",
                     received.len(),
                     listed.len()

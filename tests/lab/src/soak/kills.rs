@@ -80,14 +80,14 @@ struct Soak<'a> {
     plan: &'a SoakPlan,
     reference_jobs: &'a [ReferenceJob],
     data: &'a Path,
-    chance: SeededRng,
+    random: SeededRng,
     log: Arc<ServerLog>,
     start: Instant,
     accepted: BTreeSet<JobId>,
     /// Accepted jobs that are not checked yet, with their task.
     waiting: BTreeMap<JobId, usize>,
     checks: Checks,
-    tally: SoakReport,
+    summary: SoakReport,
     next_task: usize,
 }
 
@@ -99,23 +99,23 @@ pub(super) struct Checks {
 
 impl Checks {
     /// Counts a check, and its violations.
-    pub(super) fn take(&mut self, found: IntegrityReport, accepted: &BTreeSet<JobId>, tally: &mut SoakReport) {
-        tally.integrity_checks += 1;
+    pub(super) fn take(&mut self, found: IntegrityReport, accepted: &BTreeSet<JobId>, summary: &mut SoakReport) {
+        summary.integrity_checks += 1;
         for violation in found.violations {
-            tally.violation(violation);
+            summary.violation(violation);
         }
         let lost = accepted.difference(&found.jobs).count();
         if lost > 0 {
-            tally.violation(format!("{lost} jobs that were accepted with 201 are lost"));
+            summary.violation(format!("{lost} jobs that were accepted with 201 are lost"));
         }
         for (tile, was) in &self.done {
             match found.done.get(tile) {
-                None => tally.violation(format!("tile {tile} was done, and no longer is")),
-                Some(is) if is != was => tally.violation(format!("tile {tile} was done, and was leased again")),
+                None => summary.violation(format!("tile {tile} was done, and no longer is")),
+                Some(is) if is != was => summary.violation(format!("tile {tile} was done, and was leased again")),
                 Some(_) => {}
             }
         }
-        tally.tiles = found.done.len();
+        summary.tiles = found.done.len();
         self.done = found.done;
     }
 }
@@ -132,28 +132,28 @@ pub(super) async fn soak(
         plan,
         reference_jobs: tasks,
         data,
-        chance: SeededRng::new(plan.seed),
+        random: SeededRng::new(plan.seed),
         log: Arc::default(),
         start: Instant::now(),
         accepted: BTreeSet::new(),
         waiting: BTreeMap::new(),
         checks: Checks::default(),
-        tally: SoakReport::default(),
+        summary: SoakReport::default(),
         next_task: 0,
     };
     let mut reported = 0;
-    while !soak.is_fulfilled() && soak.tally.violations.is_empty() {
+    while !soak.is_fulfilled() && soak.summary.violations.is_empty() {
         soak.run_server_once().await?;
         soak.count_fail_points();
-        let kills = soak.tally.all_server_kills();
+        let kills = soak.summary.all_server_kills();
         if kills >= reported + 10 {
             reported = kills;
-            eprintln!("{} workers and {kills} servers killed", soak.tally.all_worker_kills());
+            eprintln!("{} workers and {kills} servers killed", soak.summary.all_worker_kills());
         }
     }
     soak.finish().await?;
-    soak.tally.took = soak.start.elapsed();
-    Ok(soak.tally)
+    soak.summary.took = soak.start.elapsed();
+    Ok(soak.summary)
 }
 
 /// Returns whether a job is finished; if so, any picture that differs from the expected one is a violation.
@@ -161,13 +161,13 @@ pub(super) async fn check_pictures(
     client: &Client,
     id: JobId,
     expected: &ReferenceJob,
-    tally: &mut SoakReport,
+    summary: &mut SoakReport,
 ) -> Result<bool, ClientError> {
     let job = client.job(id).await?;
     match job.state {
         JobState::Queued | JobState::Running => return Ok(false),
         JobState::Failed | JobState::Cancelled => {
-            tally.violation(format!("job {id} is {}: {}", job.state.name(), job.errors.join("; ")));
+            summary.violation(format!("job {id} is {}: {}", job.state.name(), job.errors.join("; ")));
             return Ok(true);
         }
         JobState::Succeeded => {}
@@ -175,23 +175,23 @@ pub(super) async fn check_pictures(
     for (frame, wanted) in expected.pictures.iter().enumerate() {
         let mut picture = Vec::new();
         client.image(id, frame as u32, &mut picture).await?;
-        tally.pictures += 1;
+        summary.pictures += 1;
         if blake3::hash(&picture) != *wanted {
-            tally.violation(format!("frame {frame} of job {id} differs from an undisturbed render"));
+            summary.violation(format!("frame {frame} of job {id} differs from an undisturbed render"));
         }
     }
-    tally.succeeded += 1;
+    summary.succeeded += 1;
     Ok(true)
 }
 
 /// Counts panics and differences in the logs of processes as violations.
-pub(super) fn count_log(log: &ServerLog, tally: &mut SoakReport) {
+pub(super) fn count_log(log: &ServerLog, summary: &mut SoakReport) {
     for (count, what) in [
         (log.panics.load(Ordering::Relaxed), "panics"),
         (log.differences.load(Ordering::Relaxed), "tiles or pictures that differed when rendered again"),
     ] {
         if count > 0 {
-            tally.violation(format!("{count} {what}"));
+            summary.violation(format!("{count} {what}"));
         }
     }
 }
@@ -208,11 +208,11 @@ impl Soak<'_> {
     }
 
     fn workers_left(&self) -> u64 {
-        u64::from(self.plan.worker_kills).saturating_sub(self.tally.all_worker_kills())
+        u64::from(self.plan.worker_kills).saturating_sub(self.summary.all_worker_kills())
     }
 
     fn servers_left(&self) -> u64 {
-        u64::from(self.plan.server_kills).saturating_sub(self.tally.all_server_kills())
+        u64::from(self.plan.server_kills).saturating_sub(self.summary.all_server_kills())
     }
 
     /// Runs one server from its start to its end.
@@ -222,13 +222,13 @@ impl Soak<'_> {
         let last = Instant::now() + FAIL_POINT_TIMEOUT;
         for _ in 0..self.kills_per_server() {
             self.submit(&mut server).await?;
-            tokio::time::sleep(self.chance.pause(KILL_INTERVAL)).await;
+            tokio::time::sleep(self.random.pause(KILL_INTERVAL)).await;
             if server.has_ended()? {
                 break;
             }
-            if let Some(victim) = self.chance.pick(server.workers()) {
+            if let Some(victim) = self.random.pick(server.workers()) {
                 processes::kill(victim);
-                self.tally.worker_kills += 1;
+                self.summary.worker_kills += 1;
             }
         }
         self.submit(&mut server).await?;
@@ -236,7 +236,7 @@ impl Soak<'_> {
             tokio::time::sleep(FAIL_POINT_TIMEOUT).await;
             return self.end(server).await;
         }
-        tokio::time::sleep(self.chance.pause(KILL_INTERVAL)).await;
+        tokio::time::sleep(self.random.pause(KILL_INTERVAL)).await;
         while kills_server && Instant::now() < last && !server.has_ended()? {
             tokio::time::sleep(POLL_INTERVAL).await;
         }
@@ -244,11 +244,11 @@ impl Soak<'_> {
             return self.end(server).await;
         }
         if !server.has_ended()? {
-            self.tally.server_kills += 1;
+            self.summary.server_kills += 1;
         }
         let orphans = server.kill().await?;
         if orphans > 0 {
-            self.tally.violation(format!("{orphans} workers outlived their server"));
+            self.summary.violation(format!("{orphans} workers outlived their server"));
         }
         Ok(())
     }
@@ -264,7 +264,7 @@ impl Soak<'_> {
 
     /// Fail points to arm in the next server, and whether they kill the server.
     fn choose_points(&mut self) -> (String, bool) {
-        let (points, most, is_server) = match self.chance.below(4) {
+        let (points, most, is_server) = match self.random.below(4) {
             0 => (&SERVER_POINTS[..], 8, true),
             1 => (&WORKER_POINTS[..], 4, false),
             _ => return (String::new(), false),
@@ -273,8 +273,8 @@ impl Soak<'_> {
             return (String::new(), false);
         }
         // A worker passes the point at least once, because otherwise it would never finish any work.
-        let pass = if is_server { 1 } else { 2 } + self.chance.below(most);
-        (self.chance.pick(points).map_or_else(String::new, |point| format!("{point}=kill@{pass}")), is_server)
+        let pass = if is_server { 1 } else { 2 } + self.random.below(most);
+        (self.random.pick(points).map_or_else(String::new, |point| format!("{point}=kill@{pass}")), is_server)
     }
 
     /// Starts a server and checks the state left by the last one; `None` if a fail point killed it at its start.
@@ -289,11 +289,11 @@ impl Soak<'_> {
             fail_points,
         };
         let Some(server) = ServerProcess::start(&launch, &self.log).await? else { return Ok(None) };
-        self.tally.slowest_ready = self.tally.slowest_ready.max(server.ready);
-        self.tally.ready = (self.tally.ready.0 + server.ready, self.tally.ready.1 + 1);
+        self.summary.slowest_ready = self.summary.slowest_ready.max(server.ready);
+        self.summary.ready = (self.summary.ready.0 + server.ready, self.summary.ready.1 + 1);
         let limit = READY_LIMIT + if self.plan.database.is_some() { CONNECTING_LIMIT } else { Duration::ZERO };
         if server.ready > limit {
-            self.tally.violation(format!("a server needed {:?} to become ready", server.ready));
+            self.summary.violation(format!("a server needed {:?} to become ready", server.ready));
         }
         self.audit().await?;
         Ok(Some(server))
@@ -307,7 +307,7 @@ impl Soak<'_> {
             }
             found = check_integrity(self.data).await;
         }
-        self.checks.take(found?, &self.accepted, &mut self.tally);
+        self.checks.take(found?, &self.accepted, &mut self.summary);
         Ok(())
     }
 
@@ -316,11 +316,11 @@ impl Soak<'_> {
     async fn submit(&mut self, server: &mut ServerProcess) -> anyhow::Result<()> {
         server.refresh_workers();
         for (id, task) in self.waiting.clone() {
-            match check_pictures(&server.client, id, &self.reference_jobs[task], &mut self.tally).await {
+            match check_pictures(&server.client, id, &self.reference_jobs[task], &mut self.summary).await {
                 Ok(true) => drop(self.waiting.remove(&id)),
                 Ok(false) => {}
                 Err(error) if is_cut_off(&error) => return Ok(()),
-                Err(ClientError::Problem(problem)) => self.tally.violation(format!("job {id}: {}", problem.detail)),
+                Err(ClientError::Problem(problem)) => self.summary.violation(format!("job {id}: {}", problem.detail)),
                 Err(_) => return Ok(()),
             }
         }
@@ -329,20 +329,20 @@ impl Soak<'_> {
             self.next_task += 1;
             match server.client.submit(self.reference_jobs[task].text.clone(), true).await {
                 Ok(job) => {
-                    self.tally.accepted += 1;
+                    self.summary.accepted += 1;
                     self.accepted.insert(job.id);
                     self.waiting.insert(job.id, task);
                 }
                 Err(error) if is_cut_off(&error) => {
-                    self.tally.unanswered += 1;
+                    self.summary.unanswered += 1;
                     return Ok(());
                 }
                 Err(ClientError::Problem(problem)) => {
-                    self.tally.violation(format!("a valid job was rejected: {}", problem.detail));
+                    self.summary.violation(format!("a valid job was rejected: {}", problem.detail));
                     return Ok(());
                 }
                 Err(_) => {
-                    self.tally.unanswered += 1;
+                    self.summary.unanswered += 1;
                     return Ok(());
                 }
             }
@@ -352,14 +352,14 @@ impl Soak<'_> {
 
     async fn end(&mut self, server: ServerProcess) -> anyhow::Result<()> {
         if !server.terminate().await? {
-            self.tally.violation("a server did not shut down gracefully after SIGTERM".to_owned());
+            self.summary.violation("a server did not shut down gracefully after SIGTERM".to_owned());
         }
         Ok(())
     }
 
     fn count_fail_points(&mut self) {
-        self.tally.workers_hit = self.log.workers_hit.load(Ordering::Relaxed);
-        self.tally.servers_hit = self.log.servers_hit.load(Ordering::Relaxed);
+        self.summary.workers_hit = self.log.workers_hit.load(Ordering::Relaxed);
+        self.summary.servers_hit = self.log.servers_hit.load(Ordering::Relaxed);
     }
 
     /// Finishes all accepted jobs, on an undisturbed server.
@@ -368,7 +368,7 @@ impl Soak<'_> {
         let start = Instant::now();
         while !self.waiting.is_empty() && start.elapsed() < LAST_JOBS_TIMEOUT {
             for (id, task) in self.waiting.clone() {
-                match check_pictures(&server.client, id, &self.reference_jobs[task], &mut self.tally).await {
+                match check_pictures(&server.client, id, &self.reference_jobs[task], &mut self.summary).await {
                     Ok(true) => drop(self.waiting.remove(&id)),
                     Ok(false) => {}
                     Err(error) if is_cut_off(&error) => {}
@@ -379,11 +379,11 @@ impl Soak<'_> {
             tokio::time::sleep(POLL_INTERVAL).await;
         }
         if !self.waiting.is_empty() {
-            self.tally.violation(format!("{} jobs did not finish within {LAST_JOBS_TIMEOUT:?}", self.waiting.len()));
+            self.summary.violation(format!("{} jobs did not finish within {LAST_JOBS_TIMEOUT:?}", self.waiting.len()));
         }
         self.audit().await?;
         self.end(server).await?;
-        count_log(&self.log, &mut self.tally);
+        count_log(&self.log, &mut self.summary);
         self.count_fail_points();
         Ok(())
     }

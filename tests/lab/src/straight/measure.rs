@@ -60,10 +60,10 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<String> {
 
 /// Evaluates a job's distance at points for about `time`, in turns with straight C++ of it, which takes as much again.
 pub(super) fn measure(job: &Job, simd: Simd, time: Duration) -> Result<Row, RenderError> {
-    let (still, simd) = (job.at(0)?, simd.resolve_auto());
-    let mut evaluator = DistanceBench::new(&still, simd)?;
+    let (at_frame, simd) = (job.at(0)?, simd.resolve_auto());
+    let mut evaluator = DistanceBench::new(&at_frame, simd)?;
     let distances = evaluator.distances();
-    let built = Straight::build(&record_distance(&still), simd, evaluator.points(), &distances);
+    let built = Straight::build(&record_distance(&at_frame), simd, evaluator.points(), &distances);
     let (mut straight, mut straight_error) = match built {
         Ok(program) => (Some(program), None),
         Err(error) => (None, Some(error)),

@@ -14,9 +14,9 @@ const WRONG: [u8; 3] = [255, 40, 60];
 /// Color of the frames around tiles that differ.
 const FRAME: [u8; 3] = [255, 196, 0];
 /// Distance of the ring around a pixel that differs, in pixels: one pixel alone is hard to see.
-const RING_PX: i64 = 6;
+const MARK_PX: i64 = 6;
 /// Maximum number of pixels that get a ring.
-const MAX_RINGS: usize = 256;
+const MAX_MARKS: usize = 256;
 /// Brightness of what was checked, and of what was not.
 const CHECKED: f32 = 0.75;
 const UNCHECKED: f32 = 0.3;
@@ -33,12 +33,12 @@ pub fn draw(stored: &StoredPicture, checked: &Checked) -> anyhow::Result<Vec<u8>
         let (x, y) = (i64::from(tile.x), i64::from(tile.y));
         canvas.draw_frame([x, y], [x + i64::from(tile.width) - 1, y + i64::from(tile.height) - 1], FRAME);
     }
-    let has_rings = checked.pixels.len() <= MAX_RINGS;
+    let has_marks = checked.pixels.len() <= MAX_MARKS;
     for &[x, y] in &checked.pixels {
         let (x, y) = (i64::from(x), i64::from(y));
         canvas.set(x, y, WRONG);
-        if has_rings {
-            canvas.draw_frame([x - RING_PX, y - RING_PX], [x + RING_PX, y + RING_PX], WRONG);
+        if has_marks {
+            canvas.draw_frame([x - MARK_PX, y - MARK_PX], [x + MARK_PX, y + MARK_PX], WRONG);
         }
     }
     let mut png = Vec::new();

@@ -43,6 +43,6 @@ fn c_text_is_compiled_by_nvrtc() {
     };
     let formulas: Vec<Formula> = operations().into_iter().chain(random_formulas().into_iter().take(60)).collect();
     let code = compiler.compile(&source(&tapes(&formulas), ENTRY, KERNEL), 90);
-    let code = code.unwrap_or_else(|trouble| panic!("{trouble}"));
+    let code = code.unwrap_or_else(|error| panic!("{error}"));
     assert!(code.starts_with(b"\x7fELF"), "machine code is an ELF file");
 }

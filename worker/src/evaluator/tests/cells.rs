@@ -12,9 +12,9 @@ use crate::cells::FastBuilder;
 /// The first frame of a job as cells; it lives as long as the test.
 fn cells_of(text: &[u8], how: &dyn CellBuilder) -> Option<&'static Cells<'static>> {
     let job = Box::leak(Box::new(scene::parse(text).expect("a valid job")));
-    let still = Box::leak(Box::new(job.at(0).expect("a valid frame")));
-    let objects: Vec<_> = (0..still.scene().objects.len()).map(|index| (index, None)).collect();
-    let cells = Cells::new(Program::new(still.scene(), &objects)?, Bounds::symmetric(40.0, 40.0, 40.0), how);
+    let at_frame = Box::leak(Box::new(job.at(0).expect("a valid frame")));
+    let objects: Vec<_> = (0..at_frame.scene().objects.len()).map(|index| (index, None)).collect();
+    let cells = Cells::new(Program::new(at_frame.scene(), &objects)?, Bounds::symmetric(40.0, 40.0, 40.0), how);
     Some(Box::leak(Box::new(cells)))
 }
 
@@ -32,15 +32,15 @@ pub(crate) fn many(count: u32) -> String {
         } else {
             r#"{ "sphere": { "radius": 0.08 } }"#
         };
-        let turned = format!(r#"{{ "rotate": {{ "degrees": [{}, 0, 20], "child": {solid} }} }}"#, index % 90);
-        let turned = match index % 7 {
+        let rotated = format!(r#"{{ "rotate": {{ "degrees": [{}, 0, 20], "child": {solid} }} }}"#, index % 90);
+        let rotated = match index % 7 {
             paint @ (2 | 4 | 5) => {
                 let material = ["red", "blue", "tiles"][paint as usize / 2 - 1 + paint as usize % 2];
-                format!(r#"{{ "paint": {{ "material": "{material}", "child": {turned} }} }}"#)
+                format!(r#"{{ "paint": {{ "material": "{material}", "child": {rotated} }} }}"#)
             }
-            _ => turned,
+            _ => rotated,
         };
-        format!(r#"{{ "translate": {{ "by": [{}, {}, {}], "child": {turned} }} }}"#, place(17), place(101), place(541))
+        format!(r#"{{ "translate": {{ "by": [{}, {}, {}], "child": {rotated} }} }}"#, place(17), place(101), place(541))
     };
     let shapes: Vec<String> = (0..count).map(shape).collect();
     format!(
@@ -121,15 +121,15 @@ fn place<R: Real>([x, y, _]: [R; 3]) -> (R, R) {
 #[test]
 fn pixels_by_cells_give_the_reference_bits() {
     let job = Box::leak(Box::new(scene::parse(many(200).as_bytes()).expect("a valid job")));
-    let still = Box::leak(Box::new(job.at(0).expect("a valid frame")));
-    let [by_cells, without] = [Integrator::of_picture(still, &FastBuilder::UNLIMITED), Integrator::new(still)];
+    let at_frame = Box::leak(Box::new(job.at(0).expect("a valid frame")));
+    let [by_cells, without] = [Integrator::of_picture(at_frame, &FastBuilder::UNLIMITED), Integrator::new(at_frame)];
     let (by_cells, without) = (&*Box::leak(Box::new(by_cells)), &*Box::leak(Box::new(without)));
     let light = |all: [Expr; 3]| by_cells.pixel(place(all).0, place(all).1).color.x;
     compare_packets(&Formula::new("light", light, |all| by_cells.pixel(place(all).0, place(all).1).color.x), 4);
     let mut hits = 0;
     for pixel in 0..64 {
         let (x, y) = ((pixel % 8) as f32, (pixel / 8) as f32);
-        let (got, want) = (by_cells.aovs(x, y), without.aovs(x, y));
+        let (got, want) = (by_cells.layer_values(x, y), without.layer_values(x, y));
         assert_eq!(got.depth.is_finite(), want.depth.is_finite(), "a hit at ({x}, {y})");
         if want.depth.is_finite() {
             hits += 1;

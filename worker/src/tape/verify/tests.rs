@@ -185,7 +185,7 @@ fn every_broken_tape_is_refused_with_its_fault() {
 fn a_message_names_the_step_the_value_and_the_fault() {
     let mut tape = example();
     tape.functions[MAIN].results[0] = find(&tape, Operation::Sqrt);
-    let told = tape.verify().expect_err("a value of a branch is returned").to_string();
+    let reported = tape.verify().expect_err("a value of a branch is returned").to_string();
     let id = find(&tape, Operation::Sqrt).0;
-    assert_eq!(told, format!("step \"main\", value {id}: it is used before its definition, or outside its block"));
+    assert_eq!(reported, format!("step \"main\", value {id}: it is used before its definition, or outside its block"));
 }

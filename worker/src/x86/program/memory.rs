@@ -7,13 +7,13 @@ use super::{Packet, WORDS};
 /// Memory of machine code.
 #[derive(Debug)]
 pub(super) struct Memory {
-    place: Place,
+    place: Backing,
     /// Bytes that the code may touch.
     bytes: usize,
 }
 
 #[derive(Debug)]
-enum Place {
+enum Backing {
     Heap(Vec<Packet>),
     /// Pages between others that can't be touched.
     #[cfg(test)]
@@ -24,7 +24,7 @@ impl Memory {
     /// Memory of zeros.
     pub(super) fn zeroed(packets: usize) -> Self {
         let bytes = packets * size_of::<Packet>();
-        Self { place: Place::Heap(vec![Packet([0.0; WORDS]); packets]), bytes }
+        Self { place: Backing::Heap(vec![Packet([0.0; WORDS]); packets]), bytes }
     }
 
     /// The same memory, of which code touches only the first bytes.
@@ -36,8 +36,8 @@ impl Memory {
     /// The same content between pages that can't be touched.
     #[cfg(test)]
     pub(super) fn guarded(self, edge: super::guarded::Edge) -> Self {
-        let Place::Heap(packets) = self.place else { return self };
-        Self { place: Place::Guarded(Pages::new(&packets, self.bytes, edge)), bytes: self.bytes }
+        let Backing::Heap(packets) = self.place else { return self };
+        Self { place: Backing::Guarded(Pages::new(&packets, self.bytes, edge)), bytes: self.bytes }
     }
 
     /// Bytes that code may touch.
@@ -47,18 +47,18 @@ impl Memory {
 
     pub(super) fn address(&self) -> *const Packet {
         match &self.place {
-            Place::Heap(packets) => packets.as_ptr(),
+            Backing::Heap(packets) => packets.as_ptr(),
             #[cfg(test)]
-            Place::Guarded(pages) => pages.address().cast(),
+            Backing::Guarded(pages) => pages.address().cast(),
         }
     }
 
     /// All packets of a memory that consists of whole ones.
     pub(super) fn packets(&mut self) -> &mut [Packet] {
         match &mut self.place {
-            Place::Heap(packets) => packets,
+            Backing::Heap(packets) => packets,
             #[cfg(test)]
-            Place::Guarded(pages) => pages.packets(),
+            Backing::Guarded(pages) => pages.packets(),
         }
     }
 }

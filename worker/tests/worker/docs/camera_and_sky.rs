@@ -123,8 +123,8 @@ pub(crate) fn page() -> Page {
     let mut page = Page { name: "camera-and-sky.md", text: HEAD.to_owned(), pictures: Vec::new() };
     page.text += &part(&schema, "Camera");
     page.text += &part(&schema, "Turntable");
-    let none = Picture::of_a_still("pictures/effects/none.webp".to_owned(), with(""));
-    let pinhole = Picture::of_a_still("pictures/lenses/none.webp".to_owned(), through(""));
+    let none = Picture::of_first_frame("pictures/effects/none.webp".to_owned(), with(""));
+    let pinhole = Picture::of_first_frame("pictures/lenses/none.webp".to_owned(), through(""));
     let behind = |lens: &str| through(&format!(r#", "lens": {lens}"#));
     let families = [
         (PROJECTIONS, "projections", "Projection", Projection::examples(), columns as fn(&str) -> Job),
@@ -137,7 +137,7 @@ pub(crate) fn page() -> Page {
         for example in examples {
             let file = file(folder, &example.name, example.index);
             page.text += &kind_section(&schema, definition, &example, &file);
-            page.pictures.push(Picture::of_a_still(file, job(&example.json)));
+            page.pictures.push(Picture::of_first_frame(file, job(&example.json)));
         }
     }
     page.pictures.extend([none, pinhole]);

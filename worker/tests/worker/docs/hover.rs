@@ -62,7 +62,7 @@ pub(crate) fn page() -> Page {
         let found = large.iter().rposition(|(shown, _)| *shown == path);
         let (_, job) = large.remove(found.unwrap_or_else(|| panic!("nothing shows {path}")));
         let name = path.strip_prefix("/ui/pictures/").expect("the path of a picture");
-        page.pictures.push(Picture::of_a_still(format!("{FOLDER}/{name}"), small(job)));
+        page.pictures.push(Picture::of_first_frame(format!("{FOLDER}/{name}"), small(job)));
     }
     page
 }

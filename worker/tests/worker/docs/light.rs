@@ -163,7 +163,7 @@ pub(crate) fn page() -> Page {
         )
         .expect("a String takes all");
         let jobs = [pair.job([pair.both, pair.before]), pair.job([pair.both, pair.after])];
-        page.pictures.extend(files.into_iter().zip(jobs).map(|(file, job)| Picture::of_a_still(file, job)));
+        page.pictures.extend(files.into_iter().zip(jobs).map(|(file, job)| Picture::of_first_frame(file, job)));
     }
     page
 }

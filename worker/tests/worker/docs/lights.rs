@@ -40,7 +40,7 @@ pub(crate) fn page() -> Page {
             ),
             [240, 180],
         );
-        page.pictures.push(Picture::of_a_still(file, job));
+        page.pictures.push(Picture::of_first_frame(file, job));
     }
     page
 }

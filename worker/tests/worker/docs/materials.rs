@@ -41,7 +41,7 @@ fn add(page: &mut Page, schema: &Value, folder: &str, examples: &[Example], mate
     for example in examples {
         let file = file(folder, &example.name, example.index);
         page.text += &kind_section(schema, "", example, &file);
-        page.pictures.push(Picture::of_a_still(file, on_a_floor(&ball_and_box(&material(&example.json)))));
+        page.pictures.push(Picture::of_first_frame(file, on_a_floor(&ball_and_box(&material(&example.json)))));
     }
 }
 

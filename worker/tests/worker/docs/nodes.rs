@@ -62,7 +62,7 @@ pub(crate) fn page() -> Page {
             r#"{{ "shape": {}, "material": {{ "diffuse": {{ "kd": [0.62, 0.64, 0.68], "ks": [0.12, 0.12, 0.12], "shininess": 30 }} }} }}"#,
             in_view(&example.json)
         );
-        page.pictures.push(Picture::of_a_still(file, on_a_floor(&objects)));
+        page.pictures.push(Picture::of_first_frame(file, on_a_floor(&objects)));
     }
     page
 }

@@ -74,20 +74,20 @@ pub(super) fn shape_of<'a>(
     inline: &mut BTreeMap<String, &'a Value>,
 ) -> Shape {
     let mut shape = Shape::default();
-    Reader { definitions, inline, shape: &mut shape }.read(schema, place);
+    ShapeReader { definitions, inline, shape: &mut shape }.read(schema, place);
     if shape.kind.is_empty() {
         if shape.words.is_empty() { "object" } else { "word" }.clone_into(&mut shape.kind);
     }
     shape
 }
 
-struct Reader<'a, 'r> {
+struct ShapeReader<'a, 'r> {
     definitions: &'a Map<String, Value>,
     inline: &'r mut BTreeMap<String, &'a Value>,
     shape: &'r mut Shape,
 }
 
-impl<'a> Reader<'a, '_> {
+impl<'a> ShapeReader<'a, '_> {
     fn read(&mut self, schema: &'a Value, place: &str) {
         if let Some(name) = target(schema) {
             self.definition(name);

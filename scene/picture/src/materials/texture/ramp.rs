@@ -46,7 +46,7 @@ impl Ramp {
 
     /// Its colors, which may be textures.
     pub(super) fn color_params(&self) -> impl Iterator<Item = &ColorParam> {
-        self.0.iter().map(|RampStop(_, tint)| tint)
+        self.0.iter().map(|RampStop(_, color)| color)
     }
 }
 

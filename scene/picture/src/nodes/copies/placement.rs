@@ -193,13 +193,13 @@ impl Placements {
     /// Direction around a copy of one in its shape's space.
     fn direction_from_shape<R: Real>(&self, index: usize, v: Vec3<R>) -> Vec3<R> {
         let Placement { scale, inverse_rows, .. } = &self.all[index];
-        let turned = if self.has_rotation { rotated(v, transposed(*inverse_rows)) } else { v };
-        if self.has_scale { turned * v.x.uniform(*scale) } else { turned }
+        let mapped_outward = if self.has_rotation { rotated(v, transposed(*inverse_rows)) } else { v };
+        if self.has_scale { mapped_outward * v.x.uniform(*scale) } else { mapped_outward }
     }
 
     /// Value at `p` of a copy of a shape, given the shape's value at a point.
     pub fn sample<R: Real, V: SdfValue<R>>(&self, index: usize, shape: impl FnOnce(Vec3<R>) -> V, p: Vec3<R>) -> V {
-        let mut value = shape(self.to_shape(index, p)).turned(|way| self.direction_from_shape(index, way));
+        let mut value = shape(self.to_shape(index, p)).mapped_outward(|way| self.direction_from_shape(index, way));
         if let Some(scale) = self.scale(index) {
             let distance = value.distance() * p.x.uniform(scale);
             value = value.with_distance(distance);

@@ -71,12 +71,12 @@ impl Primitive for KaleidoscopicIfs {
         let step = Vec3::uniform(p.x, offset.map(|c| c * share));
         let shrink = p.x.uniform(1.0 / scale);
         let (place, size) = R::repeat(self.iterations, (p, p.x.constant(1.0)), |(place, size)| {
-            let place = turned(place, self.turn_before.as_deref());
+            let place = rotated_by(place, self.turn_before.as_deref());
             let place = match self.folds {
                 KaleidoscopicFolds::Tetrahedral => folds::tetrahedral(place),
                 KaleidoscopicFolds::Octahedral | KaleidoscopicFolds::MengerLike => folds::octahedral(place),
             };
-            let place = turned(place, self.turn_after.as_deref());
+            let place = rotated_by(place, self.turn_after.as_deref());
             let step = step * size;
             let place = match self.folds {
                 KaleidoscopicFolds::Tetrahedral | KaleidoscopicFolds::Octahedral => place - step,
@@ -120,7 +120,7 @@ impl KaleidoscopicIfs {
 }
 
 /// The point, rotated if there is a rotation.
-fn turned<R: Real>(p: Vec3<R>, rotation: Option<&Rotation>) -> Vec3<R> {
+fn rotated_by<R: Real>(p: Vec3<R>, rotation: Option<&Rotation>) -> Vec3<R> {
     match rotation {
         Some(rotation) => {
             let [x, y, z] = rotation.inverse_rows();

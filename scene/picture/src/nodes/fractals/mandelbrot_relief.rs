@@ -143,7 +143,7 @@ mod tests {
 
     #[test]
     fn points_that_have_not_escaped_are_solid() {
-        let relief: MandelbrotRelief = serde_json::from_str(r#"{ "size": 3, "height": 1, "iterations": 20 }"#).unwrap();
+        let shape: MandelbrotRelief = serde_json::from_str(r#"{ "size": 3, "height": 1, "iterations": 20 }"#).unwrap();
         let mut counts = [0, 0];
         for (row, column) in (0..300).flat_map(|row| (0..300).map(move |column| (row, column))) {
             let (x, z) = (column as f32 * 0.01 - 1.495, row as f32 * 0.01 - 1.495);
@@ -155,7 +155,7 @@ mod tests {
                 }
             }
             let is_solid = a * a + b * b < 256.0;
-            let value = relief.distance(vec3(x, 0.5, z));
+            let value = shape.distance(vec3(x, 0.5, z));
             // A point on the edge is on either side by rounding.
             assert!((value < 0.0) == is_solid || value.abs() < 1e-6, "{value} at {cx} + {cy}i");
             counts[usize::from(is_solid)] += 1;

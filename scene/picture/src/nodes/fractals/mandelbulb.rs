@@ -162,8 +162,8 @@ fn power_by_angles<R: Real>(z: Vec3<R>, radius: R, power: R, p: Vec3<R>) -> (Vec
     let (sin_theta, cos_theta) = ((z.z / radius).acos() * power).sin_cos();
     let (sin_phi, cos_phi) = (z.y.atan2(z.x) * power).sin_cos();
     let growth = radius.powf(power - 1.0);
-    let turned = vec3(sin_theta * cos_phi, sin_theta * sin_phi, cos_theta);
-    (turned.mul_add(growth * radius, p), growth)
+    let direction = vec3(sin_theta * cos_phi, sin_theta * sin_phi, cos_theta);
+    (direction.mul_add(growth * radius, p), growth)
 }
 
 /// One step of the power by products.

@@ -65,7 +65,7 @@ struct BentBounds {
     /// Extent along x, and vertically, after bending.
     reach: f32,
     top: f32,
-    stretch: f32,
+    lipschitz: f32,
 }
 
 impl Bend {
@@ -95,7 +95,7 @@ impl Bend {
             let rise = 2.0 * half_sin * half_sin / curvature;
             let widest = if angle < FRAC_PI_2 { sin } else { 1.0 };
             let nearest = (1.0 - curvature * high_y).max(0.5 * MIN_RADIUS_FRACTION);
-            let stretch = self.child.lipschitz() * ((1.0 + GUARD_FRACTION) / nearest).max(1.0) * (1.0 + 1e-6);
+            let lipschitz = self.child.lipschitz() * ((1.0 + GUARD_FRACTION) / nearest).max(1.0) * (1.0 + 1e-6);
             BentBounds {
                 up,
                 curvature,
@@ -106,7 +106,7 @@ impl Bend {
                 end: (sin, cos),
                 reach: widest / curvature - low_y * widest,
                 top: rise + (low_y * cos).max(high_y * cos),
-                stretch,
+                lipschitz,
             }
         })
     }
@@ -124,7 +124,7 @@ impl Sdf for Bend {
     ];
 
     fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>, sample: &impl Fn(usize, Vec3<R>) -> V) -> V {
-        let BentBounds { up, curvature, low, high, middle_z, half_z, end: (sin, cos), reach, top, stretch } =
+        let BentBounds { up, curvature, low, high, middle_z, half_z, end: (sin, cos), reach, top, lipschitz } =
             *self.arc();
         let (x, y) = (p.x, p.y * p.x.uniform(up));
         // All in radii of the circle, relative to its center.
@@ -142,8 +142,8 @@ impl Sdf for Bend {
             .max(x.abs() - p.x.uniform(reach))
             .max(y - p.x.uniform(top));
         let to_half_plane =
-            R::select(down.below(0.0), across.abs(), away) * p.x.uniform(stretch * GUARD_FRACTION / curvature);
-        let distance = child.distance().min(to_half_plane).max(beyond * p.x.uniform(stretch));
+            R::select(down.below(0.0), across.abs(), away) * p.x.uniform(lipschitz * GUARD_FRACTION / curvature);
+        let distance = child.distance().min(to_half_plane).max(beyond * p.x.uniform(lipschitz));
         child.with_distance(distance)
     }
 
@@ -152,7 +152,7 @@ impl Sdf for Bend {
     carries_child!(|self| self.degrees_per_unit.is_animated());
 
     fn lipschitz(&self) -> f32 {
-        self.arc().stretch
+        self.arc().lipschitz
     }
 
     fn own_exactness(&self) -> Exactness {
@@ -183,10 +183,10 @@ impl Sdf for Bend {
     }
 
     fn bounds(&self, isolevel: f32) -> Bounds {
-        let BentBounds { up, low, middle_z, half_z, reach, top, stretch, .. } = *self.arc();
+        let BentBounds { up, low, middle_z, half_z, reach, top, lipschitz, .. } = *self.arc();
         let (low, high) = if up < 0.0 { (-top, -low) } else { (low, top) };
         let bounds = Bounds { min: vec3(-reach, low, middle_z - half_z), max: vec3(reach, high, middle_z + half_z) };
-        bounds.expanded(isolevel / stretch)
+        bounds.expanded(isolevel / lipschitz)
     }
 
     fn lipschitz_advice(&self) -> &'static str {

@@ -57,7 +57,7 @@ struct BoundingFrustum {
     /// One over the greatest factor if that is above 1, else 1: factor of the value.
     value_scale: f32,
     /// The Lipschitz factor.
-    stretch: f32,
+    lipschitz: f32,
 }
 
 impl Taper {
@@ -85,7 +85,7 @@ impl Taper {
             let beside = |widest: f32| Real::sqrt((1.0 + widest) * (1.0 + widest) + shear * shear);
             let drawn_apart = 0.5 * (beside(widest) + beside(-widest));
             let child = self.child.lipschitz();
-            let stretch = (child * drawn_apart + 0.5 * shear) * shrink * (1.0 + 1e-6);
+            let lipschitz = (child * drawn_apart + 0.5 * shear) * shrink * (1.0 + 1e-6);
             let slant = 1.0 / Real::sqrt(1.0 + shear * shear);
             BoundingFrustum {
                 radius,
@@ -94,7 +94,7 @@ impl Taper {
                 slope,
                 slant,
                 value_scale: shrink,
-                stretch,
+                lipschitz,
             }
         })
     }
@@ -110,7 +110,7 @@ impl Sdf for Taper {
     } }"#];
 
     fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>, sample: &impl Fn(usize, Vec3<R>) -> V) -> V {
-        let BoundingFrustum { radius, low, high, slope: _, slant, value_scale: shrink, stretch } = *self.frustum();
+        let BoundingFrustum { radius, low, high, slope: _, slant, value_scale: shrink, lipschitz } = *self.frustum();
         let y = p.y.max(p.x.uniform(low)).min(p.x.uniform(high));
         let factor = self.factor(y);
         let away = p.x.square_add(p.z.square()).sqrt();
@@ -120,7 +120,7 @@ impl Sdf for Taper {
             * (factor * p.x.uniform(shrink));
         let beyond = (away - factor * p.x.uniform(radius)) * p.x.uniform(slant);
         let beyond = beyond.max(p.y - p.x.uniform(high)).max(p.x.uniform(low) - p.y);
-        child.with_distance(held.max(beyond * p.x.uniform(stretch)))
+        child.with_distance(held.max(beyond * p.x.uniform(lipschitz)))
     }
 
     around_child!();
@@ -132,7 +132,7 @@ impl Sdf for Taper {
     });
 
     fn lipschitz(&self) -> f32 {
-        self.frustum().stretch
+        self.frustum().lipschitz
     }
 
     fn own_exactness(&self) -> Exactness {
@@ -148,8 +148,8 @@ impl Sdf for Taper {
     }
 
     fn bounds(&self, isolevel: f32) -> Bounds {
-        let BoundingFrustum { radius, low, high, slant, stretch, .. } = *self.frustum();
-        let beyond = isolevel / stretch;
+        let BoundingFrustum { radius, low, high, slant, lipschitz, .. } = *self.frustum();
+        let beyond = isolevel / lipschitz;
         let radius = radius * self.bottom_factor.get().max(self.top_factor.get());
         let radius = radius + beyond / slant;
         Bounds { min: vec3(-radius, low - beyond, -radius), max: vec3(radius, high + beyond, radius) }

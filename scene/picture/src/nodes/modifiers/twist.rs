@@ -42,7 +42,7 @@ struct BoundingCylinder {
     low: f32,
     high: f32,
     /// The Lipschitz factor inside.
-    stretch: f32,
+    lipschitz: f32,
 }
 
 impl Twist {
@@ -64,8 +64,8 @@ impl Twist {
             let shear = radius * self.degrees_per_unit.get().to_radians().abs();
             let drawn_apart = 0.5 * (shear + Real::sqrt(shear * shear + 4.0));
             // Slightly more than rounding could reduce it.
-            let stretch = self.child.lipschitz() * drawn_apart * (1.0 + 1e-6);
-            BoundingCylinder { radius, low: bounds.min.y, high: bounds.max.y, stretch }
+            let lipschitz = self.child.lipschitz() * drawn_apart * (1.0 + 1e-6);
+            BoundingCylinder { radius, low: bounds.min.y, high: bounds.max.y, lipschitz }
         })
     }
 }
@@ -101,7 +101,7 @@ impl Sdf for Twist {
     ] } } }"#];
 
     fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>, sample: &impl Fn(usize, Vec3<R>) -> V) -> V {
-        let BoundingCylinder { radius, low, high, stretch } = *self.cylinder();
+        let BoundingCylinder { radius, low, high, lipschitz } = *self.cylinder();
         let away = p.x.square_add(p.z.square()).sqrt();
         let y = p.y.max(p.x.uniform(low)).min(p.x.uniform(high));
         let inwards = p.x.uniform(radius) / away.max(p.x.uniform(radius));
@@ -109,7 +109,7 @@ impl Sdf for Twist {
         let (x, z) = (p.x * inwards, p.z * inwards);
         let child: V = sample(0, vec3(x.mul_add(cos, -(z * sin)), y, x.mul_add(sin, z * cos)));
         let beyond = (away - p.x.uniform(radius)).max(p.y - p.x.uniform(high)).max(p.x.uniform(low) - p.y);
-        let distance = child.distance().max(beyond * p.x.uniform(stretch));
+        let distance = child.distance().max(beyond * p.x.uniform(lipschitz));
         child.with_distance(distance)
     }
 
@@ -118,7 +118,7 @@ impl Sdf for Twist {
     carries_child!(|self| self.degrees_per_unit.is_animated());
 
     fn lipschitz(&self) -> f32 {
-        self.cylinder().stretch
+        self.cylinder().lipschitz
     }
 
     fn own_exactness(&self) -> Exactness {
@@ -130,8 +130,8 @@ impl Sdf for Twist {
     }
 
     fn bounds(&self, isolevel: f32) -> Bounds {
-        let BoundingCylinder { radius, low, high, stretch } = *self.cylinder();
-        Bounds { min: vec3(-radius, low, -radius), max: vec3(radius, high, radius) }.expanded(isolevel / stretch)
+        let BoundingCylinder { radius, low, high, lipschitz } = *self.cylinder();
+        Bounds { min: vec3(-radius, low, -radius), max: vec3(radius, high, radius) }.expanded(isolevel / lipschitz)
     }
 
     fn lipschitz_advice(&self) -> &'static str {

@@ -53,13 +53,13 @@ impl PolygonSides {
         if !(3..=MAX_SIDES).contains(&count) {
             return None;
         }
-        let turned = |wedges: u32| Real::sin_cos(PI * wedges as f32 / count as f32);
-        let mut sides = Self { count, half_side: turned(1), fold_angles: [(0.0, 1.0); 6], mirrors_used: 0 };
+        let sin_cos_of = |wedges: u32| Real::sin_cos(PI * wedges as f32 / count as f32);
+        let mut sides = Self { count, half_side: sin_cos_of(1), fold_angles: [(0.0, 1.0); 6], mirrors_used: 0 };
         // Each mirror halves the number of remaining wedges while it is even.
         let mut wedges = if sides.is_even() { count / 2 } else { count };
         while wedges > 1 {
             wedges = wedges.div_ceil(2);
-            sides.fold_angles[sides.mirrors_used] = turned(wedges);
+            sides.fold_angles[sides.mirrors_used] = sin_cos_of(wedges);
             sides.mirrors_used += 1;
         }
         Some(sides)

@@ -206,7 +206,7 @@ fn mirror_icosahedron<R: Real>(p: Vec3<R>) -> Vec3<R> {
 mod tests {
     use super::*;
 
-    fn turned(step: u16) -> Vec3<f32> {
+    fn rotated(step: u16) -> Vec3<f32> {
         let turn = |speed: f32| Real::sin(speed * f32::from(step));
         vec3(turn(1.3), turn(2.1), turn(0.7))
     }
@@ -214,7 +214,7 @@ mod tests {
     #[test]
     fn every_point_is_folded_into_the_wedge() {
         for step in 0..20_000 {
-            let p = turned(step);
+            let p = rotated(step);
             let folded = fold_icosahedron(p);
             assert!((folded.length() - p.length()).abs() < 2e-6, "{p:?} to {folded:?}");
             let beside = folded.z - GOLDEN_RATIO * (GOLDEN_RATIO * folded.x + folded.y);

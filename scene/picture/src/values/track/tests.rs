@@ -85,12 +85,12 @@ fn an_error_in_a_track_has_its_pointer() {
         (r#"{ "ease": "linear" }"#, ".", "keys"),
         (r#""1""#, ".", "a number, a track"),
     ] {
-        let told = refusal::<Length>(text);
-        assert!(told.starts_with(&format!("{place}: ")) && told.contains(words), "{text}: {told}");
+        let reported = refusal::<Length>(text);
+        assert!(reported.starts_with(&format!("{place}: ")) && reported.contains(words), "{text}: {reported}");
     }
     let long: Vec<String> = (0..=MAX_KEYFRAMES).map(|key| format!("[{key}, 1]")).collect();
-    let told = refusal::<Length>(&format!(r#"{{ "keys": [{}] }}"#, long.join(",")));
-    assert!(told.starts_with("keys: ") && told.contains("10000"), "{told}");
+    let reported = refusal::<Length>(&format!(r#"{{ "keys": [{}] }}"#, long.join(",")));
+    assert!(reported.starts_with("keys: ") && reported.contains("10000"), "{reported}");
 }
 
 #[test]
@@ -180,8 +180,8 @@ fn points_rotations_directions_and_colors_have_tracks() {
         (r#"{ "keys": [[0, 1]] }"#, "keys[0][1]", "an array of length 3"),
         (r#"{ "expr": "t" }"#, "", "a list of 3 numbers, each of which may be a formula"),
     ] {
-        let told = refusal::<Point>(text);
-        assert!(told.starts_with(place) && told.contains(words), "{text}: {told}");
+        let reported = refusal::<Point>(text);
+        assert!(reported.starts_with(place) && reported.contains(words), "{text}: {reported}");
     }
     assert!(refusal::<Color>(r#"{ "kelvin": 500 }"#).contains("from 1700 to 25000 kelvin"));
     assert!(

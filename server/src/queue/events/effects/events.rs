@@ -158,9 +158,9 @@ mod tests {
     fn progress_is_told_by_hundredths() {
         assert_eq!(NewEvent::progress(0, counters(9, 1000)), None);
         assert_eq!(NewEvent::progress(500, counters(500, 1000)), None);
-        for (peak, total, told) in [(1, 3, "0.3333333333333333"), (1, 2, "0.5"), (7, 7, "1.0")] {
+        for (peak, total, received) in [(1, 3, "0.3333333333333333"), (1, 2, "0.5"), (7, 7, "1.0")] {
             let event = NewEvent::progress(0, counters(peak, total)).expect("a hundredth");
-            assert_eq!(event.body, format!(r#"{{"progress":{told},"tiles":{{"done":1,"total":3}}}}"#));
+            assert_eq!(event.body, format!(r#"{{"progress":{received},"tiles":{{"done":1,"total":3}}}}"#));
         }
     }
 
