@@ -200,7 +200,7 @@ fn pictures_move_to_a_bucket_and_back() {
     let back = move_to("folder", "");
     assert!(back.status.success(), "{}", text(&back.stderr));
     let now = files(&data.join("pictures"));
-    assert_eq!(now.len(), pictures.len() + 1, "those of before, and that of the unfinished frame");
+    assert_eq!(now.len(), pictures.len() + 1, "the earlier pictures, and the unfinished frame's");
     for (name, bytes) in &now {
         assert!(blake3::hash(bytes).to_hex().as_str() == name && pictures.get(name).is_none_or(|had| had == bytes));
     }

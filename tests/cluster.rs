@@ -140,7 +140,7 @@ fn the_pool_of_a_server_that_is_killed_loses_its_leases_and_nothing_else() {
     let id = second.accept(&jobs::sized(&jobs::named("mandelbulb"), 1024, 16).to_string());
     eventually("it runs", || (state(&second, &id) == "running").then_some(()));
     send_signal(first.process(), Signal::KILL);
-    // Leases last for 30 s; those of a pool whose server has ended are handed back within about ten.
+    // Leases last for 30 s; leases of a pool whose server has ended are handed back within about ten.
     let start = Instant::now();
     eventually("its worker is gone", || {
         let workers = second.get("/v1/workers").json();

@@ -41,11 +41,11 @@ fn picture_has_the_bytes_of_a_job_of_that_size() {
     let answer = drawn(&farm, &csg, "?width=160&limit_ms=5000");
     assert_eq!(answer.header("preview-width"), "160");
     assert_eq!(answer.header("preview-samples"), "1");
-    assert!(answer.body == rendered_here(&sized(&csg, 160, 90, 1), 0), "other bytes than those of a render");
+    assert!(answer.body == rendered_here(&sized(&csg, 160, 90, 1), 0), "other bytes than a render's");
     let turntable = sized(&jobs::named("turntable"), 640, 640, 4);
     let answer = drawn(&farm, &turntable, "?width=48&frame=7&samples=3&limit_ms=5000");
     assert_eq!((answer.header("preview-width"), answer.header("preview-samples")), ("48", "3"));
-    assert!(answer.body == rendered_here(&sized(&turntable, 48, 48, 3), 7), "other bytes than those of a render");
+    assert!(answer.body == rendered_here(&sized(&turntable, 48, 48, 3), 7), "other bytes than a render's");
     let mut exr = csg;
     exr["image"]["format"] = "exr".into();
     exr["image"]["layers"] = json!(["depth"]);

@@ -1,4 +1,6 @@
-//! Tests the repository itself: file sizes, opening lines, required files, and forbidden words.
+//! Tests the repository itself: file sizes, opening lines, required files; `words.rs` has forbidden words.
+
+mod words;
 
 use std::path::{Path, PathBuf};
 use std::{fs, io};
@@ -24,43 +26,6 @@ const MARKUP_SINKS: [&str; 13] = [
     "new Function",
     "javascript:",
     "style=",
-];
-
-/// Text in which a word is forbidden.
-#[derive(Clone, Copy, Debug)]
-enum Context {
-    /// Any line of a file.
-    Line,
-    /// A comment line of Rust, SQL, or YAML.
-    Comment,
-    /// The first word of a comment line.
-    CommentStart,
-    /// The name of a Rust type.
-    TypeName,
-}
-
-/// Forbidden words in lower case, separated by `|`, and the reason. A space is the start or the end of a word.
-const WORDS: [(Context, &str, &str); 7] = [
-    (
-        Context::Line,
-        "colour| centre| grey |neighbour|licence| matt |authoris|recognis|quantis|practise|spelt|towards",
-        "the project uses American spelling",
-    ),
-    (Context::Comment, " whoever | nobody ", "name the actor: the client, the worker, no user"),
-    (Context::Comment, " anew ", "write `again`"),
-    (Context::Comment, " so many | so long | so often ", "give the number, or name the parameter"),
-    (Context::CommentStart, " what | who | whom | whose ", "start with a noun phrase or a verb"),
-    (
-        Context::TypeName,
-        " basket | bell | chance | clothes | crowd | deed | dice | doors | entrance | exemplary | leftovers | lettering ",
-        "use a term of docs/glossary.md",
-    ),
-    (
-        Context::TypeName,
-        " moment | patience | pretender | relief | ring | sketch | sketches | still | stuff | tally | tint | told \
-         | trouble | turned | wish | worn ",
-        "use a term of docs/glossary.md",
-    ),
 ];
 
 /// All files in some folders with these extensions, with their text.
@@ -196,83 +161,4 @@ fn no_script_stands_among_the_pages() {
 fn changelog_has_an_unreleased_section() {
     let changelog = fs::read_to_string(root().join("CHANGELOG.md")).expect("there");
     assert!(changelog.contains("## Unreleased"));
-}
-
-/// Text of a comment line, without its marker.
-fn comment<'a>(path: &Path, line: &'a str) -> Option<&'a str> {
-    let marker = match path.extension()?.to_str()? {
-        "rs" | "js" => "//",
-        "sql" => "--",
-        "yml" => "#",
-        _ => return None,
-    };
-    Some(line.trim_start().strip_prefix(marker)?.trim_start_matches(['/', '!', ' ']))
-}
-
-/// Name of the type that a line of Rust declares.
-fn type_name(line: &str) -> Option<&str> {
-    let mut words = line.split(|letter: char| !letter.is_alphanumeric() && letter != '_');
-    words.find(|word| ["struct", "enum", "trait", "type"].contains(word))?;
-    words.next()
-}
-
-/// Lower-case words of a text, with a space before, between, and after them.
-fn words(text: &str) -> String {
-    let words = text.split(|letter: char| !letter.is_alphanumeric()).filter(|word| !word.is_empty());
-    format!(" {} ", words.map(str::to_lowercase).collect::<Vec<_>>().join(" "))
-}
-
-/// Forbidden words of a line, each with its reason.
-fn forbidden(path: &Path, line: &str) -> Vec<String> {
-    // Tests of the parser's suggestions use the British word as a wrong key.
-    let line = ["\"colour", "colour\"", "`colour`"].iter().fold(line.to_owned(), |line, key| line.replace(key, ""));
-    let comment = comment(path, &line).map(words);
-    let is_code = comment.is_none() && path.extension().is_some_and(|extension| extension == "rs");
-    let type_name = if is_code { type_name(&line).map(words) } else { None };
-    let line = words(&line);
-    let mut found = Vec::new();
-    for (context, list, reason) in WORDS {
-        let is_found = |word: &&str| match context {
-            Context::Line => line.contains(word),
-            Context::Comment => comment.as_ref().is_some_and(|text| text.contains(word)),
-            Context::CommentStart => comment.as_ref().is_some_and(|text| text.starts_with(word)),
-            Context::TypeName => type_name.as_deref() == Some(*word),
-        };
-        found.extend(list.split('|').filter(is_found).map(|word| format!("{:?}: {reason}", word.trim())));
-    }
-    found
-}
-
-#[test]
-fn no_forbidden_words_are_used() {
-    let folders = [CODE.as_slice(), &["scenes", "docker", ".ci"]].concat();
-    let mut texts = files(&folders, &["rs", "md", "sql", "yml"]);
-    texts.extend(files(&["web"], &["js", "css", "html"]));
-    for name in ["README.md", "ARCHITECTURE.md", "CHANGELOG.md"] {
-        texts.push((name.into(), fs::read_to_string(root().join(name)).expect("the page exists")));
-    }
-    let mut found = Vec::new();
-    for (path, text) in texts {
-        // This file contains the list.
-        if path == Path::new("tests/repository.rs") {
-            continue;
-        }
-        for (number, line) in text.lines().enumerate() {
-            let line_name = format!("{}:{}", path.display(), number + 1);
-            found.extend(forbidden(&path, line).iter().map(|word| format!("{line_name}: {word}")));
-        }
-    }
-    assert_none("forbidden words", &found);
-}
-
-#[test]
-fn forbidden_words_are_found_where_they_are_forbidden() {
-    let count = |path: &str, line: &str| forbidden(Path::new(path), line).len();
-    for line in ["/// What a worker does.", "// Rendered anew.", "let grey = 1;", "pub struct Wish {", "// so  many"] {
-        assert_eq!(count("a.rs", line), 1, "{line}");
-    }
-    for line in ["/// Whatever.", "let nobody = 1;", "say(\"colour\");", "struct Wishes;", "// a center, colors"] {
-        assert_eq!(count("a.rs", line), 0, "{line}");
-    }
-    assert_eq!((count("a.md", "What is it? A colour."), count("a.sql", "-- Who waits")), (1, 1));
 }

@@ -10,7 +10,7 @@ import { showShortcuts } from '/ui/parts/shortcuts.js';
 import { session } from '/ui/session.js';
 import { askForKey } from '/ui/sign_in.js';
 
-/** Silence that need not be told. */
+/** Silence that need not be shown. */
 const GRACE_MS = 1500;
 
 const THEMES = /** @type {const} */ (['auto', 'light', 'dark']);

@@ -27,7 +27,7 @@ class Session extends EventTarget {
     return this.#key;
   }
 
-  /** What the server says of this caller; null until it has answered. */
+  /** The caller, by the server; null until it has answered. */
   get caller() {
     return this.#caller;
   }

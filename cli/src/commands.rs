@@ -91,7 +91,7 @@ pub(crate) enum Command {
     Preview(preview::Arguments),
     /// Create a signed link to a picture, which works without a key until it expires.
     Link(link::Arguments),
-    /// Say whether a picture is what its job makes, by rendering it again.
+    /// Verify a picture by rendering it again.
     Verify(verify::Arguments),
     /// Forget a wrong picture everywhere, and render the frames that showed it again.
     Forget(forget::Arguments),
@@ -131,11 +131,11 @@ pub(crate) enum Command {
     New(new::Arguments),
     /// Check a job file: report every error with its line and column.
     Check(check::Arguments),
-    /// Say what a job would take and cost, where its time goes, and what would save most.
+    /// Estimate a job's time and cost, map its time, and suggest savings.
     Price(price::Arguments),
     /// Format job files; their comments are kept.
     Fmt(fmt::Arguments),
-    /// Say how two job files differ, and whether their pictures do.
+    /// Describe the differences of two job files and of their pictures.
     Diff(diff::Arguments),
     /// Print the JSON Schema of a job file.
     Schema(schema::Arguments),

@@ -168,7 +168,7 @@ def faults_of_farm(things):
                 yield f"{name}: it selects no Service"
             yield from (f"{name}: {point['path']} is no route" for point in spec["endpoints"] if point["path"] not in routes())
         if thing["kind"] == "PrometheusRule" and spec != yaml.safe_load((ROOT / "docker/prometheus/alerts.yml").read_text()):
-            yield f"{name}: its rules are not those of docker/prometheus/alerts.yml"
+            yield f"{name}: its rules differ from docker/prometheus/alerts.yml"
 
 
 def faults_of_servers(names, pods):

@@ -123,7 +123,7 @@ pub struct DeletedEvent {
 /// Event of the farm.
 #[derive(Clone, Debug)]
 pub enum FarmEvent {
-    /// The stream has begun: every later change is told.
+    /// The stream has begun: it has every later change.
     Hello(HelloEvent),
     /// A job has changed, or is new.
     Job(Box<JobView>),
@@ -131,7 +131,7 @@ pub enum FarmEvent {
     Deleted(DeletedEvent),
     /// The farm's numbers have changed.
     Farm(FarmCounts),
-    /// Jobs have changed that are not told: read their list again.
+    /// The stream has not all changes of jobs: read their list again.
     Resync,
 }
 

@@ -57,7 +57,7 @@ points! {
     DatabaseWrite = "database_write",
     /// Server: a group of operations is about to be committed.
     DatabaseCommit = "database_commit",
-    /// Server: the others are about to be told of a change.
+    /// Server: a message about a change is about to go to the others.
     Telling = "telling",
     /// Server, or a worker of its pool: bytes are about to be stored.
     StorePut = "store_put",

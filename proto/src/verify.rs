@@ -42,7 +42,7 @@ impl Comparison {
     }
 }
 
-/// A tile with a pixel that is not what it should be.
+/// A tile with a wrong pixel.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct DifferingTile {
     /// Left edge, in pixels.
@@ -59,7 +59,7 @@ pub struct DifferingTile {
     pub first: DifferingPixel,
 }
 
-/// A value that is not what it should be.
+/// A wrong value, and the right one.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct DifferingPixel {
     /// Column in the picture.
@@ -110,7 +110,7 @@ pub struct Verification {
     pub tiles_total: u32,
     /// Chance that a change confined to one tile would have been found.
     pub finds_one_tile: f64,
-    /// Number of tiles of which a change had to touch to be found with a chance of 95 %.
+    /// Number of tiles that a change had to touch to be found with a chance of 95 %.
     pub finds_tiles: u32,
     /// Number of pixels that differ.
     pub pixels_different: u64,
@@ -145,7 +145,7 @@ pub fn probability_to_find(checked: u32, total: u32, changed: u32) -> f64 {
     1.0 - missed
 }
 
-/// Least number of changed tiles of which such a sample finds one with the chance [`SURE`].
+/// Least number of changed tiles such that a sample finds one with the chance [`SURE`].
 pub fn tiles_found_surely(checked: u32, total: u32) -> u32 {
     (1..total).find(|&changed| probability_to_find(checked, total, changed) >= SURE).unwrap_or(total)
 }

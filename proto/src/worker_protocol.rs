@@ -129,7 +129,7 @@ pub struct SyncRequest {
 
 /// Maximum number of [`Timing`]s in one call; the excess is dropped.
 pub const MAX_TIMINGS: usize = 1000;
-/// Maximum number of camera rays of one [`Timing`]: those of the largest job.
+/// Maximum number of camera rays of one [`Timing`]: the largest job's.
 pub const MAX_TIMING_RAYS: u64 = 1 << 44;
 /// Maximum size of a device's memory, in bytes.
 pub const MAX_MEMORY_BYTES: u64 = 1 << 50;
@@ -158,7 +158,7 @@ pub struct WorkerMetrics {
 pub struct Timing {
     /// Phase.
     pub phase: Phase,
-    /// Duration, in milliseconds; negative ones, and those of more than 10⁹, are dropped.
+    /// Duration, in milliseconds; negative ones, and ones above 10⁹, are dropped.
     pub took_ms: f64,
     /// Camera rays rendered; 0 for all phases but rendering.
     #[serde(default, deserialize_with = "bounded::at_most::<MAX_TIMING_RAYS, _>")]
@@ -210,7 +210,7 @@ pub struct TileRecord {
     /// Its size.
     #[serde(deserialize_with = "bounded::at_most::<MAX_RECORD_BYTES, _>")]
     pub size_bytes: u64,
-    /// Whether the pixels are those of the earlier job, and nothing was rendered.
+    /// Whether the pixels come from the earlier job, and nothing was rendered.
     #[serde(default)]
     pub kept: bool,
 }
@@ -339,7 +339,7 @@ pub struct Recording {
 pub struct EarlierFrame {
     /// The job.
     pub job: JobId,
-    /// Those of its tiles that are in the batch, too.
+    /// Its tiles that are in the batch, too.
     pub tiles: Vec<EarlierTile>,
 }
 

@@ -14,7 +14,7 @@
 //! let job = scene::parse(text.as_bytes())?;
 //! assert!(scene::warnings(&job).is_empty());
 //!
-//! // What is seen in the middle of the first frame, and where the file has it.
+//! // The object in the middle of the first frame, and its position in the file.
 //! let seen = scene::pick(text, &job, 0, [0.5, 0.5])?.expect("the ball");
 //! assert_eq!((seen.name.as_deref(), &*seen.pointer), (Some("ball"), "/scene/objects/0"));
 //!

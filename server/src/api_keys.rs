@@ -92,7 +92,7 @@ pub(crate) enum ApiKeyError {
     Store(#[from] DatabaseError),
 }
 
-/// Whether another key may be created on a farm that has `made` keys, of which `kept` are not revoked.
+/// Whether another key may be created on a farm with `made` keys, `kept` of them not revoked.
 fn check_room(order: &key::KeySpec, made: usize, kept: usize) -> Result<(), ApiKeyError> {
     if made == 0 && !order.scopes.has(Scope::Admin) {
         return Err(ApiKeyError::FirstNotAdmin);

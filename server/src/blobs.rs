@@ -262,7 +262,7 @@ impl BlobStore {
         self.ends_of(kind, name, Memory::Trusted).await
     }
 
-    /// Like [`BlobStore::ends`], of which nothing is remembered.
+    /// Like [`BlobStore::ends`], and nothing is remembered.
     pub(crate) async fn ends_now(
         &self,
         kind: ContentKind,
@@ -318,7 +318,7 @@ impl BlobStore {
     }
 
     /// Condition of content of this recorded size. Its bytes are hashed before its first use, and again when it was
-    /// modified; those of large content while it is used.
+    /// modified; large content's while it is used.
     pub(crate) async fn file_state(
         &self,
         kind: ContentKind,
@@ -364,7 +364,7 @@ impl BlobStore {
         Ok(sum_bytes)
     }
 
-    /// Deletes the partial files of writes that were interrupted long ago. A bucket's own rules have to delete those of
+    /// Deletes the partial files of writes that were interrupted long ago. A bucket's own rules have to delete the files of
     /// uploads: they are not listed with the objects.
     pub(crate) fn remove_partial_writes(&self) -> io::Result<()> {
         match &self.backend {

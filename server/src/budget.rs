@@ -37,7 +37,7 @@ pub(crate) struct Share {
 }
 
 impl Budget {
-    /// Budget of `limit`, of which one holder may have `holder_limit`.
+    /// Budget of `limit`; one holder may have `holder_limit` of it.
     pub(crate) fn new(limit: usize, holder_limit: usize) -> Arc<Self> {
         Arc::new(Self { limit, holder_limit: holder_limit.min(limit), used: Mutex::default() })
     }

@@ -15,7 +15,7 @@ use crate::queue::{Hints, Queue};
 
 /// Interval between two renewals, and two questions to the database.
 const INTERVAL: Duration = Duration::from_secs(1);
-/// Changes within this time are told together.
+/// Changes within this time are one message.
 const TELL_INTERVAL: Duration = Duration::from_millis(10);
 /// Delay before a lost listener is made again.
 const LISTEN_AGAIN: Duration = Duration::from_millis(300);
@@ -65,7 +65,7 @@ impl Cluster {
         }
     }
 
-    /// Sends the signals of changes that no message told of.
+    /// Sends the signals of changes without a message.
     async fn ask(&self, newest: &mut i64) -> Result<(), DatabaseError> {
         let found = self.queue.newest_event().await?;
         if found != *newest {

@@ -58,7 +58,7 @@ pub struct Config {
     pub data: PathBuf,
     /// Database on a PostgreSQL server; `None` is a file in the data folder.
     pub database: Option<PostgresAddress>,
-    /// Secret that the servers of a farm share, of which there may be several then, on one database and one store.
+    /// Secret that the servers of a farm share; there may be several then, on one database and one store.
     pub cluster_secret: Option<ClusterSecret>,
     /// Where pictures and tiles are stored.
     pub store: StoreLocation,

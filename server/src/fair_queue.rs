@@ -144,7 +144,7 @@ impl State {
         }
     }
 
-    /// The next holder and its first waiter; the holder's next turn comes after those of all others.
+    /// The next holder and its first waiter; the holder's next turn comes after all others'.
     fn next(&mut self) -> Option<(String, oneshot::Sender<QueueTurn>)> {
         loop {
             let busy = |waiting: &Waiting| self.busy.get(&waiting.holder).copied().unwrap_or(0);

@@ -1,4 +1,4 @@
-//! Tells followers of the whole farm what has changed: one task looks for changes and reads the jobs once for all of them.
+//! Sends followers of the whole farm its changes: one task looks for changes and reads the jobs once for all of them.
 //!
 //! It asks the database for changes after a position, at once after a commit of this server or another, and at least once
 //! a second, so that a lost message between servers delays a change but never hides it. Without followers it reads nothing.
@@ -29,11 +29,11 @@ pub(crate) use subscriber::FarmSubscriber;
 const LOOK_INTERVAL: Duration = Duration::from_millis(250);
 /// Maximum interval between two looks, and minimum between two counts.
 const COUNT_INTERVAL: Duration = Duration::from_secs(1);
-/// Number of changed jobs up to which each is told; if there are more, followers read their lists again.
+/// Number of changed jobs up to which each is sent; if there are more, followers read their lists again.
 const MAX_JOBS: usize = 500;
 /// Number of batches that a follower may be behind before it has to read its list again.
 const MAX_BEHIND: usize = 16;
-/// Time without a look after which changes may have been pruned that were not told.
+/// Time without a look after which unsent changes may have been pruned.
 const MAX_GAP: Duration = Duration::from_mins(1);
 
 /// An event, and who may see it.
@@ -44,15 +44,15 @@ struct VisibleEvent {
     text: Bytes,
 }
 
-/// Events that are told together.
+/// Events that are sent together.
 #[derive(Clone, Debug, PartialEq, Eq)]
 enum Batch {
     Events(Vec<VisibleEvent>),
-    /// Changes that cannot be told.
+    /// Changes that cannot be sent.
     Resync,
 }
 
-/// State of what followers were told.
+/// Changes that followers have received.
 #[derive(Debug, Default)]
 struct Progress {
     position: ChangePosition,
@@ -61,7 +61,7 @@ struct Progress {
     counted_at: Option<Instant>,
 }
 
-/// Tells followers of the farm what has changed.
+/// Sends followers of the farm its changes.
 #[derive(Debug)]
 pub(crate) struct FarmEvents {
     queue: Queue,
@@ -78,7 +78,7 @@ fn encode_event(kind: &str, value: &impl Serialize) -> Bytes {
 }
 
 impl FarmEvents {
-    /// Tells what changes in this queue.
+    /// Sends the changes of this queue.
     pub(crate) fn new(queue: Queue, telemetry: Arc<Telemetry>) -> Self {
         let batches = broadcast::Sender::new(MAX_BEHIND);
         Self { queue, telemetry, progress: Mutex::default(), batches, follower_added: watch::Sender::new(()) }
@@ -104,7 +104,7 @@ impl FarmEvents {
         Ok((counts, receiver))
     }
 
-    /// Tells of changes until the farm shuts down.
+    /// Sends changes until the farm shuts down.
     pub(crate) async fn run(&self, end: CancellationToken) {
         let mut commits = self.queue.commits();
         let mut wanted = self.follower_added.subscribe();
@@ -127,7 +127,7 @@ impl FarmEvents {
         }
     }
 
-    /// Tells of all changes since the last look.
+    /// Sends all changes since the last look.
     async fn look(&self) -> Result<(), DatabaseError> {
         let (position, looked_at) = {
             let progress = self.progress.lock().expect("no holder panics");
@@ -155,7 +155,7 @@ impl FarmEvents {
             (progress.position, progress.looked_at) = (changes.position, Some(begun));
         }
         for batch in batches {
-            // Without receivers there is none to tell.
+            // Without receivers nothing is sent.
             let _ = self.batches.send(Arc::new(batch));
         }
         self.count().await
@@ -174,7 +174,7 @@ impl FarmEvents {
         Ok(jobs.chain(deleted).collect())
     }
 
-    /// Tells the farm's numbers if they have changed. What a pause changes in the views of jobs is in no event of theirs.
+    /// Sends the farm's numbers if they have changed. No event of a job has the change of its view by a pause.
     async fn count(&self) -> Result<(), DatabaseError> {
         let now = monotonic_now();
         if self.progress.lock().expect("no holder panics").counted_at.is_some_and(|at| now - at < COUNT_INTERVAL) {

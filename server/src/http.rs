@@ -34,7 +34,7 @@ use error::ApiError;
 pub(crate) use state::{ApiState, Handles};
 
 // A column each: method, path, permission, time limit, what the audit log records, handler. `polled` are the routes
-// that monitors and workers request again and again. In brackets: the errors of the route, besides those of every
+// that monitors and workers request again and again. In brackets: the errors of the route, besides the ones of every
 // route with its permission, body and query (`openapi/problems.rs`). A link's signature authorizes the request that
 // follows it.
 routes::table! {

@@ -107,7 +107,7 @@ pub async fn check_integrity(data: &Path) -> Result<IntegrityReport, IntegrityEr
     for row in done {
         audit.done.insert(row.get("id")?, DoneTile { leases: row.get("epoch")? });
     }
-    // Those of a bucket have the hash of their bytes as their name.
+    // Names in a bucket are the hash of the bytes.
     if StoreLocation::recorded(data)? == StoreLocation::Folder {
         check_pictures(&mut connection, data, &mut audit).await?;
     }

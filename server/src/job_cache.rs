@@ -1,6 +1,6 @@
 //! Parses job files, on threads with enough stack for deeply nested ones, and caches a few.
 //!
-//! Submitters take turns, and claims have threads of their own, so that large submissions delay those of others by
+//! Submitters take turns, and claims have threads of their own, so that large submissions delay other submitters' by
 //! one file, and no claim. The cache is bounded: waiting jobs are stored in the database only.
 
 use std::collections::VecDeque;
@@ -16,7 +16,7 @@ use crate::queue::{FrameOpening, Queue};
 use crate::tile_plan::TilePlan;
 
 /// A file above this size is large. Parsing takes up to ten times the size of the file in memory, so large ones are
-/// parsed one after another: those of submitters on one thread, because the allocator keeps memory by thread.
+/// parsed one after another: submitters' on one thread, because the allocator keeps memory by thread.
 const LARGE_FILE_BYTES: usize = 256 << 10;
 /// Stack size of a parsing thread.
 const STACK_BYTES: usize = 16 << 20;

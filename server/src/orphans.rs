@@ -39,7 +39,7 @@ impl Orphans {
         self.sweep_later(ContentKind::Blob, removed.blobs);
     }
 
-    /// Requests the maintenance task to delete those of the given bytes that no row refers to.
+    /// Requests the maintenance task to delete the given bytes if no row refers to them.
     pub(crate) fn sweep_later(&self, kind: ContentKind, hashes: Vec<String>) {
         if !hashes.is_empty() {
             // Without a maintenance task the server is shutting down; the next one sweeps.
@@ -64,7 +64,7 @@ impl Orphans {
         });
     }
 
-    /// Those of some candidates that do not wait for a later check.
+    /// The candidates that do not wait for a later check.
     pub(crate) fn due(&self, kind: ContentKind, hashes: &[String]) -> Vec<String> {
         let young = self.young.lock().expect("no holder panics");
         hashes.iter().filter(|hash| !young.contains(&(kind, (*hash).clone()))).cloned().collect()

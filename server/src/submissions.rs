@@ -1,4 +1,4 @@
-//! Accepts jobs, and stores at once those of their first frames whose pictures exist.
+//! Accepts jobs, and stores at once their first frames whose pictures exist.
 //!
 //! Depends on no HTTP types; what a submission may contain is checked before.
 

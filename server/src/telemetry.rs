@@ -153,7 +153,7 @@ impl Telemetry {
         }
     }
 
-    /// Trace of a job; those of the newest jobs are cached.
+    /// Trace of a job; the newest jobs' are cached.
     pub(crate) async fn trace_of(&self, job: JobId) -> Result<Option<String>, DatabaseError> {
         let known = |traces: &VecDeque<(JobId, Option<String>)>| {
             traces.iter().find(|(id, _)| *id == job).map(|(_, trace)| trace.clone())
@@ -185,7 +185,7 @@ impl Telemetry {
         Ok(counts)
     }
 
-    /// Numbers of the farm; those of jobs and workers are cached.
+    /// Numbers of the farm; the numbers of jobs and workers are cached.
     pub(crate) async fn farm_counts(&self) -> Result<FarmCounts, DatabaseError> {
         let counts = self.counts().await?;
         let jobs = |state: JobState| counts.jobs_in(state.name()).unsigned_abs();
@@ -214,7 +214,7 @@ impl Telemetry {
     }
 
     /// Sizes of the store and of the data folder's disk, cached for 30 s, or for 10 min of a bucket. If the bucket cannot
-    /// be listed, its sizes are those of the last time.
+    /// be listed, its sizes are the last known ones.
     async fn sizes(&self) -> FolderSizes {
         let mut kept = self.sizes.lock().await;
         if let Some(sizes) = Expiring::get(kept.as_ref()) {
@@ -241,7 +241,7 @@ impl Telemetry {
         host::disk(&self.data)
     }
 
-    /// The data folder's disk, and the sizes of the store: those of a bucket as they were last listed for the metrics.
+    /// The data folder's disk, and the sizes of the store: a bucket's as they were last listed for the metrics.
     pub(crate) async fn disk_view(&self) -> DiskView {
         let sizes = if self.content.folder().is_some() {
             Some(self.sizes().await)

@@ -2,7 +2,7 @@
 python3 tests/figures/many.py spheres|boxes|painted|formulas|moving COUNT WIDTH HEIGHT SAMPLES > job.json
 
 One smooth union: of spheres that fill a ball, or of turned boxes that stand on a square, like houses. Painted ones are the
-spheres in eight materials, one of which has a texture. Formulas are COUNT formulas, four of each sphere; moving ones follow
+spheres in eight materials, one of them with a texture. Formulas are COUNT formulas, four of each sphere; moving ones follow
 the time in 24 frames.
 """
 

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Compares pictures with adaptive samples with those of fixed numbers, and prints a Markdown table.
+"""Compares pictures of adaptive samples with pictures of fixed numbers, and prints a Markdown table.
 
     PYTHONPATH=.whl python3 tests/judges/adaptive.py FOLDER SCENE …     # .whl has OpenEXR and numpy (.ci/run)
 

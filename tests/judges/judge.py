@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Compares sdfarm's pictures with those of Mitsuba 3, an independent renderer, and prints a Markdown table.
+"""Compares sdfarm's pictures with pictures by Mitsuba 3, an independent renderer, and prints a Markdown table.
 
     pip install --target .whl/mitsuba mitsuba==3.9.1 numpy      # .whl is ignored by git
     apt-get install libllvm19                                   # 17 or newer; older ones fail on AVX-512
@@ -11,7 +11,7 @@ row has:
 * difference: of the mean of the two sets of pictures, in percent;
 * z: that difference over its standard error, the largest of the three channels, and its limit;
 * blocks: the same for 8 × 8 pixels, the largest of all blocks and channels; pixels: the fraction with |z| above 3 and its
-  limit; rms z: about 1 without bias. Errors are estimated from the spread over seeds, and limits are those of Student's
+  limit; rms z: about 1 without bias. Errors are estimated from the spread over seeds, and limits follow Student's
   distribution with seeds − 1 degrees of freedom, at the probability of three standard deviations, divided by the number of
   tests (Bonferroni);
 * relMSE: mean of (x − r)² / (r² + 0.01) of one picture, where r is the other program's mean, less that mean's own error;

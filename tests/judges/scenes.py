@@ -35,7 +35,7 @@ class Scene:
     fov: float = 36.0
     max_bounces: int = 6
     integrator: str = "path"
-    # Whether the camera sees the lights in Mitsuba; those of sdfarm have a member `visible`.
+    # Whether the camera sees the lights in Mitsuba; sdfarm's lights have a member `visible`.
     hides_lights: bool = False
     # A color, or a pair of colors: the gradient's bottom and top.
     sky: object = None
@@ -202,7 +202,7 @@ class Material:
     job: dict
     bsdf: dict
     emission: list = None
-    # What is inside, if the boundary is not a surface.
+    # The inside, if the boundary is not a surface.
     medium: dict = None
 
 

@@ -69,7 +69,7 @@ export class Farm {
     this.key = null;
   }
 
-  /** Starts a farm; `flags` are those of `serve`. */
+  /** Starts a farm with these `flags` of `serve`. */
   static async start(flags = []) {
     const farm = new Farm();
     farm.port = await freePort();

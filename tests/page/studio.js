@@ -10,7 +10,7 @@ export const csg = readFileSync('scenes/csg.json', 'utf8');
 export const turntable = readFileSync('scenes/turntable.json', 'utf8');
 
 const TIMEOUT_MS = 15_000;
-/** What the browser says of answers that the studio expects while a text is not valid, of a long layout, and of a GPU that starts while the page is left. */
+/** Messages of the browser about answers that the studio expects while a text is not valid, of a long layout, and of a GPU that starts while the page is left. */
 const EXPECTED = [/status of (400|422)/, /Measure loop restarted/, /valid external Instance reference no longer exists/];
 
 let farm;

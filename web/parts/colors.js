@@ -1,6 +1,6 @@
 // Colors of drawings on a canvas, which the stylesheet does not reach.
 
-/** Hues that are told apart, also by people who see few colors, because their lightness alternates. */
+/** Hues that differ, also for people who see few colors, because their lightness alternates. */
 const HUES = [262, 30, 150, 330, 200, 85, 300, 120];
 
 /** Whether the page is dark now. */

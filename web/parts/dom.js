@@ -2,7 +2,7 @@
 
 /** @typedef {Node | string | number | null | undefined | false} Child */
 /**
- * Attributes by name. `class` and all others are attributes, of which `false`, `null` and `undefined` are left out and
+ * Attributes by name. `class` and all others are attributes; `false`, `null` and `undefined` are left out and
  * `true` is the empty text; `on` has listeners by the event's name, and `css` has properties of the style.
  * @typedef {{on?: Record<string, (event: any) => void>, css?: Record<string, string>} & {[name: string]: unknown}} Attributes
  */

@@ -46,7 +46,7 @@ function handle(event) {
   clearTimeout(pendingTimer);
   pending = '';
   for (const keys of candidates) {
-    // A room's shortcuts come after those of the page, and go first.
+    // A room's shortcuts come after the page's, and go first.
     const found = [...shortcuts].reverse().find((shortcut) => shortcut.keys === keys && shortcut.run);
     if (found) {
       event.preventDefault();

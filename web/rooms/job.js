@@ -308,7 +308,7 @@ class JobRoom extends Room {
       let tiles;
       while (tiles !== null) {
         const result = await verify(job.id, film.current, this.signal, tiles);
-        this.#differs = result.differs.map((rectangle) => ({ ...rectangle, kind: 'differs', title: 'These pixels are not what the job says' }));
+        this.#differs = result.differs.map((rectangle) => ({ ...rectangle, kind: 'differs', title: 'These pixels differ from the job' }));
         this.#mark();
         tiles = await showVerification(result, film.frame?.file ?? job.name);
       }

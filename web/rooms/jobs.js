@@ -31,7 +31,7 @@ const FILTER_MS = 350;
 const REFRESH_MS = 20_000;
 
 class JobsRoom extends Room {
-  /** What the empty list says now, so that it is written once. */
+  /** Text of the empty list, so that it is written once. */
   nothingShown = '';
 
   enter() {

@@ -15,7 +15,7 @@ const MOST_WIDTH = 1280;
 /** Programs that are not tried again after an error. */
 const MOST_ERRORS = 3;
 
-/** Draws the newest wish. Events: `picture`, `state`. */
+/** Draws the newest request. Events: `picture`, `state`. */
 export class Approximate extends EventTarget {
   /** @type {Renderer | null} */
   #renderer = null;
@@ -137,7 +137,7 @@ export class Approximate extends EventTarget {
 
   /** @param {unknown} error */
   #failed(error) {
-    // An invalid text is told by the exact picture; a server that does not answer, by the page.
+    // The exact picture shows an invalid text; the page, a server that does not answer.
     if (error instanceof Problem && (error.errors.length > 0 || error.status === 0)) return;
     this.#program = null;
     if (error instanceof Problem && error.isUnknownRoute) this.#errors = MOST_ERRORS;

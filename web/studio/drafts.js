@@ -138,7 +138,7 @@ export class Drafts extends EventTarget {
       try {
         await each(this.#database.transaction(STORE).objectStore(STORE).openCursor(), add);
       } catch {
-        // Those of local storage are shown.
+        // The drafts of local storage are shown.
       }
     }
     return [...found.values()].sort((a, b) => b.updatedAt - a.updatedAt);

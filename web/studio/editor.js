@@ -1,4 +1,4 @@
-// The editor of a job's text. It knows positions and changes; what a job means is told to it by its extensions.
+// The editor of a job's text. It knows positions and changes; its extensions know what a job means.
 
 import {
   Annotation,

@@ -140,7 +140,7 @@ export function removeAt(root, path) {
 }
 
 /**
- * The text after changes of which none overlap.
+ * The text after changes that do not overlap.
  * @param {string} text
  * @param {readonly Change[]} changes
  */

@@ -197,7 +197,7 @@ export class NodeTable {
   }
 
   /**
-   * Families of which an object at a place may be.
+   * Families that an object at a place may belong to.
    * @param {Slot} slot
    * @returns {string[]}
    */
@@ -207,7 +207,7 @@ export class NodeTable {
   }
 
   /**
-   * The key of which a node is the value, with its kind.
+   * The key whose value a node is, with its kind.
    * @param {JsonNode} node
    * @returns {{key: Key, kind: Kind} | null}
    */

@@ -18,7 +18,7 @@ export class Previewer extends EventTarget {
   /** @type {Wanted | null} */
   #wanted = null;
   #isDrag = false;
-  /** Number of the newest wish. */
+  /** Number of the newest request. */
   #version = 0;
   /** @type {{controller: AbortController, isFirst: boolean, since: number} | null} */
   #running = null;
@@ -53,7 +53,7 @@ export class Previewer extends EventTarget {
     }
   }
 
-  /** Asks for nothing until the next wish. */
+  /** Asks for nothing until the next request. */
   pause() {
     this.#wanted = null;
     this.#version += 1;
@@ -113,7 +113,7 @@ export class Previewer extends EventTarget {
 
   /**
    * @param {Wanted} wanted
-   * @param {number} wish
+   * @param {number} version
    * @param {unknown} error
    */
   #fail(wanted, version, error) {

@@ -132,7 +132,7 @@ export class PricePanel extends EventTarget {
     this.#body.replaceChildren(
       facts,
       ...(toggle === null ? [] : [toggle]),
-      ...(savings.length === 0 ? [] : [h('h3', {}, 'What would save most'), h('ul', { class: 'savings' }, ...savings)]),
+      ...(savings.length === 0 ? [] : [h('h3', {}, 'Savings'), h('ul', { class: 'savings' }, ...savings)]),
     );
     this.#showMap();
   }

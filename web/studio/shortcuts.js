@@ -21,7 +21,7 @@ export const SHORTCUTS = [
     ['f', 'Fly mode: a drag looks around'],
     ['c', 'Crosshair: arrow keys move it'],
     ['Enter', 'Select the object at the crosshair'],
-    ['l', 'Look at what is at the crosshair'],
+    ['l', 'Look at the point at the crosshair'],
     ['Esc', 'Take a gesture back'],
   ]),
   ...list('Studio', [

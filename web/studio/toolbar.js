@@ -43,7 +43,7 @@ export class Toolbar {
     this.redoButton = tool(REDO, 'Redo (Ctrl+Shift+Z)', () => void studio.editor.redo());
     this.formatButton = h('button', { type: 'button', class: 'button', title: 'Format the text (Shift+Alt+F)', on: { click: () => studio.editor.format() } }, 'Format');
     this.examplesButton = h('button', { type: 'button', class: 'button wide-only', 'aria-pressed': 'false', on: { click: () => (studio.examples.isOpen ? studio.examples.close() : studio.tab('examples')) } }, icon('plus'), 'Examples');
-    this.priceButton = h('button', { type: 'button', class: 'button wide-only', 'aria-pressed': 'false', title: 'What it costs, before it is rendered', on: { click: () => (studio.price.isOpen ? studio.price.close() : studio.tab('price')) } }, 'Price');
+    this.priceButton = h('button', { type: 'button', class: 'button wide-only', 'aria-pressed': 'false', title: 'Its price before a render', on: { click: () => (studio.price.isOpen ? studio.price.close() : studio.tab('price')) } }, 'Price');
     this.renderButton = h('button', { type: 'button', class: 'button primary', title: 'Render (Ctrl+Enter)', on: { click: () => void studio.render() } }, icon('play'), 'Render');
     const recorded = h('input', { type: 'checkbox', checked: isWanted(), on: { change: () => want(recorded.checked) } });
     this.recordedChoice = h('label', { class: 'check wide-only', title: 'The farm keeps the tiles of a render, and the next one renders only those that the edit can change. The picture is the same.' }, recorded, 'Only what changed');

@@ -5,7 +5,7 @@ import { parse } from './json.js';
 /** @typedef {import('./json.js').JsonNode} JsonNode */
 /** @typedef {import('/ui/vendor/codemirror.js').Text} Text */
 
-/** Longest text of which a tree is kept, in characters. */
+/** Longest text whose tree is kept, in characters. */
 export const MAX_TREE_CHARS = 2 << 20;
 
 /** @type {WeakMap<Text, string>} */

@@ -19,7 +19,7 @@ const MAGIC: [u8; 4] = *b"sdfb";
 const VERSION: u32 = 1;
 /// Bytes before the first plane.
 pub const HEADER_BYTES: usize = 28;
-/// Maximum number of planes: four of color, those of light groups and of brightness, every layer, and the guides.
+/// Maximum number of planes: four of color, the light groups', the brightness levels', every layer, and the guides.
 pub const MAX_PLANES: usize = 128;
 /// Maximum number of pixels of a picture, and so of a tile.
 const MAX_PIXELS: u64 = 1 << 28;

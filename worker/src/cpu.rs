@@ -68,7 +68,7 @@ impl CpuRenderer {
         self.threads.current_num_threads()
     }
 
-    /// Number of evaluations of the scene's distance for the pixels of a tile, without its layers: only those of lanes
+    /// Number of evaluations of the scene's distance for the pixels of a tile, without its layers: only the evaluations of lanes
     /// that need them. Pixels are summed in runs of samples, because an `f32` counts to 2²⁴.
     pub fn evaluations(&self, run: &TileRequest<'_>) -> Result<u64, RenderError> {
         let tape = record_evaluations(&run.job.at(run.frame)?);

@@ -276,7 +276,7 @@ impl CudaRenderer {
             .map_err(|error| compiler::save_rejected_source(error, text, self.cache.folder()))
     }
 
-    /// Kernel sources of a frame, one for each of its instants, with its cells; those of the last frames are kept.
+    /// Kernel sources of a frame, one for each of its instants, with its cells; the last frames' are kept.
     fn sources(&self, run: &TileRequest<'_>) -> Result<Arc<Vec<KernelSource>>, CudaError> {
         /// Frames whose tiles may arrive in turns.
         const MAX_SOURCES: usize = 4;

@@ -78,7 +78,7 @@ struct RowSums {
 }
 
 impl Region {
-    /// The light of the region without noise. Pixels nearer than [`MARGIN_PX`] to its edge are those of the picture only
+    /// The light of the region without noise. Pixels nearer than [`MARGIN_PX`] to its edge are the picture's only
     /// if that edge is the picture's.
     pub(crate) fn denoised(&self) -> [Vec<f32>; 3] {
         let divisors: [Vec<f32>; 3] = std::array::from_fn(|channel| {
@@ -200,7 +200,7 @@ impl Guides<'_> {
         sums
     }
 
-    /// Adds the pixels of the row `other`, `shift` to the right, to those of the row `y`.
+    /// Adds the pixels of the row `other`, `shift` to the right, to the pixels of the row `y`.
     fn add(
         &self,
         sums: &mut RowSums,

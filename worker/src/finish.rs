@@ -20,7 +20,7 @@ pub(crate) struct Finish {
     height: u32,
     /// Number of planes of a rendered picture.
     rendered: usize,
-    /// The first plane of light by its brightness, if fireflies are reweighted; those of a finished picture follow.
+    /// The first plane of light by its brightness, if fireflies are reweighted; a finished picture's planes follow.
     levels: Option<usize>,
     is_denoised: bool,
     /// The first plane of the colors as sampled, if they are kept.

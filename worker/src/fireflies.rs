@@ -30,7 +30,7 @@ pub(crate) struct Region<'a> {
 }
 
 impl Region<'_> {
-    /// The light of the region without that of fireflies. Pixels nearer than [`MARGIN_PX`] to its edge are those of the
+    /// The light of the region without the fireflies'. Pixels nearer than [`MARGIN_PX`] to its edge belong to the
     /// picture only if that edge is the picture's.
     pub(crate) fn reweighted(&self) -> [Vec<f32>; 3] {
         let pixels = self.counts.len();

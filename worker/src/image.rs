@@ -39,7 +39,7 @@ pub struct PictureSpec {
     pub height: u32,
     /// Names of the planes, R G B A first.
     pub channels: Vec<Cow<'static, str>>,
-    /// Number of the planes of light, which come first: R G B A, and those of the light groups.
+    /// Number of the planes of light, which come first: R G B A, and the light groups'.
     pub light_channels: usize,
     /// The file format.
     pub format: Format,
@@ -82,7 +82,7 @@ impl PictureSpec {
         }
     }
 
-    /// The pixels that must be rendered for those of a rectangle: more if finishing them reads their neighbors.
+    /// The pixels that must be rendered for a rectangle: more if finishing them reads their neighbors.
     pub fn rendered_for(&self, rect: Rect) -> Rect {
         let Some(finish) = self.finish else { return rect };
         // Blocks of adaptive samples begin at multiples of their size.
@@ -95,7 +95,7 @@ impl PictureSpec {
         Rect { x, y, width: right - x, height: bottom - y }
     }
 
-    /// The pixels of a rectangle, from those of [`Self::rendered_for`].
+    /// The pixels of a rectangle, from the pixels of [`Self::rendered_for`].
     pub fn finished_tile(&self, rendered: TilePixels, rect: Rect) -> TilePixels {
         match self.finish {
             None => rendered,

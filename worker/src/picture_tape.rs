@@ -11,7 +11,7 @@ use crate::cells::FastBuilder;
 use crate::tape::{Recording, Tape, record};
 
 /// Adds samples to the sum of a pixel: column, row, first sample, end of the samples, and the sum: red, green, blue, alpha,
-/// and those of its parts. Results are the new sum.
+/// and the sums of its parts. Results are the new sum.
 pub(crate) const ACCUMULATE: &str = "accumulate";
 /// Color of a pixel from the sum of its samples.
 pub(crate) const MEAN: &str = "mean";

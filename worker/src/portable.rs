@@ -116,13 +116,13 @@ impl Program {
         let allocations: Vec<Option<Allocation>> =
             tape.functions.iter().map(|linear| linear.as_ref().map(allocated)).collect();
         let inputs = inputs(&allocations);
-        // As in machine code: a callee's part of the frame begins after those of all its callers.
+        // As in machine code: a callee's part of the frame begins after all its callers'.
         let mut layouts = vec![Layout { live: SCRATCH + 1, ..Layout::default() }; tape.functions.len()];
         let (mut slots, mut counters) = (SCRATCH + 1, 0);
         for (index, linear) in tape.functions.iter().enumerate().rev() {
             let (Some(linear), Some(allocation)) = (linear, &allocations[index]) else { continue };
             let layout = &mut layouts[index];
-            // Those of functions of lists are given by their fold.
+            // A fold gives the parts of functions of lists.
             if layout.slots == 0 {
                 layout.arguments = layout.live + 1;
                 layout.results = layout.arguments + linear.arguments.len();
@@ -181,7 +181,7 @@ impl Program {
     /// it returns early, with meaningless results.
     ///
     /// # Panics
-    /// If there is no such entry, or the arguments or results are not those of the entry.
+    /// If there is no such entry, or the arguments or results do not match the entry.
     pub(crate) fn run(
         &self,
         entry: &str,

@@ -9,7 +9,7 @@ use scene::real::{Real, Table, Vec3, Words};
 const NUMBERS: u32 = 100;
 /// A function and its row.
 type Part = Option<[u32; 2]>;
-/// Lists: of each operation, the function and row of its leaf, if it has one, then those of its join.
+/// Lists: of each operation, the function and row of its leaf, if it has one, then its join's.
 const LISTS: [&[(Part, Part)]; 4] = [
     &[(Some([0, 5]), None)],
     &[(Some([1, 7]), None), (Some([0, 9]), Some([0, 20])), (Some([1, 30]), Some([0, 21]))],

@@ -12,7 +12,7 @@ use scene::visits::Visited;
 
 use crate::tape::InvalidTape;
 
-/// Renders tiles on one device, of which each render has exclusive use until it ends, or calls `on_device_free`.
+/// Renders tiles on one device. Each render has exclusive use of it until it ends, or calls `on_device_free`.
 ///
 /// The pixels depend only on the tiles requested: all renderers are bit-identical.
 pub trait Renderer: Send + Sync {

@@ -15,7 +15,7 @@ const INSERTION_POINT: &str = "// ---- the picture ----\n";
 
 /// Maximum number of words of a whole scene: what a browser is sent for each change of a number, as digits.
 const MAX_WORDS: usize = 1 << 21;
-/// Number of words that cells may take, beyond those of the whole scene. A cell that is not divided has the list of the cell
+/// Number of words that cells may take, beyond the whole scene's. A cell that is not divided has the list of the cell
 /// around it.
 const WORDS_OF_CELLS: usize = 1 << 19;
 /// Maximum time for dividing cells.

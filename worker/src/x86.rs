@@ -93,7 +93,7 @@ fn row_words(step: &Step) -> u64 {
     if let Step::Fold(fold) = step { fold.row_words.into() } else { 0 }
 }
 
-/// Parts of the functions in the frame: a callee's begins after those of all its callers, which come later in the
+/// Parts of the functions in the frame: a callee's begins after all its callers', which come later in the
 /// tape.
 fn layouts(functions: &[Allocated<'_>], isa: &Isa) -> Vec<FrameLayout> {
     let mut starts = vec![0_u32; functions.len()];

@@ -9,7 +9,7 @@ use crate::terminal::{print_line, print_note};
 /// Arguments of `backup`.
 #[derive(Debug, Args)]
 pub(crate) struct Arguments {
-    /// Folder of the backup: an empty one, or that of an earlier backup, to which only new pictures are added.
+    /// Folder of the backup: an empty one, or an earlier backup's, which gets only new pictures.
     #[arg(value_name = "FOLDER")]
     folder: PathBuf,
     /// The farm's data folder; a server may be using it.

@@ -18,7 +18,7 @@ pub(crate) struct Arguments {
     /// The job files; - for standard input, formatted to standard output.
     #[arg(value_name = "JOB", required = true)]
     jobs: Vec<String>,
-    /// Change no file: print the names of those that would change, and fail if there are any.
+    /// Change no file: print the names of files that would change, and fail if there are any.
     #[arg(long, env = "SDFARM_CHECK", value_parser = clap::builder::FalseyValueParser::new(), action = clap::ArgAction::SetTrue)]
     check: bool,
 }

@@ -13,7 +13,7 @@ use crate::terminal::{print_line, print_note};
 
 /// Programs that open an address in the user's browser: of the desktop, of macOS, of Linux under Windows.
 const OPENERS: [&str; 3] = ["xdg-open", "open", "wslview"];
-/// Variables of which one is set where a window can be shown.
+/// Variables; one of them is set where a window can be shown.
 const DISPLAYS: [&str; 4] = ["DISPLAY", "WAYLAND_DISPLAY", "WSL_DISTRO_NAME", "__CF_USER_TEXT_ENCODING"];
 /// Time after which a program that still runs is a browser that the user sees.
 const START_TIMEOUT: Duration = Duration::from_secs(2);

@@ -31,14 +31,14 @@ pub(crate) struct Arguments {
     job: String,
     #[command(flatten)]
     overrides: OverrideArguments,
-    /// Address of a farm: the price is that of its workers [default: that of this machine's cores].
+    /// Address of a farm whose workers set the price [default: this machine's cores].
     #[arg(long, value_name = "URL", env = "SDFARM_SERVER")]
     server: Option<String>,
     #[command(flatten)]
     auth: AuthArguments,
     #[command(flatten)]
     rates: RateArguments,
-    /// File for a picture of where the time goes, a PNG; - for standard output.
+    /// File for a map of the time, a PNG; - for standard output.
     #[arg(long, short, value_name = "FILE", env = "SDFARM_OUTPUT")]
     output: Option<String>,
     /// Print the price as JSON.

@@ -52,10 +52,10 @@ pub(crate) struct Arguments {
     /// Maximum seconds that rendering one tile may take: above it the tile has failed [default: the server's].
     #[arg(long, value_name = "SECONDS", env = "SDFARM_TILE_SECONDS", value_parser = clap::value_parser!(u32).range(1..))]
     tile_seconds: Option<u32>,
-    /// Keep the pixels of all tiles with the job, and what their rays asked for, so that another job can be based on it.
+    /// Keep the pixels and the records of all tiles with the job, so that another job can be based on it.
     #[arg(long, env = "SDFARM_RECORD", value_parser = clap::builder::FalseyValueParser::new(), action = clap::ArgAction::SetTrue)]
     record: bool,
-    /// Render only the tiles that can differ from those of this job, which must be recorded; this job is recorded, too.
+    /// Render only the tiles that can differ from this job's, which must be recorded; this job is recorded, too.
     #[arg(long, value_name = "JOB", env = "SDFARM_BASED_ON")]
     based_on: Option<JobName>,
 }

@@ -41,7 +41,7 @@ pub(crate) struct Arguments {
     /// Render the whole picture again.
     #[arg(long, env = "SDFARM_ALL", conflicts_with = "tiles", value_parser = clap::builder::FalseyValueParser::new(), action = clap::ArgAction::SetTrue)]
     all: bool,
-    /// File for a picture that marks what differs, a PNG; - for standard output.
+    /// File for a picture that marks the differences, a PNG; - for standard output.
     #[arg(long, short, value_name = "FILE", env = "SDFARM_OUTPUT")]
     output: Option<String>,
     #[command(flatten)]

@@ -22,7 +22,7 @@ enum WebhookCommand {
         /// Folder of the server's database and pictures.
         #[arg(long, value_name = "FOLDER", env = "SDFARM_DATA", default_value = "./sdfarm-data")]
         data: PathBuf,
-        /// Secret that the servers of the farm share, from which that of webhooks is derived.
+        /// Secret that the servers of the farm share; the webhooks' secret is derived from it.
         #[arg(long, value_name = "SECRET", env = "SDFARM_CLUSTER_SECRET", hide_env_values = true)]
         cluster_secret: Option<ClusterSecret>,
     },

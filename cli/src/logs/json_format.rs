@@ -1,4 +1,4 @@
-//! Writes a log line as one flat JSON object: time, level, message, the event's fields, and those of its spans.
+//! Writes a log line as one flat JSON object: time, level, message, the event's fields, and its spans' fields.
 //!
 //! `job`, `frame`, `tile`, `worker` and `request_id` are at the same place in every line that concerns them.
 

@@ -46,7 +46,7 @@ impl Client {
         self.json(request.query(&[("seconds", seconds), ("points", points)])).await
     }
 
-    /// A page of a job's tiles, or of those of one frame; `cursor` is the `next_cursor` of the page before.
+    /// A page of a job's tiles, or of one frame's; `cursor` is the `next_cursor` of the page before.
     pub async fn tiles(
         &self,
         id: JobId,

@@ -25,7 +25,7 @@ use crate::json_text::{escape, unescape};
 pub(crate) struct Tree<'t> {
     /// The user's text.
     text: &'t str,
-    /// Text that was made for the tree that this tree was built from; its offsets follow those of the user's text.
+    /// Text that was made for the tree that this tree was built from; its offsets follow the offsets of the user's text.
     inherited: &'t str,
     /// Text that was made for this tree; its offsets follow.
     made: String,
@@ -55,7 +55,7 @@ struct Node {
 /// Marks the size of a key.
 const KEY: u32 = 1 << 31;
 
-/// What made text stands for, from an offset on.
+/// The source of made text, from an offset on.
 #[derive(Clone, Copy, Debug)]
 struct Origin {
     start: u32,
@@ -84,7 +84,7 @@ impl<'t> Tree<'t> {
         self.length
     }
 
-    /// What a parser would not find or not survive.
+    /// Errors that a parser would not find or not survive.
     pub(crate) fn outline(&self) -> &Outline {
         &self.outline
     }

@@ -3,7 +3,7 @@
 //! Every random decision of a sample (its place in the pixel, a point of a light, a scattered direction) has a *purpose*,
 //! and takes a point of a two-dimensional Sobol' sequence that belongs to this purpose and bounce alone. The sequence is
 //! shuffled and its points are scrambled, both by Owen's nested method, so that the points of any two purposes or bounces
-//! are independent of each other, while those of one purpose stay as evenly spread as Sobol's: Brent Burley, "Practical
+//! are independent of each other, while one purpose's stay as evenly spread as Sobol's: Brent Burley, "Practical
 //! hash-based Owen scrambling", Journal of Computer Graphics Techniques 9(4), 2020, <https://jcgt.org/published/0009/04/01/>.
 //! Nested permutations are hashes in which a bit depends on higher bits only: Samuli Laine and Tero Karras, "Stratified
 //! sampling for stochastic transparency", EGSR 2011, with the constants of Nathan Vegdahl, "Building a better LK hash",

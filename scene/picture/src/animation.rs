@@ -27,7 +27,7 @@ pub struct JobAtFrame<'a> {
 /// A frame at the instants at which it is exposed while the shutter is open: one without motion blur.
 #[derive(Clone, Debug)]
 pub struct Exposure<'a> {
-    /// In the order in which their samples are added. The layers are those of the last.
+    /// In the order in which their samples are added. The layers are the last one's.
     pub instants: Vec<JobAtFrame<'a>>,
 }
 
@@ -156,7 +156,7 @@ impl Job {
         self.is_animated && self.frames.shutter.get() > 0.0
     }
 
-    /// Number of instants at which a frame is exposed, each of which has a sample of every round.
+    /// Number of instants at which a frame is exposed, each with a sample of every round.
     pub fn instants(&self) -> u32 {
         let first_round = self.image.rounds().first().map_or(1, |round| round.end);
         if self.is_blurred() { first_round.min(MAX_INSTANTS) } else { 1 }

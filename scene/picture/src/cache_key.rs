@@ -68,7 +68,7 @@ impl Job {
     pub fn cache_key(&self, frame: u32) -> blake3::Hash {
         match self.at(frame) {
             Ok(at_frame) => at_frame.cache_key(),
-            // A frame that fails here gets no picture, so its key only has to differ from those of other frames.
+            // A frame that fails here gets no picture, so its key only has to differ from other frames' keys.
             Err(error) => hash(&(&self.scene, frame, error.to_string())),
         }
     }
@@ -150,7 +150,7 @@ impl JobAtFrame<'_> {
         if next.is_none() && mattes.is_empty() {
             return hash(&(PICTURE_VERSION, self.is_animated(), objects));
         }
-        // Rows of numbers have those of the next frame and ids, too.
+        // Rows of numbers also have the next frame's numbers, and ids.
         hash(&(PICTURE_VERSION, self.is_animated(), objects, next, mattes))
     }
 

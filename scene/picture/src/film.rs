@@ -1,4 +1,4 @@
-//! What a job's pictures are: their size, format, channels and layers, and the frames.
+//! The pictures of a job: their size, format, channels and layers, and the frames.
 
 mod display;
 mod region;
@@ -245,7 +245,7 @@ impl Layer {
 }
 
 impl Image {
-    /// The channels of a finished pixel: red, green, blue, alpha, then those of the light groups, and those of the layers.
+    /// The channels of a finished pixel: red, green, blue, alpha, then the light groups', then the layers'.
     pub fn channels(&self) -> Vec<Cow<'static, str>> {
         let mut channels = ["R", "G", "B", "A"].map(Cow::Borrowed).to_vec();
         if !self.light_groups.is_empty() {
@@ -257,7 +257,7 @@ impl Image {
         channels
     }
 
-    /// The channels of a rendered pixel. After the light of a finished pixel, those of the light by its brightness, and at
+    /// The channels of a rendered pixel. After the light of a finished pixel come the light by its brightness, and at
     /// the end [`COUNT_CHANNEL`], if fireflies are reweighted; and then [`GUIDE_CHANNELS`] if the picture is denoised.
     pub fn rendered_channels(&self) -> Vec<Cow<'static, str>> {
         let mut channels = self.channels();
@@ -274,13 +274,13 @@ impl Image {
     }
 
     /// Number of the first channels of a finished pixel, which are means of light over its samples: the colors, alpha, and
-    /// those of the light groups.
+    /// the light groups' channels.
     pub fn light_channels(&self) -> usize {
         if self.light_groups.is_empty() { 4 } else { 4 + 3 * (self.light_groups.len() + 1) }
     }
 
-    /// Number of the first channels of a rendered pixel, which are means of light over its samples: those of a finished
-    /// one, and those of the light by its brightness.
+    /// Number of the first channels of a rendered pixel, which are means of light over its samples: the channels of a finished
+    /// one, and the channels of the light by its brightness.
     pub fn sum_channels(&self) -> usize {
         self.light_channels() + if self.is_reweighted() { 3 * BRIGHTNESS_LEVELS } else { 0 }
     }
@@ -312,12 +312,12 @@ impl Image {
         self.denoise && self.samples.max() > 1
     }
 
-    /// Whether a rendered pixel has more channels than those of light.
+    /// Whether a rendered pixel has more channels than light.
     pub fn has_layers(&self) -> bool {
         self.rendered_channels().len() > self.sum_channels()
     }
 
-    /// The samples of each round. All pixels have those of the first two.
+    /// The samples of each round. All pixels have the first two rounds.
     pub fn rounds(&self) -> Vec<Range<u32>> {
         match self.samples {
             // The difference of its halves tells a pixel's noise.

@@ -1,4 +1,4 @@
-//! What a picture is: numbers, nodes, materials, lights, cameras, scenes, films and jobs, and the keys of pictures.
+//! The definition of a picture: numbers, nodes, materials, lights, cameras, scenes, films and jobs, and the keys of pictures.
 //!
 //! Formulas only: no text is parsed but by serde, and no ray is traced. A kind of node, material or light is a struct and
 //! its formula, in a file of its own.

@@ -1,7 +1,7 @@
 //! Noise: pseudorandom values that vary smoothly over space, for displacement, textures and clouds.
 //!
 //! A noise is a sum of one to twelve octaves of one `Basis`. The range and the Lipschitz factor of each kind are
-//! derived next to the factor; those of the sum follow from them in `FractalSum`. A noise depends on the seed and the
+//! derived next to the factor; `FractalSum` derives the sum's from them. A noise depends on the seed and the
 //! point alone, and is bit-identical in every arithmetic.
 
 mod cellular;

@@ -104,7 +104,7 @@ impl SampleCount {
         }
     }
 
-    /// The samples of each round: one, or those of [`AdaptiveSamples`], of which all pixels have the first two.
+    /// The samples of each round: one round, or the rounds of [`AdaptiveSamples`]; all pixels have the first two.
     pub fn rounds(&self) -> Vec<Range<u32>> {
         match self {
             Self::Fixed(count) => std::iter::once(0..*count).collect(),
@@ -143,7 +143,7 @@ impl AdaptiveSamples {
             pixels += 1.0;
         }
         let (error, brightness) = (Real::sqrt(variance / pixels), (brightness / pixels).max(DARK));
-        // A display's levels are about the roots of light, of which the derivative is 1/(2√x). Errors of light that no
+        // A display's levels are about the roots of light, whose derivative is 1/(2√x). Errors of light that no
         // display has are relative.
         error <= 2.0 * self.error.get() * Real::sqrt(brightness).max(brightness)
     }

@@ -4,7 +4,7 @@ use picture::animation::JobAtFrame;
 use picture::nodes::Node;
 use picture::scene::child_pointers;
 
-/// A scatter of which some copies are far below most others.
+/// A scatter with some copies far below most others.
 pub(super) fn copies(at_frame: &JobAtFrame<'_>) -> Option<String> {
     at_frame.scene().objects.iter().enumerate().find_map(|(index, object)| {
         let mut pointer = format!("/scene/objects/{index}/shape");

@@ -66,7 +66,7 @@ fn main_cause<'a>(node: &'a Node, pointer: &mut String) -> &'a Node {
     }
 }
 
-/// Whether lights are those of a scene that names none.
+/// Whether lights are the default ones, of a scene that names none.
 fn is_default(lights: &[PlacedLight]) -> bool {
     lights.iter().all(|light| light.placements.is_empty())
         && lights.iter().map(|light| &light.light).eq(&default_lights())

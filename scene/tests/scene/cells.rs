@@ -118,8 +118,8 @@ fn check(name: &str, job: &Job, points: u32) {
     );
 }
 
-/// Compares the weights of materials at a point, and the points of their textures, with those of the whole program, and
-/// with those of the nearest object, which are added in another order.
+/// Compares the weights of materials at a point, and the points of their textures, with the whole program's, and
+/// with the nearest object's, which are added in another order.
 fn check_materials(name: &str, scene: &Scene, cells: &Cells<'_>, p: Vec3<f32>) {
     let listed = cells.material_weights(p);
     if listed.is_empty() {

@@ -129,7 +129,7 @@ fn wrong_with_changes(example: &Value, changes: &[(&str, &Number)]) -> Option<St
     Some(format!("with {} {reason}", changes.join(" and ")))
 }
 
-/// Pointers and ranges of an example's numbers, each of which must have a range.
+/// Pointers and ranges of an example's numbers; each must have a range.
 fn places_of(example: &Value) -> Vec<ExampleNumber> {
     let schema = scene::schema();
     let mut found = Vec::new();

@@ -1,4 +1,4 @@
-//! Jobs in every form that the language has had: those of `old_jobs/`, shipped or documented with earlier versions, are read as
+//! Jobs in every form that the language has had: `old_jobs/`, shipped or documented with earlier versions, are read as
 //! before. `old_jobs/answers.txt` has what each says today; `SDFARM_WRITE_ANSWERS=1` rewrites it.
 //!
 //! A corrected meaning changes the answers, never these jobs.

@@ -104,7 +104,7 @@ impl<'t> Case<'t> {
         }
     }
 
-    /// The errors: what is told of each, and where it is.
+    /// The errors: the message of each, and where it is.
     fn errors(&self) -> Vec<(String, String)> {
         let mut job = self.job();
         if let Some(set) = self.part.strip_prefix("set ") {

@@ -2,7 +2,7 @@
 //!
 //! A scene is cut at its outermost joins into *leaves*, and the tree above them is a list of operations in the order
 //! in which they are computed (`program.rs`). Leaves whose formulas differ in numbers only are one *family*, and each
-//! leaf is a *row* of numbers (`trace.rs`). Space is divided into a tree of cells, each of which has the part of the
+//! leaf is a *row* of numbers (`trace.rs`). Space is divided into a tree of cells; each has the part of the
 //! list that can matter in it, found by Lipschitz factors (`tree.rs`): **the list of a cell gives the value of the
 //! whole scene, bit for bit, at every point of the cell.** A cell without a surface also has a lower bound of the
 //! distance in it, so that a ray can leave it in one step (`walk.rs`).

@@ -206,7 +206,7 @@ struct CubePairs<'a, 'b> {
 }
 
 impl CubePairs<'_, '_> {
-    /// Those of some cubes in which what can matter differs.
+    /// Cubes whose relevant shapes differ, among some cubes.
     fn differing(&self, cubes: &[Cube]) -> HashSet<Cube> {
         let mut differing = HashSet::new();
         for some in cubes.chunks(SLAB_CELLS) {

@@ -324,7 +324,7 @@ impl<'a> Integrator<'a> {
         PixelSampler::new(x, y, self.samples, self.frame_key)
     }
 
-    /// Column and row in the whole picture, of which only a region may be rendered.
+    /// Column and row in the whole picture, even if only a region is rendered.
     fn in_whole_picture<R: Real>(&self, x: R, y: R) -> [R; 2] {
         let moved = |number: R, by: u32| if by == 0 { number } else { number + by as f32 };
         [moved(x, self.origin[0]), moved(y, self.origin[1])]

@@ -2,7 +2,7 @@
 //! for. A change of the scene that alters neither leaves the tile's pixels as they are: see `changes.rs`.
 //!
 //! The record is a table of words that are missing until a formula first asks for them ([`Real::made`]), so that every
-//! evaluator which makes the words of cells makes those of a record, too. A word that was made is a number below all
+//! evaluator which makes the words of cells makes a record's words, too. A word that was made is a number below all
 //! others, and each recorded value becomes the greater of the two: the value itself, bit for bit.
 
 use std::sync::{Arc, Mutex, PoisonError};
@@ -40,7 +40,7 @@ const VISITED: u32 = 0xf180_0000;
 const MAX_VISITS: u32 = 1 << 11;
 /// Place of its sign.
 const SIGN: u32 = 31;
-/// 2²³: the bits of this plus an integer below it end in those of the integer.
+/// 2²³: the bits of this plus an integer below it end in the integer's bits.
 const TO_INTEGER: f32 = 8_388_608.0;
 
 /// Where the cells are: nested cubes around a center.
@@ -53,7 +53,7 @@ pub struct VisitGrid {
 }
 
 impl VisitGrid {
-    /// Grids of which the first contains a box.
+    /// Grids; the first contains a box.
     pub(crate) fn around(bounds: Bounds) -> Self {
         let middle = |low: f32, high: f32| 0.5 * (low + high);
         let Bounds { min, max } = bounds;

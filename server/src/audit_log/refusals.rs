@@ -15,7 +15,7 @@ use crate::db::DatabaseError;
 const PERIOD_MS: i64 = 10 * 60_000;
 /// Maximum number of sources of one address in a period; further ones are counted together.
 const MAX_SOURCES_OF_ADDRESS: usize = 64;
-/// Maximum number of sources in a period; those of further addresses are counted together.
+/// Maximum number of sources in a period; sources of further addresses are counted together.
 const MAX_SOURCES: usize = 1000;
 /// Number of rejections of a source that are logged one by one in a period; later ones are logged as counts.
 const MAX_LOGGED: u32 = 3;

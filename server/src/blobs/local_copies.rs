@@ -1,6 +1,6 @@
 //! Stored content as local files, for the helper processes that draw previews.
 //!
-//! In a folder the files are those of the store. Objects are copied into a temporary folder, which is deleted with this
+//! In a folder the files are the store's own. Objects are copied into a temporary folder, which is deleted with this
 //! value; only copies with the right bytes are kept.
 
 use std::path::{Path, PathBuf};

@@ -80,7 +80,7 @@ impl BlobStore {
         Ok(found.map(|meta| age(&meta)))
     }
 
-    /// Deletes those of `names` that `unneeded` still lists while no report can arrive. Returns the number
+    /// Deletes the `names` that `unneeded` still lists while no report can arrive. Returns the number
     /// deleted, and the names that are too recent to delete: the same bytes may have been stored again without
     /// a report yet.
     pub(crate) async fn sweep<E, F>(
@@ -106,7 +106,7 @@ impl BlobStore {
         Ok((count, young))
     }
 
-    /// Deletes those of `names` that are not too recent, for at most [`MAX_SWEEP_TIME`].
+    /// Deletes the `names` that are not too recent, for at most [`MAX_SWEEP_TIME`].
     pub(crate) async fn delete_old(&self, kind: ContentKind, names: &[String]) -> Vec<(String, Swept)> {
         let begun = monotonic_now();
         let at_a_time = match &self.backend {

@@ -115,7 +115,7 @@ async fn table(file: &Readers, name: String) -> Result<Table, DatabaseError> {
     Ok(Table { name, columns, number })
 }
 
-/// The highest number that each table's rows ever had: those of deleted rows are not given again.
+/// The highest number that each table's rows ever had: numbers of deleted rows are not given again.
 async fn newest_numbers(source: &Readers, tables: &[Table]) -> Result<Vec<i64>, DatabaseError> {
     let mut newest = Vec::with_capacity(tables.len());
     for table in tables {

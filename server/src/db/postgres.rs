@@ -58,7 +58,7 @@ const OLDEST_VERSION: i32 = 150_000;
 const RECONNECT_TIMEOUT: Duration = Duration::from_secs(30);
 /// Time for the database's server to notice that the farm's last server is gone.
 const LOCK_TIMEOUT: Duration = Duration::from_secs(2);
-/// A read waits for this long; a client that is told to retry waits better than a request.
+/// A read waits for this long; a client that retries waits better than a request.
 const READ_TIMEOUT: Duration = Duration::from_secs(3);
 const PAUSE: Duration = Duration::from_millis(100);
 /// An answer that takes longer does not come: the server's machine, or the network, is gone.

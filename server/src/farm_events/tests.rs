@@ -1,4 +1,4 @@
-//! Properties that the API cannot show quickly: slow followers, changes of other servers, and what is not told.
+//! Properties that the API cannot show quickly: slow followers, changes of other servers, and changes that followers do not see.
 
 use std::sync::Arc;
 use std::time::Duration;

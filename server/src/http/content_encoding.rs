@@ -160,7 +160,7 @@ impl Read for ZstdReader<'_> {
     }
 }
 
-/// The error as one of input: only its kind is told, except for a window that is too large.
+/// The error as one of input: only its kind is shown, except for a window that is too large.
 fn zstd_error(error: &FrameDecoderError) -> io::Error {
     if let FrameDecoderError::WindowSizeTooBig { requested, max } = error {
         let message =

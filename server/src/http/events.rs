@@ -87,9 +87,9 @@ fn streamed(follower: EventSubscriber) -> Response {
 
 /// Follow the farm.
 ///
-/// First `hello`, after which every change is told: `job`, a job that is new or has changed, as it is now, at most once in
+/// First `hello`, then every change: `job`, a job that is new or has changed, as it is now, at most once in
 /// 250 ms; `deleted`, the id of a job that was deleted; and `farm`, the farm's numbers, at most once a second. After `resync`, and after
-/// reconnecting, read the list of jobs again: changes in between are not told. A key with scope submit but not read receives
+/// reconnecting, read the list of jobs again: changes in between are missing. A key with scope submit but not read receives
 /// events of jobs of its own name only. The stream does not end.
 #[utoipa::path(
     get, path = "", tag = "farm", operation_id = "follow_farm",

@@ -2,7 +2,7 @@
 //!
 //! A connection is busy from a request's head until its response has been written to the socket. Only idle
 //! connections are evicted, the longest idle first, so health routes respond however many connections are idle;
-//! `admission/shares.rs` bounds the busy ones. One address may have a part of all connections, so that those of
+//! `admission/shares.rs` bounds the busy ones. One address may have a part of all connections, so that the connections of
 //! others are not evicted for it; loopback is exempt, because a proxy on this machine connects for many clients.
 
 use std::collections::BTreeMap;
@@ -60,7 +60,7 @@ struct SlotState {
 pub(super) struct ActiveRequest(Arc<SlotState>);
 
 impl ConnectionLimit {
-    /// Slots for this many connections, of which one address may have `of_address`.
+    /// Slots for this many connections; one address may have `of_address` of them.
     pub(crate) fn new(connections: usize, of_address: usize) -> Arc<Self> {
         let places = connections.clamp(1, Semaphore::MAX_PERMITS);
         Arc::new(Self {

@@ -22,7 +22,7 @@ use crate::queue::{Connection, Queue, Result};
 
 /// Minimum retention of events of finished jobs.
 const RETENTION_MS: i64 = 24 * 3_600_000;
-/// Maximum number of events in total; beyond it the oldest are pruned, even those of running jobs.
+/// Maximum number of events in total; beyond it the oldest are pruned, even of running jobs.
 const MAX_EVENTS: i64 = 500_000;
 /// Number of events pruned in one transaction.
 const EVENTS_BATCH: i64 = 1_000;

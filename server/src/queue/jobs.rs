@@ -150,7 +150,7 @@ impl Queue {
         row.map(|row| read_job(&row, self.clock.wall_ms())).transpose()
     }
 
-    /// Page of jobs with numbers below `before`, newest first; only those of `submitter`, if given.
+    /// Page of jobs with numbers below `before`, newest first; only the jobs of `submitter`, if given.
     pub(crate) async fn jobs(
         &self,
         submitter: Option<&str>,
@@ -183,7 +183,7 @@ impl Queue {
     }
 
     /// Jobs that match a text, newest first: `latest`, a complete id, its first or last characters, or a name;
-    /// only those of `submitter`, if given.
+    /// only the jobs of `submitter`, if given.
     pub(crate) async fn jobs_like(&self, submitter: Option<&str>, text: &str, limit: u32) -> Result<JobPage> {
         if text == LATEST {
             let mut page = self.jobs(submitter, None, 1, None).await?;

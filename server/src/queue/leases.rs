@@ -152,7 +152,7 @@ impl LiveLease {
     }
 }
 
-/// Those of the given leases of a worker that are live.
+/// The live ones of a worker's given leases.
 pub(super) async fn live_leases_among(
     connection: &mut Connection,
     worker: WorkerId,

@@ -115,7 +115,7 @@ impl Fixture {
         }
     }
 
-    /// Asserts that every job's and frame's counters are those of their tiles.
+    /// Asserts that every job's and frame's counters match their tiles.
     async fn check(&self) {
         const CHECKS: [&str; 10] = [
             "SELECT count(*) FROM job WHERE cleanup IS DISTINCT FROM 'delete' AND tiles_done + 0 <> (

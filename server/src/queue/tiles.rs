@@ -60,7 +60,7 @@ const MAKERS_SQL: &str =
      @join maker ON maker.number = tile_maker.maker";
 
 impl Queue {
-    /// Page of a job's tiles, or of those of one frame; `None` if there is no such job.
+    /// Page of a job's tiles, or of one frame's; `None` if there is no such job.
     pub(crate) async fn tiles(
         &self,
         id: JobId,

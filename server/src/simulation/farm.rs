@@ -74,7 +74,7 @@ pub(super) struct SimulatedFarm {
     hand: ManualClock,
     now_us: u64,
     events: BinaryHeap<Reverse<(u64, u64, Event)>>,
-    /// Number of events so far: those of one time happen in their order.
+    /// Number of events so far: events of one time happen in their order.
     event_count: u64,
     pub(super) workers: Vec<SimulatedWorker>,
     pub(super) jobs: Vec<JobPlan>,

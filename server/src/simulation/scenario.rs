@@ -1,4 +1,4 @@
-//! Farms and jobs to simulate. The speeds are round figures of an H100 and of one CPU core's worker, the costs those of
+//! Farms and jobs to simulate. The speeds are round figures of an H100 and of one CPU core's worker, the costs are of
 //! shipped scenes in `docs/benchmarks.md`.
 
 use super::random::Random;

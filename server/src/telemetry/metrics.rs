@@ -104,7 +104,7 @@ impl Registrar {
 }
 
 impl Metrics {
-    /// Creates all metrics, including those of the database's writer.
+    /// Creates all metrics, including the database writer's.
     pub(super) fn new(commits: &CommitTimes, location: &StoreLocation) -> Self {
         let mut book = Registrar(Registry::default());
         let build = vec![

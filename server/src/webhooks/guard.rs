@@ -11,7 +11,7 @@ use ipnet::{IpNet, Ipv4Net, Ipv6Net};
 use reqwest::Url;
 use reqwest::dns::{Addrs, Name, Resolve, Resolving};
 
-/// Ports below this one belong to other services, except those of the web.
+/// Ports below this one belong to other services, except the web's.
 const FIRST_FREE_PORT: u16 = 1024;
 
 /// Ranges outside the public internet, from IANA's special-purpose registry for IPv4, and multicast.

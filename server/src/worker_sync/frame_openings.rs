@@ -14,7 +14,7 @@ use crate::tile_plan::TilePlan;
 pub(crate) struct FrameOpenings {
     queue: Queue,
     jobs: Arc<JobCache>,
-    /// Syncs open frames one at a time. They are all told to open the same frame, the next one, so that of `n` at once one
+    /// Syncs open frames one at a time. All are to open the same frame, the next one, so that of `n` at once one
     /// would succeed and `n - 1` try again.
     turn: Semaphore,
 }

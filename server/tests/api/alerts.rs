@@ -10,7 +10,7 @@ use reqwest::StatusCode;
 
 use super::harness::{Farm, leases, read, small_job};
 
-/// Alerts but those of the machine that tests run on.
+/// Alerts without the ones about the machine that tests run on.
 async fn alerts(farm: &Farm) -> Vec<AlertView> {
     let list: AlertList = read(farm.get("/v1/alerts").await, StatusCode::OK).await;
     list.alerts.into_iter().filter(|alert| !alert.code.starts_with("disk_")).collect()

@@ -137,7 +137,7 @@ async fn the_farms_numbers_are_told_and_a_pause_has_lists_read_again() {
 }
 
 #[tokio::test]
-#[expect(clippy::disallowed_methods, reason = "events are told by the machine's clock")]
+#[expect(clippy::disallowed_methods, reason = "events are timed by the machine's clock")]
 async fn a_busy_job_is_told_at_most_four_times_a_second() {
     let farm = Farm::start().await;
     let posted = farm.submit(&job(4096, 4096, 1)).await;

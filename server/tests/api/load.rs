@@ -32,7 +32,7 @@ async fn ten_thousand_jobs_are_each_claimed_once() {
     assert_claimed_once(JOBS[1]).await;
 }
 
-/// Workers that ask at the same time are all told to open the next frame: they must not all try again for each.
+/// Workers that ask at the same time are all to open the next frame: they must not all try again for each.
 #[tokio::test(flavor = "multi_thread")]
 async fn workers_that_ask_at_once_open_frames_in_few_transactions() {
     const WORKERS: usize = 100;

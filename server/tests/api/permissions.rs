@@ -1,6 +1,6 @@
 //! Every route with every kind of key: which callers are authorized.
 //!
-//! The routes are those of the server's table; a route without a row here fails the test.
+//! The routes are the server's table; a route without a row here fails the test.
 
 use std::collections::BTreeSet;
 use std::time::Duration;

@@ -290,7 +290,7 @@ async fn slow_deliveries_do_not_make_a_lease_exclusive_for_long() {
     let posted = farm.submit(&animation).await;
     let mut silent = farm.worker("silent").await;
     silent.rays_per_second = Some(1e-9);
-    // An hour for the first frame, so that neither the median nor the speed ends its patience.
+    // An hour for the first frame, so that neither the median nor the speed makes it a straggler.
     let run = silent.claim().await.expect("work");
     renew_for(&farm, &silent, &run, Duration::from_hours(1)).await;
     let whole = silent.results(&run).await;

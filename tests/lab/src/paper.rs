@@ -42,7 +42,7 @@ pub(crate) struct Arguments {
     /// Number of the GPU to measure [default: the first, if there is one].
     #[arg(long, value_name = "N", conflicts_with = "cpu")]
     gpu: Option<usize>,
-    /// Block dimensions on the GPU, such as 16x8 [default: those of Table 1].
+    /// Block dimensions on the GPU, such as 16x8 [default: Table 1's].
     #[arg(long, value_name = "COLUMNSxROWS")]
     block: Option<BlockDim>,
     /// Folder for compiled GPU kernels [default: in the user's cache].

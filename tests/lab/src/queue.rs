@@ -40,7 +40,7 @@ pub(crate) struct Arguments {
     /// Empty database on a PostgreSQL server for the measured server [default: a file].
     #[arg(long, value_name = "postgres://USER@HOST/NAME")]
     database: Option<PostgresAddress>,
-    /// Measure the turns of this many workers instead, each of which holds a whole frame for a while, as a GPU does.
+    /// Measure the turns of this many workers instead; each holds a whole frame for a while, as a GPU does.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=10_000))]
     paced_workers: Option<u32>,
     /// Seconds for which a paced worker holds a frame; it renews its leases every 10 s.

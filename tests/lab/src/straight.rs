@@ -38,7 +38,7 @@ struct StraightReport {
 /// Why there is no yardstick.
 #[derive(Debug, thiserror::Error)]
 enum StraightError {
-    /// Other back ends than those of vector instructions.
+    /// Back ends without vector instructions.
     #[error("straight C++ is compiled for avx512 and avx2, not for {0}")]
     NoVectors(&'static str),
     /// Only straight code is printed.

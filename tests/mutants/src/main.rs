@@ -36,7 +36,7 @@ fn rejected(tree: &Path) -> BTreeSet<u32> {
     text.lines().map(|line| line.parse().expect("a number")).collect()
 }
 
-/// Copies the files of `root` to `tree`, with mutants in those of these areas, and lists the mutants in `mutants.txt`.
+/// Copies the files of `root` to `tree`, with mutants in the files of these areas, and lists the mutants in `mutants.txt`.
 fn instrument(root: &Path, tree: &Path, areas: &[&str]) {
     let (rejected, mut next, mut list) = (rejected(tree), 0, String::new());
     let mut written = BTreeMap::new();

@@ -1,4 +1,4 @@
-// The doors: keys and what they may do, hostile names, other origins, and a read-only page.
+// Access: keys and what they may do, hostile names, other origins, and a read-only page.
 
 import assert from 'node:assert/strict';
 import { createServer } from 'node:http';

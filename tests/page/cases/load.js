@@ -121,7 +121,7 @@ export async function ten_thousand_jobs_scroll_at_sixty_frames_a_second() {
     checkTime(Number(at(0.5)) < FRAME_MS * 1.5, `the median frame takes ${at(0.5)} ms`);
     const elements = await page.locator('.job-body [role=row]').count();
     assert.ok(elements < 60, `${elements} rows are in the page`);
-    // The rows that are seen are those of their places.
+    // The visible rows belong to their places.
     const jobs = [];
     for (let cursor = ''; cursor !== null; ) {
       const answer = await farm.get(`/v1/jobs?limit=1000${cursor && `&cursor=${cursor}`}`);

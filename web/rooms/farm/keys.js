@@ -12,7 +12,7 @@ import { session } from '/ui/session.js';
 /** @typedef {import('/ui/types.js').Key} Key */
 
 const SCOPES = [
-  { name: 'submit', text: 'submit jobs, and see and change those of its own name' },
+  { name: 'submit', text: 'submit jobs, and see and change jobs of its own name' },
   { name: 'read', text: 'see every job, the workers and the history' },
   { name: 'worker', text: 'render: for sdfarm worker on other machines' },
   { name: 'admin', text: 'everything, keys and the audit log included' },
@@ -105,7 +105,7 @@ export class Keys {
       before: async () => {
         const scopes = boxes.filter((box) => box.checked).map((box) => box.value);
         if (scopes.length === 0) {
-          setText(message, 'Choose what the key may do.');
+          setText(message, 'Choose the scopes of the key.');
           return false;
         }
         try {

@@ -88,7 +88,7 @@ export class Workers {
     if (this.#target === null || !session.mayAdminister) return;
     const workers = Math.max(0, Math.min(MOST_POOL, this.#target + by));
     if (workers === 0 && this.#target > 0) {
-      const isMeant = await confirm({ title: 'Stop the last worker of this machine?', body: [h('p', {}, 'Jobs wait until there is a worker again. What it renders now is finished or handed back; nothing is lost.')], action: 'Stop it' });
+      const isMeant = await confirm({ title: 'Stop the last worker of this machine?', body: [h('p', {}, 'Jobs wait until there is a worker again. Its tiles are finished or handed back; nothing is lost.')], action: 'Stop it' });
       if (!isMeant) return;
     }
     this.#isSetting = true;
@@ -159,7 +159,7 @@ export class Workers {
    */
   async #change(worker, action) {
     const texts = {
-      drain: { title: `Drain ${worker.name}?`, body: `It finishes what it holds, takes no more, and exits.${worker.pool ? ' The server starts another in its place, unless the pool is made smaller.' : ''}`, action: 'Drain it', done: `${worker.name} is draining` },
+      drain: { title: `Drain ${worker.name}?`, body: `It finishes its tiles, takes no more, and exits.${worker.pool ? ' The server starts another in its place, unless the pool is made smaller.' : ''}`, action: 'Drain it', done: `${worker.name} is draining` },
       quarantine: { title: `Quarantine ${worker.name}?`, body: 'It takes no more work, and stays connected until it is released.', action: 'Quarantine it', done: `${worker.name} is in quarantine` },
       release: { title: '', body: '', action: '', done: `${worker.name} takes work again` },
     };

@@ -37,7 +37,7 @@ export class Picture extends EventTarget {
   #loading = new AbortController();
   #lastPreview = 0;
   #timer = 0;
-  /** What is shown, so that it is not loaded twice. */
+  /** The shown picture, so that it is not loaded twice. */
   #shown = '';
   #isSized = false;
   /** Whether a preview is on its way, and whether more has been rendered since it was requested. */

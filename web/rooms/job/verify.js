@@ -39,7 +39,7 @@ export function verify(job, frame, signal, tiles = FIRST_TILES) {
 /** @param {Verification} result */
 function verdict({ same, tiles_checked: checked, tiles_total: total, differs, findings = [] }) {
   if (!same) {
-    const tiles = differs.length === 0 ? 'The file is not what it should be.' : `${counted(differs.length, 'tile')} of the ${checked} that were rendered again ${differs.length === 1 ? 'differs, and is' : 'differ, and are'} framed in red in the picture.`;
+    const tiles = differs.length === 0 ? 'The file differs from its job.' : `${counted(differs.length, 'tile')} of the ${checked} that were rendered again ${differs.length === 1 ? 'differs, and is' : 'differ, and are'} framed in red in the picture.`;
     return [tiles, ...findings].join(' ');
   }
   if (checked < total) return `${checked} of ${total} tiles were rendered again: every byte is the same.`;

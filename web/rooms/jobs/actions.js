@@ -1,4 +1,4 @@
-// Actions for jobs, one or many at once: which apply, what is asked first, and what is told afterwards.
+// Actions for jobs, one or many at once: which apply, the question before, and the message after.
 
 import { Problem, getJson, messageOf, send } from '/ui/api.js';
 import { confirm, showDialog } from '/ui/parts/dialog.js';
@@ -174,7 +174,7 @@ async function confirmDelete(jobs) {
 }
 
 /**
- * What a deletion loses.
+ * Losses of a deletion.
  * @param {number} jobs
  * @param {number} pictures
  * @param {number} bytes

@@ -113,7 +113,7 @@ export class JobStore extends EventTarget {
       this.#cursor = cursor;
       this.error = null;
       this.isRead = true;
-      // Changes that were told meanwhile may be newer than the list.
+      // Changes that arrived meanwhile may be newer than the list.
       const arrived = [...this.#arrived];
       if (reading === this.#reading) this.#arrived.clear();
       for (const [id, job] of arrived) {

@@ -254,7 +254,7 @@ impl Pass {
             return self.seconds_per_ray(0.0).powi(2);
         }
         let squares: f64 = self.blocks.iter().map(|block| (per_ray(block) - mean).powi(2)).sum();
-        // A block stands for the cell around it, of which it shows a sixteenth.
+        // A block stands for the cell around it, and shows a sixteenth of it.
         let shown = count / total.max(1) as f64 / 16.0;
         squares / (count - 1.0) / count * (1.0 - shown) * (1.0 + 5.0 / count)
     }

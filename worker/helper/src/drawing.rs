@@ -66,7 +66,7 @@ pub(super) fn draw(mut job: Job, frame: u32, drawing: &Drawing) -> anyhow::Resul
     }
 }
 
-/// Width for another attempt after one of which only a fraction was rendered in time.
+/// Width for another attempt, after only a fraction of one was rendered in time.
 fn smaller(width_px: u32, fraction: f64) -> u32 {
     let planned = (f64::from(width_px) * (fraction * PLANNED_FRACTION).sqrt()) as u32;
     planned.clamp(width_px / MAX_DIVISOR, width_px / 2).max(1)

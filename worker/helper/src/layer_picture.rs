@@ -10,7 +10,7 @@ use scene::color::srgb_from_linear;
 
 /// Level of the farthest depth; what is behind it, where nothing is hit, is black.
 const FAR_LEVEL: f32 = 0.12;
-/// Smallest depth that is told apart, relative to the largest.
+/// Smallest depth that gets another color, relative to the largest.
 const MIN_DEPTH_RATIO: f32 = 1e-6;
 /// Fraction of the positions on either end that the range leaves out: a floor reaches to the horizon.
 const OUTSIDE_FRACTION: f64 = 0.02;
@@ -85,7 +85,7 @@ impl LayerPicture {
         Self { pixels: imageops::resize(&self.pixels, width, height, filter), ..self }
     }
 
-    /// The response with this picture, of which this width was rendered or read, with these samples.
+    /// The response with this picture, rendered or read with this width and these samples.
     pub(super) fn encode(self, rendered_px: u32, samples: u32) -> anyhow::Result<HelperPicture> {
         let (width, height) = self.pixels.dimensions();
         let mut png = Vec::new();

@@ -34,7 +34,7 @@ impl From<(TilePixels, Option<Visited>)> for Recorded {
 #[derive(Clone, Debug)]
 pub(super) struct Record {
     bytes: Bytes,
-    /// Whether the pixels are those of the earlier job.
+    /// Whether the pixels come from the earlier job.
     kept: bool,
 }
 

@@ -256,7 +256,7 @@ impl Session {
         self.room() > 0 && (self.holds.is_empty() || !self.awaits_change) && !self.draining && now >= self.claim_after
     }
 
-    /// Whether reports wait for those of unfinished leases.
+    /// Whether reports wait for reports of unfinished leases.
     fn is_batching_reports(&self, now: Instant) -> bool {
         !self.holds.is_empty() && now < self.report_after
     }

@@ -34,7 +34,7 @@ struct Pixel {
 }
 
 impl Pixel {
-    /// Sums of all samples, with those of the parts of light.
+    /// Sums of all samples, with the sums of the parts of light.
     fn sums(&self) -> impl Iterator<Item = f32> {
         self.batches.iter().zip(&self.batch).map(|(batches, batch)| batches + batch)
     }

@@ -19,7 +19,7 @@ pub(super) fn block(lanes: usize) -> (usize, usize) {
     (columns, lanes / columns)
 }
 
-/// Adds the sums of a batch to those of the batches before; the next begins with none.
+/// Adds the sums of a batch to the earlier batches' sums; the next begins with none.
 pub(super) fn end_batch(batches: &mut [f32], batch: &mut [f32]) {
     for (sum, own) in batches.iter_mut().zip(batch) {
         *sum += std::mem::take(own);
@@ -64,7 +64,7 @@ impl<'a> Progress<'a> {
 }
 
 impl Band<'_, '_> {
-    /// Renders the band. Returns it if its pixels are not those of the picture: because the render is cancelled, or cells
+    /// Renders the band. Returns it if its pixels are not the picture's: because the render is cancelled, or cells
     /// had no room.
     pub(super) fn render(mut self, kernel: &Kernel<'_>) -> Option<Self> {
         let lanes = kernel.lanes();

@@ -27,7 +27,7 @@ pub(super) struct FinishedTile {
 pub(super) struct ActiveBlocks<'a> {
     rules: Rounds<'a>,
     tiles: Vec<(Piece, FinishedTile)>,
-    /// The sums of all samples but those of the last round: the channels' planes of each tile.
+    /// The sums of all samples but the last round's: the channels' planes of each tile.
     before: Vec<Vec<f32>>,
 }
 
@@ -48,7 +48,7 @@ impl FinishedTile {
         self.counts[block as usize] == 0
     }
 
-    /// Turns the planes of sums into those of the tile.
+    /// Turns the planes of sums into the tile's planes.
     pub(super) fn finish(&self, planes: &mut [Vec<f32>]) {
         if let Some(first) = self.batches_plane {
             let (batch, batches) = planes.split_at_mut(first);
@@ -67,7 +67,7 @@ impl FinishedTile {
         }
     }
 
-    /// The active blocks, those of a row joined.
+    /// The active blocks, with neighbors in a row joined.
     fn rects(&self) -> Vec<Rect> {
         if self.counts.iter().all(|&count| count == 0) {
             return vec![self.tile];

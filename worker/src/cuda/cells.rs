@@ -66,7 +66,7 @@ impl Cells {
         &self.table
     }
 
-    /// Whether launches that have ended asked for cells: their pixels are not those of the picture.
+    /// Whether launches that have ended asked for cells: their pixels are not the picture's.
     pub(super) fn has_asked(&self, device: &Device) -> Result<bool, CudaError> {
         Ok(device.asked(&self.uploaded)? > 0)
     }

@@ -374,7 +374,7 @@ impl Device {
             let mut render = self.compute.launch_builder(&program.render);
             render.arg(tiles).arg(&count).arg(&blocks);
             render.arg(&first).arg(&end).arg(&is_last).arg(&mut out.device);
-            // SAFETY: the arguments match those of `render` in samples.cu and paths.cu in number, order and type. It writes
+            // SAFETY: the arguments match the parameters of `render` in samples.cu and paths.cu in number, order and type. It writes
             // only pixels of the tiles, which the caller placed inside the buffer.
             unsafe { render.launch(config(program.threads(block))) }?;
             if let Some(layers) = program.layers.as_ref().filter(|_| part.has_layers) {

@@ -291,7 +291,7 @@ extern "C" __global__ void divide(Division d) {
     if (thread % BLOCK_CELLS == 0u) d.words[block + BLOCK_CELLS] = d.words[d.missing[cell] + LIST];
 }
 
-// Makes the blocks those of their cells, once all have their words.
+// Gives the blocks to their cells, once all have their words.
 extern "C" __global__ void publish(Division d) {
     const unsigned cell = blockIdx.x * blockDim.x + threadIdx.x;
     if (cell >= d.cells || d.state[1] != 0u) return;

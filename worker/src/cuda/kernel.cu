@@ -241,7 +241,7 @@ INLINE_FN void write_sum(Sum sum, float first, float end, unsigned is_last, cons
 }
 
 #ifdef AOV_PLANES
-// Writes the layers' planes, after those of light.
+// Writes the layers' planes, after the planes of light.
 extern "C" __global__ void layers(const Tile* __restrict__ tiles, unsigned tile_count, Blocks blocks,
                                   float* __restrict__ out) {
     const Pixel pixel = pixel_of(tiles, tile_count, blocks, threadIdx.x);

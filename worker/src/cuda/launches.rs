@@ -88,7 +88,7 @@ impl LaunchLayout {
     }
 }
 
-/// All numbers below a count, of which neighbors are far apart: multiples of a number near its golden section, wrapping
+/// All numbers below a count, with neighbors far apart: multiples of a number near its golden section, wrapping
 /// around.
 fn spread(count: u32) -> Vec<u32> {
     const GOLDEN_SECTION: f64 = 0.618_034;

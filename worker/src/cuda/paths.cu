@@ -9,7 +9,7 @@
 // Adds the samples from `first` until before `end`, which are in one batch, to the sums in `out`.
 //
 // The threads of a warp march together, until less than one of PAUSE of those that began still march. Then the others take
-// what follows their march, and all march on.
+// the step after their march, and all march on.
 extern "C" __global__ void render(const Tile* __restrict__ tiles, unsigned tile_count, Blocks blocks, float first,
                                   float end, unsigned is_last, float* __restrict__ out) {
     const unsigned warp = threads_together();

@@ -194,7 +194,7 @@ impl CudaRenderer {
                     launches.repeat(part);
                     continue;
                 }
-                // Without those of the launches before, there may be room; if not, for fewer blocks.
+                // Without the earlier launches' cells, there may be room; if not, for fewer blocks.
                 let first_block = match &before {
                     Some(before) => {
                         self.device.restore(buffer, before)?;

@@ -59,7 +59,7 @@ impl KernelSource {
         Self::build(at_frame, samples, together, FastBuilder::UNLIMITED)
     }
 
-    /// Kernel sources of the instants of a frame, all of which have the same text. `together` neighboring threads
+    /// Kernel sources of the instants of a frame, all with the same text. `together` neighboring threads
     /// render a pixel's samples, or as many as is best.
     pub(super) fn of_exposure(
         exposure: &Exposure<'_>,

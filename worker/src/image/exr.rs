@@ -32,7 +32,7 @@ const START_BYTES: usize = 8;
 /// Memory limit of a band: a band has fewer blocks if it would take more.
 const BAND_BYTES: u64 = 32 << 20;
 
-/// Primaries and white point of the scene's light, those of sRGB: ITU-R BT.709, table 1.
+/// Primaries and white point of the scene's light, as in sRGB: ITU-R BT.709, table 1.
 const REC_709: Chromaticities =
     Chromaticities { red: Vec2(0.64, 0.33), green: Vec2(0.3, 0.6), blue: Vec2(0.15, 0.06), white: Vec2(0.3127, 0.329) };
 

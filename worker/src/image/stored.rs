@@ -1,7 +1,7 @@
 //! Reads a stored picture back: the exact value of every channel of every pixel, and its provenance; and computes the
 //! values that a rendered tile has in such a file.
 //!
-//! Nothing is converted here: values are compared bit by bit, and a file of another program is told by its values alone.
+//! Nothing is converted here: values are compared bit by bit, and only its values show whether another program wrote a file.
 
 use std::io::{Cursor, ErrorKind};
 use std::ops::Range;
@@ -123,7 +123,7 @@ pub struct StoredPicture {
     pub width: u32,
     /// Height, in pixels.
     pub height: u32,
-    /// Its channels: those of a PNG are R G B A, those of an EXR are ordered by name.
+    /// Its channels: a PNG's are R G B A, an EXR's are ordered by name.
     pub channels: Vec<ChannelValues>,
     /// Its provenance.
     pub provenance: FoundProvenance,
@@ -132,7 +132,7 @@ pub struct StoredPicture {
 /// Reason why a picture cannot be read.
 #[derive(Debug, thiserror::Error)]
 pub enum UnreadablePicture {
-    /// The first bytes are those of no picture.
+    /// The first bytes belong to no picture.
     #[error("it is neither a PNG nor an EXR")]
     NotAPicture,
     /// It ends early.
@@ -191,7 +191,7 @@ impl StoredPicture {
         }
     }
 
-    /// How the size or the channels differ from those of a picture, in words; `None` if they do not.
+    /// How the size or the channels differ from a picture's, in words; `None` if they do not.
     pub fn misfit(&self, picture: &PictureSpec) -> Option<String> {
         if self.format != picture.format {
             let name = |format| if format == Format::Png { "a PNG" } else { "an EXR" };

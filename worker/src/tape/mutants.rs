@@ -243,7 +243,7 @@ fn change_function(tape: &mut Tape, random: &mut Generator) {
     }
 }
 
-/// All back ends of the CPU for a mutant; those of the CPU's instructions are compiled.
+/// All back ends of the CPU for a mutant; the ones with the CPU's instructions are compiled.
 fn evaluators(tape: &Tape) -> Vec<(&'static str, Evaluator)> {
     let levels = [Simd::Avx512, Simd::Avx2, Simd::Portable].into_iter().filter(|simd| simd.is_available());
     let all = levels.map(|simd| (simd.name(), Evaluator::new(tape, simd).expect("the tape is valid")));

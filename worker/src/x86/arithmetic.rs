@@ -24,7 +24,7 @@ impl Emitter<'_> {
         }));
     }
 
-    /// Instruction of a target and two operands, the second of which may be in memory.
+    /// Instruction of a target and two operands; the second may be in memory.
     fn two(&mut self, code: Code, to: Register, a: Operand, b: Operand) {
         let a = self.in_register(a, self.isa.scratch_2);
         self.three(code, to, a, b);
@@ -212,7 +212,7 @@ impl Emitter<'_> {
         }
     }
 
-    /// `to · b + c`, of which at most one can be read from memory.
+    /// `to · b + c`; at most one operand can be read from memory.
     fn fma_into_factor(&mut self, to: Register, b: Operand, c: Operand) {
         match (b, c) {
             (Operand::Register(b), c) => self.three(self.isa.fma213, to, b, c),

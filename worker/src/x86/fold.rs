@@ -1,5 +1,5 @@
 //! Machine code of folds of lists. The lanes of a packet that have one list are evaluated together: which operations
-//! come, and where their numbers are, is then the same for all of them, and the numbers are read as those of the scene.
+//! come, and where their numbers are, is then the same for all of them, and the numbers are read like the scene's.
 
 use iced_x86::{Code, Instruction, MemoryOperand, Register};
 use scene::real::list::{NO_LEAF, OPERATION_WORDS, ROW_BITS, ROW_MASK};
@@ -86,7 +86,7 @@ impl Emitter<'_> {
         self.push(valid(Instruction::with2(Code::Mov_r64_rm64, to, address)));
     }
 
-    /// A branch to a place that [`Self::land`] tells.
+    /// A branch to a place that [`Self::land`] sets.
     pub(super) fn jump(&mut self, code: Code) -> usize {
         self.push(valid(Instruction::with_branch(code, 0)));
         self.assembly.instructions.len() - 1

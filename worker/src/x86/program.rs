@@ -74,7 +74,7 @@ pub(super) struct MachineCode {
 #[derive(Debug)]
 pub(crate) struct Uniforms {
     numbers: Memory,
-    /// The numbers end with its address, and those of what makes its words.
+    /// The numbers end with its address, and the address of the maker of its words.
     table: Option<Table>,
 }
 
@@ -126,7 +126,7 @@ impl Program {
         Frame(Memory::zeroed(self.frame_packets))
     }
 
-    /// Values of the tape's uniforms, as bits, and its table. Those of a verified tape: its uniforms give the index of
+    /// Values of the tape's uniforms, as bits, and its table. The tape is verified: its uniforms give the index of
     /// the table's last word.
     ///
     /// # Panics
@@ -152,7 +152,7 @@ impl Program {
     /// it returns early, with meaningless results.
     ///
     /// # Panics
-    /// If there is no such entry, or the arguments, results, frame or uniforms are not those of this program.
+    /// If there is no such entry, or the arguments, results, frame or uniforms do not match this program.
     pub(crate) fn run(
         &self,
         entry: &str,

@@ -161,7 +161,7 @@ fn with_motion() -> Value {
     job
 }
 
-/// A picture with ids of objects and materials, of which some have names.
+/// A picture with ids of objects and materials; some have names.
 fn with_mattes() -> Value {
     let mut job = plain();
     job["image"]["layers"] = json!(["crypto_object", "crypto_material"]);
@@ -400,7 +400,7 @@ fn moving() -> Vec<Value> {
         .collect()
 }
 
-/// A scene with named shapes, one of which is used.
+/// A scene with named shapes, one of them in use.
 fn named_shapes() -> Value {
     let mut scene = scene(&json!({ "use": "used" }), &gray(), &sun(), &gradient());
     scene["shapes"] = json!({ "used": ball(), "other": { "box": { "size": [1, 1.5, 1] } } });

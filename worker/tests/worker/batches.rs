@@ -1,4 +1,4 @@
-//! Sums of many samples: those of batches are added to each other, on every path.
+//! Sums of many samples: sums of batches are added to each other, on every path.
 
 use proto::Rect;
 use scene::integrator::Radiance;

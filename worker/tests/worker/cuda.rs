@@ -72,7 +72,7 @@ template <typename Thread> static void run_block(Thread thread) {
 }
 ";
 
-/// A warp of 32 threads of the host, which exchange numbers as those of a GPU do: instead of the host's lines.
+/// A warp of 32 threads of the host, which exchange numbers as a GPU's threads do: instead of the host's lines.
 const HOST_WARP: &str = r"
 #include <pthread.h>
 #include <thread>

@@ -2,7 +2,7 @@
 //! match the code and the scenes. If a page is stale, `SDFARM_WRITE_DOCS=1 cargo test -p worker --test worker
 //! docs` rewrites it.
 //!
-//! What a picture is exactly is a line of hashes; its file is small, and is replaced only if it looks different.
+//! A line of hashes is the exact picture; its file is small, and is replaced only if it looks different.
 
 mod camera_and_sky;
 mod flip;
@@ -85,7 +85,7 @@ fn assert_fresh(page: &Page, compared: Compared) {
     assert!(stale.is_empty(), "{stale:?} are stale: SDFARM_WRITE_DOCS=1 cargo test -p worker --test worker docs");
 }
 
-/// Writes a page, the hashes of its pictures, and those of its pictures that look different.
+/// Writes a page, the hashes of its pictures, and its pictures that look different.
 fn write(page: &Page, docs: &Path) {
     let write = |name: &str, bytes: &[u8]| {
         let path = docs.join(name);

@@ -78,7 +78,7 @@ fn assert_sums(pixels: &TilePixels, groups: usize, what: &str) {
     }
 }
 
-/// Mean of the values of some planes, of which rare bright ones do not decide.
+/// Mean of the values of some planes, which rare bright ones do not decide.
 fn mean(planes: &[Vec<f32>]) -> f64 {
     let count: usize = planes.iter().map(Vec::len).sum();
     planes.iter().flatten().map(|value| f64::from(value.min(BRIGHTEST))).sum::<f64>() / count as f64
@@ -147,7 +147,7 @@ fn groups_sum_to_the_picture_and_have_the_same_bits_on_every_path_and_in_tiles()
             let tile = render(&renderer, &job, rect);
             assert!(bits(&tile.planes) == part(&want, [WIDTH, HEIGHT], rect), "{name}: {level}, a tile");
         }
-        // The other planes are those of the picture without groups.
+        // The other planes are the same as without groups.
         let mut without = text.clone();
         without["image"]["light_groups"] = json!([]);
         let without = rendered(&without);

@@ -13,7 +13,7 @@ while place < len(data):
     assert zlib.crc32(name + body) == crc, name
     names.append(name)
     if name == b"IHDR":
-        width, height, depth, colour, compression, filters, interlace = struct.unpack(">IIBBBBB", body)
+        width, height, depth, color, compression, filters, interlace = struct.unpack(">IIBBBBB", body)
     elif name == b"sRGB":
         assert body == b"\x00"
     elif name == b"IDAT":
@@ -23,7 +23,7 @@ assert names[0] == b"IHDR" and names[-1] == b"IEND"
 assert set(names) == {b"IHDR", b"sRGB", b"iTXt", b"IDAT", b"IEND"}, names
 assert compression == filters == interlace == 0
 
-pixel_bytes = {2: 3, 6: 4}[colour] * depth // 8
+pixel_bytes = {2: 3, 6: 4}[color] * depth // 8
 row_bytes = width * pixel_bytes
 rows = zlib.decompress(compressed)
 assert len(rows) == height * (row_bytes + 1)

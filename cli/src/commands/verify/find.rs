@@ -112,7 +112,7 @@ async fn of_file(arguments: &Arguments) -> anyhow::Result<VerifiedPicture> {
     Ok(VerifiedPicture { name, file, frame, jobs, client: Some(client) })
 }
 
-/// Error for a picture of which the farm has no job.
+/// Error for a picture whose job the farm does not have.
 fn unknown(name: &str, scene: Option<&str>, server: &str) -> UsageError {
     UsageError(match scene {
         Some(scene) => format!(

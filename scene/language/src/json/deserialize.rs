@@ -1,6 +1,6 @@
 //! Deserializes types of serde from a value of a tree.
 //!
-//! Numbers, strings and words are read by `serde_json`, so that they and their errors are those of any JSON. A list in
+//! Numbers, strings and words are read by `serde_json`, so that they and their errors are the same as for any JSON. A list in
 //! place of an object is an error: serde would take its entries in the order of the fields, the schema does not.
 
 use serde::de::value::StrDeserializer;

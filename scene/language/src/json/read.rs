@@ -15,7 +15,7 @@ const MAX_COMPARED_KEYS: usize = 8;
 /// The text is not JSON.
 #[derive(Debug)]
 pub(crate) struct SyntaxError {
-    /// What was found before.
+    /// Earlier findings.
     pub outline: Outline,
 }
 
@@ -410,7 +410,7 @@ impl<'a> Reader<'a> {
     }
 }
 
-/// What a string stands for; its text if it has half of a surrogate pair.
+/// The meaning of a string; its text if it has half of a surrogate pair.
 fn unescaped(string: &str) -> Cow<'_, str> {
     let raw = &string[1..string.len() - 1];
     if !raw.contains('\\') {

@@ -99,7 +99,7 @@ impl<'a> Value<'a> {
         text.get(1..text.len() - 1).unwrap_or_default()
     }
 
-    /// What a string or a key stands for; empty for others, and for half of a surrogate pair.
+    /// The text of a string or a key; empty for others, and for half of a surrogate pair.
     pub(crate) fn string(self) -> Cow<'a, str> {
         if self.kind() != Kind::String {
             return Cow::Borrowed("");

@@ -6,7 +6,7 @@ use super::expand::{self, Numbers};
 use crate::json::{Kind, Tree, Value};
 use crate::limits::{MAX_NODE_DEPTH, MAX_NODES};
 
-/// What a job becomes at most.
+/// The most that a job becomes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Expansion {
     /// Values of the job without formulas, those in lists and objects included; a formula is one.
@@ -141,7 +141,7 @@ mod tests {
 
     const VIEW: &str = r#""camera": { "position": [0, 0, 5], "look_at": [0, 0, 0] }"#;
 
-    /// What is counted, and the number of values that are made.
+    /// Counted things, and the number of values that are made.
     fn counted(text: &str) -> (Expansion, u64) {
         let tree = Tree::read(text).unwrap_or_else(|error| panic!("{error:?}"));
         (count(&tree), expand(&tree).tree.value_count() as u64)

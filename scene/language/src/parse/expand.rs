@@ -58,7 +58,7 @@ struct ShapesAt<'t> {
 struct Expander<'t> {
     tree: &'t Tree<'t>,
     out: Builder<'t>,
-    /// Length of the result as text, of which the limit is told.
+    /// Length of the result as text, for the limit's message.
     length: usize,
     /// Byte offset of what is not in the length yet.
     pending: usize,
@@ -227,7 +227,7 @@ impl<'t> Expander<'t> {
         let resolved = crate::values::formula::resolve(&syntax, &mut scope.names(&mut self.numbers, &mut self.faults));
         resolved.unwrap_or_else(|error| {
             let at = offset_in_string(string, error.at);
-            // A formula of counted copies is told once, for the first copy for which it is wrong.
+            // A formula of counted copies is reported once, for the first copy for which it is wrong.
             let is_reported =
                 scope.copy().is_some() && self.faults.range((at, String::new())..).any(|reported| reported.0 == at);
             let copy = scope.copy().filter(|_| error.message.contains("no finite value"));

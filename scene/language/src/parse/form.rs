@@ -94,7 +94,7 @@ fn place_of_name(tree: &Tree<'_>, pointer: String, name: &str) -> (String, bool)
     (place.to_owned(), false)
 }
 
-/// The message of an error, without the line and column that serde appends: those of a number or a string alone.
+/// The message of an error, without the line and column that serde appends: they are of a number or a string alone.
 pub(super) fn message(error: &serde_json::Error) -> String {
     let message = error.to_string();
     let position = message.rfind(" at line ").filter(|_| error.line() > 0);

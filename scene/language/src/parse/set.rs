@@ -54,7 +54,7 @@ pub fn set_value(text: &str, path: &str, value: &str) -> Result<String, String> 
     Ok(format!("{}{value}{}", &text[..at.start()], &text[at.end()..]))
 }
 
-/// What to write instead of a key that a value does not have.
+/// The right text instead of a key that a value does not have.
 fn instead(value: Value<'_>, here: &str, key: &str) -> String {
     let known: Vec<_> = value.members().map(|(known, _)| known.string()).collect();
     let names: Vec<&str> = known.iter().map(AsRef::as_ref).collect();

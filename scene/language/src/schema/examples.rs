@@ -23,7 +23,7 @@ const JOB: &str = r#"{
     "image": { "width": 320, "height": 180 }
 }"#;
 
-/// Levels of a kind's own keys: the key with its name, and those of its value.
+/// Levels of a kind's own keys: the key with its name, and its value's keys.
 const OWN_KEYS: usize = 2;
 
 /// Adds examples to the definitions of a job and of each kind of node, material, texture, light and so on.

@@ -1,6 +1,6 @@
 //! The transcendental functions, written once from exact operations.
 //!
-//! Polynomials and range reductions are those of Stephen L. Moshier's Cephes Mathematical Library, single precision
+//! Polynomials and range reductions come from Stephen L. Moshier's Cephes Mathematical Library, single precision
 //! (<https://www.netlib.org/cephes/>), evaluated here with fused operations. Each is compiled once and called, hence
 //! [`Real::call`]. The errors in the docs of [`Real`] are measured by this module's tests.
 

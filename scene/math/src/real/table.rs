@@ -53,7 +53,7 @@ pub struct Division {
     pub coarse_levels: u32,
     /// Index of the word of the outermost cell.
     pub root: u32,
-    /// Index of the list that is the first leaf alone; those of the others follow.
+    /// Index of the list that is the first leaf alone; the other leaves' follow.
     pub leaf_lists: u32,
     /// Number of leaves in a list up to which a cell is not divided.
     pub short_list: u32,

@@ -52,7 +52,7 @@ impl Image {
         Ok(())
     }
 
-    /// Width and height of the whole picture, in pixels; those of the picture itself if it has no region.
+    /// Width and height of the whole picture, in pixels; the picture's own if it has no region.
     pub fn full_size(&self) -> [u32; 2] {
         self.crop.map_or([self.width, self.height], |crop| [crop.full_width, crop.full_height])
     }

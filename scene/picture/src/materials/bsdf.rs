@@ -1,6 +1,6 @@
 //! The scattering of a surface as path tracing needs it: values, densities and samples of one model for all materials.
 //!
-//! Values are those of the BSDF times π and the cosine, because lights leave π out. Densities are per steradian.
+//! Values are the BSDF's, times π and the cosine, because lights leave π out. Densities are per steradian.
 
 use std::f32::consts::PI;
 

@@ -4,7 +4,7 @@
 //! surfaces", EGSR 2007, <https://www.graphics.cornell.edu/~bjw/microfacetbsdf.pdf>. Masking and
 //! shadowing are Smith's, correlated by height: Eric Heitz, "Understanding the masking-shadowing
 //! function in microfacet-based BRDFs", JCGT 3(2), 2014, <https://jcgt.org/published/0003/02/03/>.
-//! Cosines are those of angles to the normal, 0 to 1. In a local frame the normal is +z.
+//! Cosines are of angles to the normal, 0 to 1. In a local frame the normal is +z.
 
 use std::f32::consts::{PI, TAU};
 

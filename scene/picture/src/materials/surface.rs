@@ -14,7 +14,7 @@ use crate::values::{Fraction, RefractiveIndex};
 
 /// A physically based surface: a dielectric or metal, with an optional clear coat.
 ///
-/// Parameters are those of glTF 2.0 and its extensions `KHR_materials_ior`, `clearcoat` and `transmission`
+/// Parameters follow glTF 2.0 and its extensions `KHR_materials_ior`, `clearcoat` and `transmission`
 /// (<https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html#appendix-b-brdf-implementation>), after Brent Burley,
 /// "Physically based shading at Disney", 2012. Highlights are single-scattering GGX with Smith's height-correlated
 /// shadowing and Schlick's Fresnel. The diffuse term gets only light that is not reflected, on the way in and out, so

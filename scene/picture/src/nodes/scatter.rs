@@ -117,7 +117,7 @@ impl Scatter {
         Ok(ScatteredCopies { placements: Placements::new(placements.collect()), shapes })
     }
 
-    /// Bounds of the copies of which the distance is at most `isolevel`.
+    /// Bounds of the copies whose distance is at most `isolevel`.
     fn placed_bounds(&self, isolevel: f32) -> impl Iterator<Item = Bounds> {
         let placed = self.placed().ok().into_iter();
         placed.flat_map(move |copies| {

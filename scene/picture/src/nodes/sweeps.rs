@@ -58,7 +58,7 @@ impl Sdf for Extrude {
         V::new(out.square_add(up.square()).sqrt() + past_outline.max(past_end).at_most(0.0) - p.x.uniform(round))
     }
 
-    // Its factor is 1, rounded or not: it is a norm of two values, one of which changes with x and y alone and the
+    // Its factor is 1, rounded or not: it is a norm of two values: one changes with x and y alone and the
     // other with z alone, neither faster than the point.
     fn own_exactness(&self) -> Exactness {
         let worst_rounding = if self.round.get() == 0.0 { Exactness::Exact } else { Exactness::Bound };

@@ -27,7 +27,7 @@ pub trait SdfValue<R: Real>: Clone {
     /// material's textures.
     fn paint(self, slot: u32, p: Vec3<R>) -> Self;
 
-    /// The same surface in a space around its own, where `outward` takes directions of the one to those of the other.
+    /// The same surface in a space around its own, where `outward` takes directions of the one to directions of the other.
     fn mapped_outward(self, outward: impl FnOnce(Vec3<R>) -> Vec3<R>) -> Self {
         let _ = outward;
         self

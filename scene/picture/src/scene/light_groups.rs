@@ -1,4 +1,4 @@
-//! What belongs to each light group of a picture.
+//! Lights, objects and backgrounds of each light group of a picture.
 
 use serde::Serialize;
 

@@ -19,7 +19,7 @@ pub use program::Formula;
 
 use std::sync::Arc;
 
-/// Maximum number of operations of a formula, counting those of the names in it.
+/// Maximum number of operations of a formula, including its names' formulas.
 pub const MAX_FORMULA_STEPS: u32 = 1_000;
 /// Maximum length of a formula's text.
 pub(crate) const MAX_FORMULA_BYTES: usize = 1_000;

@@ -1,6 +1,6 @@
 //! Materials of objects that have several: their weights at a point, by the lists of cells.
 //!
-//! Where a list leaves a shape out, the shape's weight in every seam is exactly 0. So the weights are those of the whole
+//! Where a list leaves a shape out, the shape's weight in every seam is exactly 0. So the weights are as of the whole
 //! scene, bit for bit, as distances are.
 
 use super::program::{JoinKind, Leaf};

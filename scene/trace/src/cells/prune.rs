@@ -121,7 +121,7 @@ impl Intervals {
 /// Values that wait for a join. They are in memory of a known size, so that each is written where it stays.
 struct Waiting {
     values: [Intervals; MAX_WAITING],
-    /// Of each, the indices of its first entry, and of the first operands after those of the values before it.
+    /// Of each, the indices of its first entry, and of the first operands after the earlier values' operands.
     firsts: [(usize, usize); MAX_WAITING],
     count: usize,
 }

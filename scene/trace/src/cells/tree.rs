@@ -51,7 +51,7 @@ const MIN_WORDS: usize = 1 << 27;
 
 /// The cells of a scene, with their lists and rows, as one table of words.
 ///
-/// After the rows come the word of the outermost cell, the list of all operations, and those of the leaves alone. A block is the words of 64 cells,
+/// After the rows come the word of the outermost cell, the list of all operations, and the lists of the leaves alone. A block is the words of 64 cells,
 /// x fastest, then the index of the list of all of them.
 #[derive(Clone, Debug)]
 pub struct CellTree {
@@ -83,7 +83,7 @@ pub trait CellBuilder {
     /// Distances of a program's leaves.
     fn distances<'a>(&self, program: &'a Program<'_>) -> Distances<'a>;
 
-    /// Maximum number of words that the cells may take, beyond those of the whole scene.
+    /// Maximum number of words that the cells may take, beyond the whole scene's.
     fn max_words(&self) -> usize {
         usize::MAX
     }
@@ -99,7 +99,7 @@ pub enum Distances<'a> {
 
 /// Distances of leaves.
 pub trait LeafDistances: Send + Sync {
-    /// Appends the distances of leaves at the points of a block: those of each slab to its own, of the first leaf at all
+    /// Appends the distances of leaves at the points of a block: each slab's to its own, the first leaf's at all
     /// points of the slab, then of the second.
     fn append(&self, leaves: &[u32], points: &[Vec3<f32>; BLOCK_CELLS as usize], distances: &mut [Vec<f32>; SLABS]);
 

@@ -9,7 +9,7 @@ use crate::real::{F32Bits, Real, Vec3, bundle, vec3};
 
 /// Maximum number of cells that a ray meets between two evaluations of a list.
 const MAX_CELLS: u32 = 1 << 16;
-/// 2²³: the bits of this plus an integer below it are those of the integer, apart from the exponent.
+/// 2²³: the bits of this plus an integer below it are the integer's, apart from the exponent.
 const TO_INTEGER: f32 = 8_388_608.0;
 /// Bit of a cell's word that tells that it has no value: it is divided, or is to be divided.
 const HAS_CELLS: u32 = 31;

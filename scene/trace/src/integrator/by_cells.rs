@@ -11,7 +11,7 @@ use crate::real::Table;
 use crate::visits::{VisitGrid, Visits};
 
 /// Minimum number of leaves: below, straight code costs less than finding the cell of each point (measured on CPUs with
-/// the shipped scenes, the largest of which has 88).
+/// the shipped scenes: the largest has 88).
 const MIN_LEAVES: usize = 96;
 
 /// The program of a scene that is rendered by cells: of many leaves, in few families, which all rays see.
@@ -155,7 +155,7 @@ impl<'a> Integrator<'a> {
     }
 }
 
-/// Number of nodes whose formulas a kernel has, which limits the scenes of a GPU: all of them, or those of one leaf of
+/// Number of nodes whose formulas a kernel has, which limits the scenes of a GPU: all of them, or one leaf's of
 /// each family if the scene is rendered by cells.
 pub fn compiled_nodes(job: &Job) -> u32 {
     job.at(0).map_or_else(|_| job.nodes(), |at_frame| frame_compiled_nodes(&at_frame))

@@ -10,7 +10,7 @@ use crate::sampling::{PixelSampler, Sampler};
 
 /// Maximum number of samples of a pixel that are counted.
 pub const MAX_COVERAGE_SAMPLES: u32 = 64;
-/// Number of things of which a pixel has the coverage.
+/// Number of things whose coverage a pixel has.
 pub const RANKS: usize = 6;
 
 /// A thing that a pixel shows.

@@ -127,7 +127,7 @@ pub(super) struct Vertex<R> {
 bundle!(Vertex { position, strength });
 
 impl Emitters {
-    /// The lights of a scene, and those of its objects that shine and that `surfaces` has.
+    /// The lights of a scene, and its objects that shine and that `surfaces` has.
     pub(super) fn new(scene: &Scene, surfaces: &[usize]) -> Self {
         // Light of the sky is met by rays that meet nothing else.
         let day = scene.environment().day();
@@ -168,7 +168,7 @@ impl Emitters {
         })
     }
 
-    /// Whether some object is sampled as a light, by this integrator or those of other kinds of rays.
+    /// Whether some object is sampled as a light, by this integrator or the ones for other kinds of rays.
     pub(super) fn has_objects(&self) -> bool {
         self.has_objects
     }

@@ -89,7 +89,7 @@ impl<R: Real> LightPath<R> {
         Self { color, groups, shadow: ShadowRay { color: light, ..shadow }, ..self }
     }
 
-    /// Adds the light of the shadow ray, of which this fraction arrives.
+    /// Adds this fraction of the shadow ray's light.
     pub(super) fn shadow_ray_traced(self, visible: R, evaluations: R) -> Self {
         let light = self.shadow.color * visible;
         Self {

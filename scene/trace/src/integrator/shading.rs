@@ -82,7 +82,7 @@ impl MaterialTable {
             && *lobes == other.lobes
     }
 
-    /// Index of a slot among those of surfaces.
+    /// Index of a slot among the surfaces' slots.
     fn place_of(&self, slot: u32) -> Option<usize> {
         self.surface_slots.iter().position(|&surface| surface == slot as usize)
     }

@@ -35,7 +35,7 @@ pub(in crate::http) async fn file(State(queue): State<Queue>, Path(id): Path<Str
 ///
 /// Without a body, the same file is submitted, and pictures that are already stored are not rendered again,
 /// unless the request has `Cache-Control: no-cache`. A body changes the file first: a JSON merge patch (RFC
-/// 7396). The new job belongs to the caller. Headers, query and responses are those of `POST /v1/jobs`.
+/// 7396). The new job belongs to the caller. Headers, query and responses are as in `POST /v1/jobs`.
 #[utoipa::path(
     post, path = "", tag = "jobs", operation_id = "resubmit_job",
     params(

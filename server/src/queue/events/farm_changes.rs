@@ -1,4 +1,4 @@
-//! Which jobs have changed since a position: what followers of all jobs are told. Events tell of most changes; those that
+//! Jobs that have changed since a position, for followers of all jobs. Events have most changes; those that
 //! are no events of a job, of its priority or pause and its deletion, have rows of their own.
 //!
 //! Only `effects` writes these rows, in the transaction of the change.

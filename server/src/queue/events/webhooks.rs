@@ -16,7 +16,7 @@ use crate::queue::{Queue, Result, json_list, json_numbers, parse_column};
 
 /// Retention of finished deliveries.
 const RETENTION_MS: i64 = 7 * 24 * 3_600_000;
-/// Time for which a delivery that was given up is told to operators.
+/// Time for which a delivery that was given up is reported to operators.
 const FAILURE_SHOWN_MS: i64 = 24 * 3_600_000;
 /// Time in which the server that makes an attempt records its outcome, which is longer than an attempt takes.
 const ATTEMPT_MS: i64 = 60_000;

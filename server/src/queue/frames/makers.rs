@@ -47,7 +47,7 @@ pub(in crate::queue) async fn record(connection: &mut Connection, leases: &str) 
     Ok(())
 }
 
-/// Deletes makers of which no tile is left.
+/// Deletes makers without remaining tiles.
 pub(in crate::queue) async fn tidy(connection: &mut Connection) -> Result<()> {
     db::query("DELETE FROM maker WHERE NOT EXISTS (SELECT 1 FROM tile_maker WHERE tile_maker.maker = maker.number)")
         .execute(connection)
@@ -56,7 +56,7 @@ pub(in crate::queue) async fn tidy(connection: &mut Connection) -> Result<()> {
 }
 
 impl Queue {
-    /// Jobs that have such a picture, newest first; only those of `submitter`, if given.
+    /// Jobs that have such a picture, newest first; only the jobs of `submitter`, if given.
     pub(crate) async fn jobs_of_picture(
         &self,
         submitter: Option<&str>,

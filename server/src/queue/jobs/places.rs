@@ -93,7 +93,7 @@ async fn reorder_job(
     Ok(ReorderOutcome::Done)
 }
 
-/// A key for the place, between those of its neighbors; `None` if none is left.
+/// A key for the place, between its neighbors' keys; `None` if none is left.
 async fn free_key(
     connection: &mut Connection,
     job: &Queued,

@@ -171,7 +171,7 @@ pub(in crate::queue) async fn retry(connection: &mut Connection, job: i64, conte
     effects::job_standing_changed(connection, &retried, before).await
 }
 
-/// Marks a job as running of which a stored frame, with this number of tiles and rays, is rendered again.
+/// Marks a job as running because a stored frame, with this number of tiles and rays, is rendered again.
 pub(in crate::queue) async fn reopen(connection: &mut Connection, job: i64, tiles: i64, rays: i64) -> Result<()> {
     let Some(before) = read(connection, JobKey::Number(job)).await? else {
         return Err(DatabaseError::Rows { what: "job: succeeded to running", expected: 1, changed: 0 });

@@ -119,7 +119,7 @@ fn is_result(report: &LeaseReport) -> bool {
     matches!(report.outcome, LeaseOutcome::Picture { .. } | LeaseOutcome::Blob { .. })
 }
 
-/// Sorts results, and compares those of leases that have ended with the first ones.
+/// Sorts results, and compares results of ended leases with the first ones.
 async fn sort<'a>(
     connection: &mut Connection,
     worker: &'a WorkerState,

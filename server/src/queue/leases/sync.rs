@@ -158,7 +158,7 @@ pub(in crate::queue) async fn sync(
         let Some(rescued) = WorkerState::read(connection, &turn, context).await? else { return Ok(None) };
         worker = rescued;
     }
-    // The leases of verifications are apart from those of tiles.
+    // The leases of verifications are apart from the tiles'.
     let verified: Vec<VerifierLease> =
         if worker.has_verifications { verification::live_leases(connection, &worker.id).await? } else { Vec::new() };
     let is_verified = |lease: &LeaseId| {

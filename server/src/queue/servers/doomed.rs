@@ -106,7 +106,7 @@ impl Queue {
         self.clock.is_lasting()
     }
 
-    /// Those of some names that no row refers to: no unfinished frame uses the blob, no job the picture.
+    /// The names that no row refers to: no unfinished frame uses the blob, no job the picture.
     pub(crate) async fn orphans(&self, kind: ContentKind, names: &[String]) -> Result<Vec<String>> {
         orphans_among(self.readers(), kind, names).await
     }
@@ -117,7 +117,7 @@ impl Queue {
         Ok(CheckedNames { doomed: doomed_among(self.readers(), names).await?, at })
     }
 
-    /// Marks those of some names that no row refers to.
+    /// Marks the names that no row refers to.
     pub(crate) async fn mark_doomed(&self, kind: ContentKind, names: Vec<String>) -> Result<()> {
         self.put_doomed(kind, names, "marked").await.map(drop)
     }

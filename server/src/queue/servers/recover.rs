@@ -37,7 +37,7 @@ pub(in crate::queue) struct StartingServer {
 }
 
 /// Repairs the state at startup. A server that has ended took its pool with it, so its pool's leases end at once. If no
-/// other server runs, no worker could renew a lease: those of remote workers last for one more lease length from now, on
+/// other server runs, no worker could renew a lease: remote workers' leases last for one more lease length from now, on
 /// a clock that may have started now.
 pub(in crate::queue) async fn recover(connection: &mut Connection, start: &StartingServer) -> Result<Recovery> {
     let &StartingServer { now_ms, lease_ms, .. } = start;

@@ -7,7 +7,7 @@ use std::{fs, io};
 struct Rule {
     /// Its beginning.
     start: &'static str,
-    /// Texts of which the part up to `WHERE` has one; none if every such statement counts.
+    /// Texts that the part up to `WHERE` must have one of; none if every such statement counts.
     sets: &'static [&'static str],
     /// Files under `queue/`.
     owners: &'static [&'static str],

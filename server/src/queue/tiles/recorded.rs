@@ -46,7 +46,7 @@ pub(in crate::queue) async fn recording(
     Ok(Some(Recording { earlier: None }))
 }
 
-/// Those of a frame's tiles at these positions that are done and have records.
+/// A frame's tiles at these positions that are done and have records.
 async fn recorded_tiles(
     connection: &mut Connection,
     job: i64,

@@ -20,7 +20,7 @@ pub(crate) struct ReportedTile {
     pub(crate) job: i64,
     /// The frame.
     pub(crate) frame: u32,
-    /// Its pixels; for a picture those of the frame.
+    /// Its pixels; for a picture the frame's.
     pub(crate) rect: Rect,
     /// Bytes of finished data per pixel.
     pub(crate) pixel_bytes: u32,

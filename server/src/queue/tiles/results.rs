@@ -75,7 +75,7 @@ pub(in crate::queue) async fn finish(connection: &mut Connection, tiles: &[i64])
     Ok(done.progress)
 }
 
-/// Makes those of some finished tiles of a frame ready again whose positions are listed.
+/// Makes a frame's finished tiles at the listed positions ready again.
 pub(in crate::queue) async fn reopen_positions(
     connection: &mut Connection,
     job: i64,
@@ -92,7 +92,7 @@ pub(in crate::queue) async fn reopen_positions(
     Ok(change(connection, statement.bind(job).bind(frame).bind(positions)).await?.progress)
 }
 
-/// Makes those of some tiles ready again that are done.
+/// Makes the tiles that are done ready again.
 pub(in crate::queue) async fn reopen(connection: &mut Connection, tiles: &[i64]) -> Result<Progress> {
     let statement = db::query(concat!(
         "UPDATE tile SET state = 'ready', blob = NULL, blob_bytes = NULL, record = NULL, record_bytes = NULL, kept = 0

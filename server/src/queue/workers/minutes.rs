@@ -1,7 +1,7 @@
 //! The farm's throughput by minutes of the wall clock, kept for a week.
 //!
 //! Each server adds what its workers have rendered in a minute to the minute's row; the counts of workers and jobs are
-//! those of the first server that writes it.
+//! the first server's that writes it.
 
 use proto::history::{HistoryPoint, HistoryView};
 use proto::rounding;

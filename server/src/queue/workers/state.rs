@@ -42,7 +42,7 @@ pub(in crate::queue) struct WorkerState {
     pub(in crate::queue) is_anything_overdue: bool,
     /// Whether a result is, or waits to be, verified.
     pub(in crate::queue) has_verifications: bool,
-    /// Its live leases, with those of jobs that have ended.
+    /// Its live leases, also of jobs that have ended.
     pub(in crate::queue) leases: Vec<HeldLease>,
 }
 

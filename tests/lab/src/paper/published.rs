@@ -1,6 +1,6 @@
 //! Published figures of the paper's own program. Nothing here is measured by this program.
 //!
-//! The figures are those of Table 1 of Robles, Lee, Yin and Dhar, "Procedural Rendering with Ray Marching",
+//! The figures are from Table 1 of Robles, Lee, Yin and Dhar, "Procedural Rendering with Ray Marching",
 //! USC CSCI 580, 2022: the best and the worst block of each resolution, 8 samples, a laptop's RTX 3070 next
 //! to a serial run on a Ryzen. `h200_ms` is the kernel time of their CUDA program, built with nvcc 13 and run
 //! on one NVIDIA H200 by this project.

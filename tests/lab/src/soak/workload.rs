@@ -11,7 +11,7 @@ use worker::{CancelFlag, CpuRenderer, Simd};
 use crate::program::job_text;
 
 /// Shipped scenes that render quickly, and the samples of their jobs. With more than 4 Mi rays, a worker
-/// without a measured speed gets one tile, so those of many samples are stitched.
+/// without a measured speed gets one tile, so frames of many samples are stitched.
 const SCENES: [(&str, [u32; 4]); 3] =
     [("csg", [1, 160, 4, 16]), ("five-spheres", [4, 16, 1, 160]), ("mandelbulb", [1, 4, 2, 8])];
 /// Size of the pictures: eight tiles of 64 pixels.

@@ -26,7 +26,7 @@ const MIN_BLOCKS: usize = 4;
 const MAX_CANDIDATES: usize = 24;
 /// Maximum rays a pixel in a try.
 const MAX_SAMPLES: u32 = 8;
-/// Materials whose `steps` are those of a ray through them.
+/// Materials whose `steps` are steps of a ray through them.
 const MEDIA: [&str; 2] = ["clouds", "volume"];
 /// Factor of a smaller picture's edges.
 const SMALLER: f64 = 0.75;
@@ -226,7 +226,7 @@ struct Trial {
 }
 
 impl Trial {
-    /// Renders the blocks: once to compile and to make what they share, and twice for the time, of which the shorter counts.
+    /// Renders the blocks: once to compile and to make what they share, and twice for the time: the shorter counts.
     fn run(job: &Job, frame: u32, renderers: &[CpuRenderer], limit: Duration, rects: &[Rect]) -> anyhow::Result<Self> {
         let frame = frame.min(job.frames.count - 1);
         Pass::render(job, frame, renderers, limit, rects)?;

@@ -1,4 +1,4 @@
-//! Forgeries of single bits in pictures of the shipped scenes, all of which must be found, and pictures that are genuine.
+//! Forgeries of single bits in pictures of the shipped scenes, which must all be found, and pictures that are genuine.
 
 use std::collections::BTreeMap;
 use std::io::Cursor;

@@ -23,7 +23,7 @@ pub(super) struct Pages {
 }
 
 impl Pages {
-    /// Pages of which this number of bytes, the begin of these packets, can be touched at one edge.
+    /// Pages; this number of bytes, the begin of these packets, can be touched at one edge.
     pub(super) fn new(packets: &[Packet], bytes: usize, edge: Edge) -> Self {
         let page = rustix::param::page_size();
         let inside = bytes.next_multiple_of(page);

@@ -27,7 +27,7 @@ impl Memory {
         Self { place: Backing::Heap(vec![Packet([0.0; WORDS]); packets]), bytes }
     }
 
-    /// The same memory, of which code touches only the first bytes.
+    /// The same memory; code touches only its first bytes.
     pub(super) fn limited(self, bytes: usize) -> Self {
         debug_assert!(bytes <= self.bytes, "{bytes} bytes in {}", self.bytes);
         Self { bytes, ..self }

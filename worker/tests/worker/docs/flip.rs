@@ -56,7 +56,7 @@ impl Kernel {
         self
     }
 
-    /// What the eye blurs of a channel: two Gaussians, as weights and spreads in degrees.
+    /// The eye's blur of a channel: two Gaussians, as weights and spreads in degrees.
     fn of_contrast(gaussians: [[f64; 2]; 2]) -> Self {
         const WIDEST: f64 = 0.04;
         Self::new(3.0 * (WIDEST / (2.0 * PI * PI)).sqrt() * PIXELS_PER_DEGREE, |x, y| {
@@ -68,7 +68,7 @@ impl Kernel {
         .normalized()
     }
 
-    /// What finds edges or points along the axis x.
+    /// The filter of edges or points along the axis x.
     fn of_feature(is_point: bool) -> Self {
         let spread = 0.5 * FEATURE_DEGREES * PIXELS_PER_DEGREE;
         Self::new(3.0 * spread, |x, y| {
@@ -86,7 +86,7 @@ impl Kernel {
 }
 
 impl Plane {
-    /// The plane after a kernel; pixels beyond an edge are those of the edge.
+    /// The plane after a kernel; pixels beyond an edge equal the edge's.
     fn filtered(&self, kernel: &Kernel) -> Self {
         let (width, height, edge) = (self.width, self.values.len() / self.width, 2 * kernel.radius + 1);
         let clamped = |place: usize, end: usize| place.saturating_sub(kernel.radius).min(end - 1);
@@ -206,7 +206,7 @@ fn errors_are_as_of_the_published_program() {
     assert_eq!(mean(&errors(&a, &a, 48)), 0.0);
     let found = errors(&a, &b, 48);
     let largest = found.iter().copied().fold(0.0, f64::max);
-    // What FLIP 1.7 of the authors says.
+    // The values of the authors' FLIP 1.7.
     assert!(
         (mean(&found) - 0.082_470).abs() < 1e-4 && (largest - 0.715_817).abs() < 1e-3,
         "{} {largest}",

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 
-/// What a documented picture is exactly, as hashes in hex.
+/// Hashes of a documented picture's exact values, in hex.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Exact {
     /// Of the pixels.
@@ -13,7 +13,7 @@ pub(crate) struct Exact {
     pub(crate) shown: String,
 }
 
-/// What each picture is exactly, by its path in docs/.
+/// The hashes of each picture, by its path in docs/.
 pub(crate) type Hashes = BTreeMap<String, Exact>;
 
 fn path() -> PathBuf {

@@ -37,7 +37,7 @@ impl Expanded<'_> {
             return true;
         }
         let (pointer, _) = self.users_place(users, pointer, Some(at));
-        // The values beside this one may be what is wrong, but not those of a whole part of the job.
+        // The values beside this one may be wrong, but not a whole part of the job.
         let is_part = pointer.matches('/').count() < 3;
         let around = pointer.rsplit_once('/').filter(|_| !is_part).map_or(pointer.as_str(), |(around, _)| around);
         if has_wrong_name(wrong) && is_computed(users, around) {

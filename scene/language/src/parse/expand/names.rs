@@ -1,4 +1,4 @@
-//! The numbers that names in formulas stand for: those of the scene and of a shape, and counted copies.
+//! The numbers that names in formulas stand for: from the scene, a shape, and counted copies.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;

@@ -164,7 +164,7 @@ impl<'a> ShapeReader<'a, '_> {
         }
     }
 
-    /// Values in a list or a map, of which families and objects are noted.
+    /// Values in a list or a map; families and objects are noted.
     fn inner(&mut self, schema: &'a Value, place: &str) -> Shape {
         let inner = shape_of(schema, self.definitions, place, self.inline);
         if KINDS.iter().any(|(_, kind)| *kind == inner.kind) {

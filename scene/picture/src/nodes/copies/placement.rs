@@ -216,7 +216,7 @@ impl Placements {
         self.to_copy(index, shape(isolevel / self.all[index].scale))
     }
 
-    /// Bounds of a copy, given those of the shape.
+    /// Bounds of a copy, given the shape's bounds.
     pub fn to_copy(&self, index: usize, shape: Bounds) -> Bounds {
         let Placement { by, scale, inverse_rows, .. } = &self.all[index];
         shape.scaled(*scale).rotated(*inverse_rows).translated(*by)

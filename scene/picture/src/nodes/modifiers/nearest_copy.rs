@@ -77,7 +77,7 @@ pub(super) fn ended(bounds: Bounds) -> Bounds {
     Bounds { min: bounds.min.map(ended), max: bounds.max.map(ended) }
 }
 
-/// Number of copies, `spacing` apart, of which one may be the nearest to a point, for a shape of this width.
+/// Number of copies, `spacing` apart, that may be the nearest to a point, for a shape of this width.
 /// For each point of the shape the nearest of its copies is at most half a spacing away, so the centers of
 /// the copies are within (width + spacing)/2 of the point. Rounding must not add a copy if the shape fills
 /// its cell.

@@ -66,7 +66,7 @@ impl Primitive for Gyroid {
 
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
         // ∂f/∂x = cos x cos y − sin z sin x is the product of (cos x, −sin x) and (cos y, sin z): its
-        // square is at most cos²y + sin²z. Likewise those of ∂f/∂y and ∂f/∂z are at most
+        // square is at most cos²y + sin²z. Likewise the squares of ∂f/∂y and ∂f/∂z are at most
         // cos²z + sin²x and cos²x + sin²y. The sum is 3.
         let (sine, cosine) = cell_sin_cos(p, &self.cell);
         let f = sine.x.mul_add(cosine.y, sine.y.mul_add(cosine.z, sine.z * cosine.x));

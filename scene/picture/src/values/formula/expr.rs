@@ -19,7 +19,7 @@ pub enum Expr {
     Frame,
     /// A number over time.
     Track(Arc<Track>),
-    /// A function or an operator and its operands, of which one or more depend on time; and the number of operations.
+    /// A function or an operator and its operands, some of them of time; and the number of operations.
     Call(&'static Function, Vec<Arc<Expr>>, u32),
 }
 

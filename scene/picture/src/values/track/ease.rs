@@ -57,7 +57,7 @@ impl Default for Ease {
 impl Ease {
     /// The share of the way, for a share of the time from 0 to 1.
     pub(super) fn apply(self, share: f64) -> f64 {
-        // The curves of CSS are those of <https://www.w3.org/TR/css-easing-1/>, those of `back` approximate the usual
+        // The curves of CSS are as in <https://www.w3.org/TR/css-easing-1/>; the curves of `back` approximate the usual
         // cubic with an overshoot of 10 % (<https://easings.net>).
         let curve = match self {
             Self::Bezier(curve) => curve,

@@ -55,7 +55,7 @@ impl Program<'_> {
     }
 }
 
-/// A program whose contents can be compared with those of another.
+/// A program whose contents can be compared with another's.
 pub(crate) struct Contents<'a> {
     program: Program<'a>,
     pruner: Pruner,

@@ -92,7 +92,7 @@ impl Progress {
         i64::from(self.picture.is_some())
     }
 
-    /// Its events: those of tiles, of the frame, and of another hundredth of the rays.
+    /// Its events: of tiles, of the frame, and of another hundredth of the rays.
     pub(in crate::queue) fn into_events(self, job: &str, after: JobCounters) -> Vec<NewEvent> {
         let mut events: Vec<NewEvent> = self.tile_events.iter().map(NewEvent::tile).collect();
         events.extend(self.picture.map(|picture| NewEvent::frame(job, picture)));

@@ -44,7 +44,7 @@ impl Outbox {
         self.events.retain(|(owner, _)| *owner != job);
     }
 
-    /// Asserts that the rows of the database are those of the model, in the same order.
+    /// Asserts that the database has the model's rows, in the same order.
     pub(super) async fn compare(&self, readers: &Readers) {
         let rows = db::query(
             "SELECT job.id, outbox.kind, outbox.state, outbox.body FROM outbox @join job ON job.number = outbox.job
