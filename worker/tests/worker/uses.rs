@@ -1,6 +1,6 @@
 //! Every option of the job language is used by a shipped scene, so that `selftest` compares it on a GPU.
 //!
-//! The options are those of the JSON Schema: each member of each object, and each word.
+//! The options are the JSON Schema's: each member of each object, and each word.
 
 use std::collections::BTreeSet;
 
