@@ -67,10 +67,11 @@ fn on_white(pixels: &[u8], channels: usize) -> Vec<u8> {
 
 #[test]
 fn a_picture_looks_different_only_if_a_part_of_it_does() {
-    let picture = |brightness: i32, square_px: usize| {
+    let picture = |brightness: isize, square_px: usize| {
         let pixel = |place: usize| {
             let (x, y) = (place % 96, place / 96);
-            let value = if x < square_px && y < square_px { 250 } else { (60 + x as i32 + brightness) as u8 };
+            let value =
+                if x < square_px && y < square_px { 250 } else { (60 + x).saturating_add_signed(brightness) as u8 };
             [value, value / 2 + 40, 90, 255]
         };
         Pixels { width: 96, height: 64, rgba: (0..96 * 64).flat_map(pixel).collect() }
