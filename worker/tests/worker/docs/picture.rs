@@ -44,6 +44,8 @@ pub(crate) struct Pixels {
     pub(crate) height: u32,
     /// 8-bit sRGB and coverage, row by row.
     pub(crate) rgba: Vec<u8>,
+    /// The lower bytes of a picture of 16 bits; else none.
+    pub(crate) low: Vec<u8>,
 }
 
 /// Pixels of a frame of a job; its file says what it shows.
@@ -54,14 +56,18 @@ pub(crate) fn pixels(job: &Job, frame: u32) -> Pixels {
     assert!(said.contains(&provenance(job, frame).json()), "{said:?} does not say what it shows");
     let mut bytes = vec![0; reader.output_buffer_size().expect("a small picture")];
     let info = reader.next_frame(&mut bytes).expect("a whole PNG");
-    let rgba = match (info.color_type, info.bit_depth) {
-        (png::ColorType::Rgba, png::BitDepth::Eight) => bytes,
+    let [rgba, low] = match (info.color_type, info.bit_depth) {
+        (png::ColorType::Rgba, png::BitDepth::Eight) => [bytes, Vec::new()],
         (png::ColorType::Rgb, png::BitDepth::Eight) => {
-            bytes.chunks_exact(3).flat_map(|color| [color[0], color[1], color[2], 255]).collect()
+            let opaque = bytes.chunks_exact(3).flat_map(|color| [color[0], color[1], color[2], 255]);
+            [opaque.collect(), Vec::new()]
+        }
+        (png::ColorType::Rgba, png::BitDepth::Sixteen) => {
+            [0, 1].map(|byte| bytes.iter().skip(byte).step_by(2).copied().collect())
         }
         other => panic!("{other:?} is no documented picture"),
     };
-    Pixels { width: info.width, height: info.height, rgba }
+    Pixels { width: info.width, height: info.height, rgba, low }
 }
 
 fn provenance(job: &Job, frame: u32) -> Provenance {
@@ -76,8 +82,8 @@ pub(crate) fn shown_hash(job: &Job, frame: u32) -> String {
 }
 
 /// Hash of every pixel, and of the size.
-pub(crate) fn pixels_hash(Pixels { width, height, rgba }: &Pixels) -> String {
-    hash(&[&width.to_le_bytes(), &height.to_le_bytes(), rgba.as_slice()].concat())
+pub(crate) fn pixels_hash(Pixels { width, height, rgba, low }: &Pixels) -> String {
+    hash(&[&width.to_le_bytes(), &height.to_le_bytes(), rgba.as_slice(), low.as_slice()].concat())
 }
 
 /// The first half of a BLAKE3, in hex.

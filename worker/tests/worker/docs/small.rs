@@ -15,7 +15,7 @@ const LOOKS_DIFFERENT: f64 = 0.05;
 
 /// The small file of a picture.
 pub(crate) fn encode(pixels: &Pixels) -> Vec<u8> {
-    let Pixels { width, height, rgba } = pixels;
+    let Pixels { width, height, rgba, .. } = pixels;
     let mut config = webp::WebPConfig::new().expect("libwebp has the version of its header");
     (config.method, config.use_sharp_yuv, config.quality) = (6, 1, QUALITY);
     loop {
@@ -74,7 +74,7 @@ fn a_picture_looks_different_only_if_a_part_of_it_does() {
                 if x < square_px && y < square_px { 250 } else { (60 + x).saturating_add_signed(brightness) as u8 };
             [value, value / 2 + 40, 90, 255]
         };
-        Pixels { width: 96, height: 64, rgba: (0..96 * 64).flat_map(pixel).collect() }
+        Pixels { width: 96, height: 64, rgba: (0..96 * 64).flat_map(pixel).collect(), low: Vec::new() }
     };
     let file = encode(&picture(0, 12));
     assert!(!looks_different(&file, &picture(0, 12)) && !looks_different(&file, &picture(2, 12)));
