@@ -11,6 +11,7 @@ mod farm_id;
 mod first_write;
 mod identity;
 mod location;
+mod migrations;
 mod notifications;
 pub(crate) mod postgres;
 mod query;
@@ -61,11 +62,9 @@ const AUTOCHECKPOINT_PAGES: &str = "1000";
 /// Databases up to this size are checked page by page at start.
 const MAX_START_CHECK_BYTES: u64 = 16 << 20;
 
-static MIGRATIONS: sqlx::migrate::Migrator = sqlx::migrate!("../migrations");
-
 /// Every migration of this release: its version and its checksum.
 pub(crate) fn migrations() -> impl Iterator<Item = (i64, &'static [u8])> {
-    MIGRATIONS.iter().map(|migration| (migration.version, &*migration.checksum))
+    migrations::SQLITE.iter().map(|migration| (migration.version, &*migration.checksum))
 }
 
 /// Error when reading or writing the database.
@@ -234,7 +233,7 @@ impl Database {
             }
         }
         fail_point::trigger_infallible(FailPoint::Migrating);
-        MIGRATIONS.run(&mut connection).await?;
+        migrations::SQLITE.run(&mut connection).await?;
         fail_point::trigger_infallible(FailPoint::Migrated);
         let readers = SqlitePoolOptions::new()
             .max_connections(READER_CONNECTIONS)

@@ -14,7 +14,7 @@ use prometheus_client::metrics::counter::Counter;
 use sqlx::postgres::{PgConnectOptions, PgConnection, PgPool, PgPoolOptions, PgRow};
 use sqlx::{ConnectOptions, Row as _};
 
-use super::{DatabaseError, OpenError, PostgresAddress};
+use super::{DatabaseError, OpenError, PostgresAddress, migrations};
 use crate::clock::{FarmTime, TimeReading, monotonic_now};
 
 /// Columns of a [`TimeReading`], as texts.
@@ -76,8 +76,6 @@ const SETTINGS: [(&str, &str); 5] = [
     ("tcp_user_timeout", "30000"),
 ];
 
-pub(super) static MIGRATIONS: sqlx::migrate::Migrator = sqlx::migrate!("../migrations/postgres");
-
 /// How a server uses a database.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Sharing {
@@ -131,7 +129,7 @@ pub(super) async fn open(
         }
         tokio::time::sleep(PAUSE).await;
     }
-    MIGRATIONS.run(&mut connection).await?;
+    migrations::POSTGRES.run(&mut connection).await?;
     let read = sqlx::raw_sql(concat!("SELECT ", time_columns!())).fetch_one(&mut connection).await?;
     let time = Arc::new(FarmTime::new(time_reading(&read, 0)?));
     let readers = PgPoolOptions::new()

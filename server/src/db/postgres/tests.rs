@@ -15,10 +15,9 @@ use sqlx::{
 };
 use tempfile::TempDir;
 
-use super::MIGRATIONS;
 use crate::db::dialect::{Dialect, translate};
 use crate::db::value::Value;
-use crate::db::{Database, Statement, query};
+use crate::db::{Database, Statement, migrations, query};
 use crate::skip::skip;
 
 /// Types that a row's columns may have.
@@ -84,7 +83,7 @@ impl Cluster {
             .expect("postgres runs");
         let cluster = Self { server, folder };
         let mut connection = cluster.connect().await;
-        MIGRATIONS.run(&mut connection).await.expect("the tables can be made");
+        migrations::POSTGRES.run(&mut connection).await.expect("the tables can be made");
         Some((cluster, connection))
     }
 
