@@ -106,7 +106,8 @@ impl JobAtFrame<'_> {
         }
     }
 
-    fn instant_key_of_version(&self, version: u32) -> blake3::Hash {
+    /// Hash of a frame without a shutter, under a version of the picture's bits.
+    pub fn instant_key_of_version(&self, version: u32) -> blake3::Hash {
         // Without `..`, so that a new field does not compile until it is handled here and in `cache_key`.
         let Image {
             width,

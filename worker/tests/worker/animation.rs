@@ -75,7 +75,7 @@ fn all_frames_of_a_job_share_one_kernel_source() {
 /// A scene for each example of each family that is not part of an object.
 fn scenes_around_objects() -> Vec<(String, Value)> {
     let ball = json!({ "sphere": { "radius": 1 } });
-    let with = |examples: Vec<scene::kinds::Example>, keys: fn(Value) -> Value| {
+    let with = |examples: Vec<Example>, keys: fn(Value) -> Value| {
         let ball = &ball;
         let scenes = examples.into_iter().map(move |example| {
             let mut scene = scene_of(ball);
