@@ -24,7 +24,8 @@ impl Kind {
     /// Its examples, as objects whose member is its name. A kind without fields is its name alone.
     pub(crate) fn examples(&self) -> impl Iterator<Item = Example> {
         self.plain_examples().map(|Example { kind, name, index, json }| {
-            let json = if json.starts_with('"') { json } else { format!("{{ \"{name}\": {json} }}") };
+            let word = format!("\"{name}\"");
+            let json = if json == word { json } else { format!("{{ {word}: {json} }}") };
             Example { kind, name, index, json }
         })
     }
