@@ -42,8 +42,9 @@ fn small(mut document: Value) -> Value {
     let image = document["image"].as_object_mut().expect("an image");
     (image["width"], image["height"]) = (json!(SIZE[0]), json!(SIZE[1]));
     image.insert("samples".into(), json!(2));
-    image.remove("region");
-    image.remove("scale");
+    for option in ["region", "scale", "reweight_fireflies"] {
+        image.remove(option);
+    }
     document
 }
 
