@@ -24,7 +24,7 @@ struct Options<'a> {
 
 /// The schemas in a list or among the members of a schema.
 fn parts<'a>(schema: &'a Value, keys: &'a [&str]) -> impl Iterator<Item = &'a Value> {
-    keys.iter().flat_map(|key| schema[*key].as_array()).flatten()
+    keys.iter().filter_map(|key| schema[*key].as_array()).flatten()
 }
 
 /// The words that a schema allows.

@@ -3,6 +3,8 @@
 //! Pontus Andersson et al., "FLIP: a difference evaluator for alternating images", HPG 2020,
 //! <https://doi.org/10.1145/3406183>, with its constants.
 
+#![expect(clippy::disallowed_methods, reason = "it compares pictures and makes none")]
+
 use std::f64::consts::{PI, SQRT_2};
 
 /// Pixels of a degree: a screen of 3840 pixels and 0.7 m, 0.7 m away.
