@@ -44,7 +44,7 @@ pub struct Checked {
     pub comparison: Comparison,
     /// Tiles that were rendered again.
     pub tiles: Vec<Rect>,
-    /// Pixels that differ, as column and row: the first [`MAX_MARKED`].
+    /// Pixels that differ, as column and row: the first `MAX_MARKED`.
     pub pixels: Vec<[u32; 2]>,
     /// Top left corners of the tiles that differ.
     corners: HashSet<[u32; 2]>,
