@@ -1,6 +1,6 @@
 //! Families of kinds: the macro that makes a family from its list, and examples of kinds for tests and docs.
 //!
-//! A family is an enum, with a variant for each kind, and a trait that each kind implements. [`family!`] makes both from
+//! A family is an enum, with a variant for each kind, and a trait that each kind implements. `family!` makes both from
 //! the list of kinds and the list of methods. The enum has the same methods, and each calls the kind's: the list is
 //! the dispatch, and no file outside the family branches on its kinds.
 

@@ -20,7 +20,7 @@ pub struct PlacedLight {
 }
 
 impl PlacedLight {
-    /// Light that arrives at `p` unoccluded, see [`LightSource::sample`].
+    /// Light that arrives at `p` unoccluded, see `LightSource::sample`.
     pub fn sample_at<R: Real>(
         &self,
         p: Vec3<R>,
@@ -59,7 +59,7 @@ impl PlacedLight {
         Some(LightBody { shape, radiance })
     }
 
-    /// About how much light arrives at `p` unoccluded, see [`LightSource::strength`].
+    /// About how much light arrives at `p` unoccluded, see `LightSource::strength`.
     pub fn strength_at<R: Real>(&self, p: Vec3<R>, day: Option<&Day>) -> R {
         self.light.strength(self.placements.iter().fold(p, |p, placement| placement.to_group(p)), day)
     }
