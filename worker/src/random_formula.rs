@@ -3,7 +3,7 @@
 use std::sync::{Arc, LazyLock};
 
 use scene::real::list::{IS_LAST, IS_UNARY, ListFunctions, NO_LEAF, ROW_BITS};
-use scene::real::{Real, Table, Vec3, Words};
+use scene::real::{FunctionKey, Real, Table, Vec3, Words};
 
 /// Number of words of [`TABLE`] that are numbers.
 const NUMBERS: u32 = 100;
@@ -167,8 +167,9 @@ pub(crate) fn random_formula<R: Real>(random: &mut Generator, given: &[R], depth
             _ => {
                 let (name, inner) =
                     (["step_of_0", "step_of_1", "step_of_2", "step_of_3"][depth], Generator(depth as u64));
-                let step = |(x, y): (R, R)| random_formula(&mut inner.clone(), &[x, y], depth - 1);
-                a.call(name, (a, b), step) + b.call(name, (b, c), step)
+                let body = |(x, y): (R, R)| random_formula(&mut inner.clone(), &[x, y], depth - 1);
+                let key = FunctionKey::new(name);
+                a.call(key, (a, b), body) + b.call(key, (b, c), body)
             }
         };
         // Small and no NaN, as in pictures.

@@ -14,6 +14,8 @@ mod liveness;
 mod mutants;
 mod recorder;
 #[cfg(test)]
+mod same_function;
+#[cfg(test)]
 mod scalar;
 mod source;
 mod verify;
@@ -25,6 +27,8 @@ pub(crate) use allocate::{Allocation, Location, Registers, allocate};
 pub use expr::{BoolExpr, Expr, U32Expr};
 pub(crate) use fold_step::{FoldStep, ListFunctionLayout};
 pub(crate) use linear::{Class, Linear, LinearTape, PAUSE, Step, Var};
+#[cfg(test)]
+pub(crate) use recorder::record_and_compare;
 pub use recorder::{Recording, record};
 pub use source::SourceText;
 pub use verify::InvalidTape;

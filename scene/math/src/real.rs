@@ -7,6 +7,7 @@
 //! formula may produce a NaN. There is no `if` on a value: use [`Real::select`], [`Real::when`], [`Real::repeat`].
 
 mod bundle;
+mod function_key;
 mod functions;
 mod interval;
 pub mod list;
@@ -18,6 +19,7 @@ use std::fmt::Debug;
 use std::ops::{Add, BitAnd, BitOr, BitXor, Div, Mul, Neg, Not, Shl, Shr, Sub};
 
 pub use bundle::{Bundle, MaskValue, Merge, bundle};
+pub use function_key::FunctionKey;
 pub use interval::{Interval, IntervalBits, Tribool};
 use list::ListFunctions;
 pub use reference::F32Bits;
@@ -138,11 +140,11 @@ pub trait Real:
         Self::repeat(limit, state, step)
     }
 
-    /// Calls a named function that a formula uses in several places. A name identifies one function: all numbers that
-    /// differ from call to call are in `arguments`, and `step` captures only the scene.
-    fn call<A: Bundle<Self>, T: Bundle<Self>>(self, name: &'static str, arguments: A, step: impl FnOnce(A) -> T) -> T {
-        let _ = name;
-        step(arguments)
+    /// Calls a function that a formula uses in several places. All numbers that differ from call to call are in
+    /// `arguments`, and `body` captures only the scene: tests check that one key has one body.
+    fn call<A: Bundle<Self>, T: Bundle<Self>>(self, key: FunctionKey, arguments: A, body: impl FnOnce(A) -> T) -> T {
+        let _ = key;
+        body(arguments)
     }
 
     /// Runs `f`, the formula of a node of this name.

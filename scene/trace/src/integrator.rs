@@ -54,7 +54,6 @@ pub use guides::Guides;
 use media::Media;
 use motion::NextFrame;
 use ray_boxes::RayBoxes;
-use ray_kinds::CallNames;
 pub use regeneration::{Lane, MarchedRay, PathSteps};
 use shading::MaterialTable;
 
@@ -113,8 +112,8 @@ pub struct Integrator<'a> {
     matte_ids: MatteIds,
     /// Record of what rays ask for, if that is wanted.
     visits: Option<Visits>,
-    /// Names of the functions that depend on the objects that are seen.
-    names: &'static CallNames,
+    /// The rays that are followed: they see other objects than other kinds do.
+    rays: RayKind,
     /// The scene as shadow rays see it, if they see other objects.
     of_shadows: Option<Box<Self>>,
     /// The scene as reflected and refracted rays see it, if they see other objects.
@@ -247,7 +246,7 @@ impl<'a> Integrator<'a> {
             next_frame: NextFrame::of(at_frame),
             matte_ids: MatteIds::of(at_frame),
             visits: None,
-            names: CallNames::of(rays),
+            rays,
             of_shadows: None,
             of_reflections: None,
             cull_bounds: if boxes.iter().all(Option::is_none) { Vec::new() } else { boxes },

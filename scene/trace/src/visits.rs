@@ -11,7 +11,7 @@ use crate::bounds::Bounds;
 use crate::cache_key::PICTURE_VERSION;
 use crate::ray::Ray;
 use crate::real::list::is_set;
-use crate::real::{Division, MakeWords, Real, Table, Vec3, Words, vec3};
+use crate::real::{Division, FunctionKey, MakeWords, Real, Table, Vec3, Words, vec3};
 
 /// Cells along the edge of a grid.
 const EDGE: u32 = 128;
@@ -153,7 +153,7 @@ impl Visits {
 
     /// Records that the scene was asked for at a point; returns a number below all others.
     pub(crate) fn at<R: Real>(&self, p: Vec3<R>) -> R {
-        p.x.call("visit", p, |p| {
+        p.x.call(FunctionKey::new("visit"), p, |p| {
             let index = self.grid.index(p);
             self.ask(index)
         })
@@ -176,7 +176,7 @@ impl Visits {
 
     /// Records the block of a point.
     fn pass<R: Real>(&self, p: Vec3<R>) -> R {
-        p.x.call("pass", p, |p| {
+        p.x.call(FunctionKey::new("pass"), p, |p| {
             let cell = self.grid.index(p);
             let along = |axis: u32| ((cell >> (CELL_BITS * axis)) & (EDGE - BLOCK_EDGE)) << (BLOCK_BITS * axis);
             let in_grid = (along(0) + along(1) + along(2)) >> (CELL_BITS - BLOCK_BITS);

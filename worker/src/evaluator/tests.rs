@@ -1,6 +1,6 @@
 //! Tests that every back end of the CPU gives the reference's bits.
 
-use scene::real::{MaskValue, Real, vec3};
+use scene::real::{FunctionKey, MaskValue, Real, vec3};
 
 use super::*;
 use crate::random_formula::{Generator, TABLE, fold, index_of, random_formula};
@@ -200,7 +200,10 @@ pub(super) fn operations() -> Vec<Formula> {
             });
             x + turns
         };
-        "call": |a, b, c| a.call("step", (a, b), |(a, b): (R, R)| a * b + 1.0) + c.call("step", (c, a), |(a, b): (R, R)| a * b + 1.0);
+        "call": |a, b, c| {
+            let (key, body) = (FunctionKey::new("step"), |(a, b): (R, R)| a * b + 1.0);
+            a.call(key, (a, b), body) + c.call(key, (c, a), body)
+        };
         "loop in a branch in a loop": |a, b, c| R::repeat(5, (a, c), |(x, y)| {
             let inner = R::when(x.lt(b), y, || R::repeat(4, y, |z| { let z = z.mul_add(a, b); (z.lt(c), z) }));
             (inner.abs().below(1.5), (inner * 0.6 + x * 0.3, x))

@@ -3,7 +3,7 @@
 use std::ops::{Add, BitAnd, BitOr, BitXor, Div, Mul, Neg, Not, Shl, Shr, Sub};
 
 use scene::real::list::ListFunctions;
-use scene::real::{Bits, Bundle, Real, Table, Vec3};
+use scene::real::{Bits, Bundle, FunctionKey, Real, Table, Vec3};
 
 use super::recorder::{self, emit, note, repeat, shared, uniform, when};
 use super::{Operation, ValueId, ValueType};
@@ -206,8 +206,8 @@ impl Real for Expr {
         repeat(limit, true, state, step)
     }
 
-    fn call<A: Bundle<Self>, T: Bundle<Self>>(self, name: &'static str, arguments: A, step: impl FnOnce(A) -> T) -> T {
-        shared(name, arguments, step)
+    fn call<A: Bundle<Self>, T: Bundle<Self>>(self, key: FunctionKey, arguments: A, body: impl FnOnce(A) -> T) -> T {
+        shared(key, arguments, body)
     }
 
     fn labeled<T>(self, name: &'static str, f: impl FnOnce() -> T) -> T {

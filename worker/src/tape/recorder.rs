@@ -3,13 +3,15 @@
 //! Numbers are handles of four bytes that operators consume, so the tape under construction is in a
 //! thread-local variable.
 
-use std::any::Any;
+use std::any::{Any, TypeId};
 use std::cell::RefCell;
 use std::collections::HashMap;
 
 use scene::real::list::ListFunctions;
-use scene::real::{Bundle, Merge, Table, Vec3};
+use scene::real::{Bundle, FunctionKey, Merge, Table, Vec3};
 
+#[cfg(test)]
+use super::same_function;
 use super::{BoolExpr, Expr, Fold, Function, Instruction, Operation, Statement, Tape, ValueId, ValueType};
 
 thread_local! {
@@ -22,7 +24,11 @@ struct Recorder {
     tape: Tape,
     /// Functions being recorded, the innermost last.
     open: Vec<FunctionBuilder>,
-    shared: HashMap<&'static str, RecordedFunction>,
+    /// The function of each key and type of call.
+    shared: HashMap<(FunctionKey, TypeId), RecordedFunction>,
+    /// Whether the body of each further call is recorded again, and compared with the first.
+    #[cfg(test)]
+    compares: bool,
     /// Index of the function that defined each value, counted from the first function.
     defining_function: Vec<u32>,
     begun: u32,
@@ -58,7 +64,17 @@ pub struct Recording(());
 
 /// Records the formulas that `formulas` evaluates.
 pub fn record(formulas: impl FnOnce(&Recording)) -> Tape {
-    let outer = RECORDER.replace(Some(Recorder::default()));
+    record_by(Recorder::default(), formulas)
+}
+
+/// Like [`record`], and panics if the body of a further call differs from the one of its key.
+#[cfg(test)]
+pub(crate) fn record_and_compare(formulas: impl FnOnce(&Recording)) -> Tape {
+    record_by(Recorder { compares: true, ..Recorder::default() }, formulas)
+}
+
+fn record_by(recorder: Recorder, formulas: impl FnOnce(&Recording)) -> Tape {
+    let outer = RECORDER.replace(Some(recorder));
     formulas(&Recording(()));
     let recorder = RECORDER.replace(outer).expect("nothing else ends a recording");
     recorder.tape
@@ -340,25 +356,60 @@ pub(super) fn repeat<T: Bundle<Expr>>(limit: u32, pauses: bool, start: T, step: 
     variables
 }
 
-pub(super) fn shared<A: Bundle<Expr>, T: Bundle<Expr>>(
-    name: &'static str,
-    arguments: A,
-    step: impl FnOnce(A) -> T,
-) -> T {
+pub(super) fn shared<A: Bundle<Expr>, T: Bundle<Expr>>(key: FunctionKey, arguments: A, body: impl FnOnce(A) -> T) -> T {
+    let scope = (key, TypeId::of::<(A, T)>());
     let known = with(|recorder| {
-        let shared = recorder.shared.get(name)?;
-        let example = shared.example.downcast_ref::<T>().expect("a step of one name has one type");
+        let shared = recorder.shared.get(&scope)?;
+        let example = shared.example.downcast_ref::<T>().expect("its scope has the type");
         Some((shared.function, *example))
     });
-    let (function, example) = known.unwrap_or_else(|| {
-        begin();
-        let formal = arguments.merge(arguments, &mut FreshValues(argument));
-        let result = step(formal);
-        let function = end(name, parts(result), false);
-        with(|recorder| recorder.shared.insert(name, RecordedFunction { function, example: Box::new(result) }));
-        (function, result)
-    });
+    let (function, example) = match known {
+        Some(known) => {
+            #[cfg(test)]
+            check_again(key, known.0, || record_function(key, arguments, body));
+            known
+        }
+        None => {
+            let (function, result) = record_function(key, arguments, body);
+            with(|recorder| recorder.shared.insert(scope, RecordedFunction { function, example: Box::new(result) }));
+            (function, result)
+        }
+    };
     let result = fresh_values(example, Operation::CallResult);
     push(Statement::Call { function, arguments: parts(arguments), returned: parts(result) });
     result
+}
+
+/// Records a shared function; returns its index, and an example of its result.
+fn record_function<A: Bundle<Expr>, T: Bundle<Expr>>(
+    key: FunctionKey,
+    arguments: A,
+    body: impl FnOnce(A) -> T,
+) -> (usize, T) {
+    begin();
+    let formal = arguments.merge(arguments, &mut FreshValues(argument));
+    let result = body(formal);
+    (end(key.name(), parts(result), false), result)
+}
+
+/// Panics if a function that is recorded again differs from the one of its key; forgets the second recording.
+#[cfg(test)]
+fn check_again<T>(key: FunctionKey, function: usize, record_again: impl FnOnce() -> (usize, T)) {
+    // Functions that the second recording calls were compared at their own calls.
+    if !with(|recorder| std::mem::replace(&mut recorder.compares, false)) {
+        return;
+    }
+    let counts = |tape: &Tape| (tape.instructions.len(), tape.uniforms.len(), tape.functions.len());
+    let (instructions, uniforms, functions) = with(|recorder| counts(&recorder.tape));
+    let (again, _) = record_again();
+    with(|recorder| {
+        let tape = &mut recorder.tape;
+        let is_same = same_function::is_same(tape, &tape.functions[function], &tape.functions[again]);
+        assert!(is_same, "the function {key:?} has two bodies");
+        tape.instructions.truncate(instructions);
+        tape.uniforms.truncate(uniforms);
+        tape.functions.truncate(functions);
+        recorder.defining_function.truncate(instructions);
+        recorder.compares = true;
+    });
 }

@@ -6,7 +6,7 @@ use std::ops::{Add, Div, Mul, Neg, Sub};
 
 use proto::Rect;
 use rayon::prelude::*;
-use scene::real::{Bundle, Real, Table};
+use scene::real::{Bundle, FunctionKey, Real, Table};
 use scene::{Image, Integrator, Job};
 use worker::{CpuRenderer, Simd, TileRequest};
 
@@ -122,11 +122,11 @@ impl Real for Counting {
         state
     }
 
-    fn call<A: Bundle<Self>, T: Bundle<Self>>(self, name: &'static str, arguments: A, step: impl FnOnce(A) -> T) -> T {
-        if DISTANCES.contains(&name) {
+    fn call<A: Bundle<Self>, T: Bundle<Self>>(self, key: FunctionKey, arguments: A, body: impl FnOnce(A) -> T) -> T {
+        if DISTANCES.contains(&key.name()) {
             CALLS.set(CALLS.get() + 1);
         }
-        step(arguments)
+        body(arguments)
     }
 }
 

@@ -6,7 +6,7 @@
 
 use std::f32::consts::{FRAC_2_PI, FRAC_PI_2, FRAC_PI_4, LOG2_E, PI, TAU};
 
-use super::Real;
+use super::{FunctionKey, Real};
 
 /// Evaluates a polynomial at `x`, highest coefficient first, by Horner's rule.
 fn polynomial<R: Real>(x: R, coefficients: &[f32]) -> R {
@@ -18,7 +18,7 @@ fn polynomial<R: Real>(x: R, coefficients: &[f32]) -> R {
 }
 
 pub(super) fn sin_cos<R: Real>(x: R) -> (R, R) {
-    x.call("sin_cos", x, |x| {
+    x.call(FunctionKey::new("sin_cos"), x, |x| {
         let quarter = (x * FRAC_2_PI + 0.5).floor();
         // π/2 in three parts; the first two have trailing zeros, so that their products are exact.
         let r = quarter.mul_add(x.constant(-1.570_312_5), x);
@@ -29,7 +29,7 @@ pub(super) fn sin_cos<R: Real>(x: R) -> (R, R) {
 }
 
 pub(super) fn sin_cos_turns<R: Real>(turns: R) -> (R, R) {
-    turns.call("sin_cos_turns", turns, |turns| {
+    turns.call(FunctionKey::new("sin_cos_turns"), turns, |turns| {
         let quarter = (turns * 4.0 + 0.5).floor();
         // The remainder is exact, and at most an eighth of a turn.
         let rest = quarter.mul_add(turns.constant(-0.25), turns);
@@ -54,7 +54,7 @@ fn rotate_quadrant<R: Real>(quarter: R, r: R) -> (R, R) {
 }
 
 pub(super) fn acos<R: Real>(x: R) -> R {
-    x.call("acos", x, |x| {
+    x.call(FunctionKey::new("acos"), x, |x| {
         let size = x.abs().at_most(1.0);
         let large = size.above(0.5);
         let square = R::select(large, (x.constant(1.0) - size) * 0.5, size * size);
@@ -72,7 +72,7 @@ pub(super) fn acos<R: Real>(x: R) -> R {
 }
 
 pub(super) fn atan2<R: Real>(y: R, x: R) -> R {
-    x.call("atan2", (y, x), |(y, x)| {
+    x.call(FunctionKey::new("atan2"), (y, x), |(y, x)| {
         let (across, along) = (y.abs(), x.abs());
         let steep = along.lt(across);
         let ratio = along.min(across) / along.max(across).at_least(f32::MIN_POSITIVE);
@@ -92,7 +92,7 @@ pub(super) fn atan2<R: Real>(y: R, x: R) -> R {
 }
 
 pub(super) fn exp<R: Real>(x: R) -> R {
-    x.call("exp", x, |x| {
+    x.call(FunctionKey::new("exp"), x, |x| {
         let x = x.at_least(-87.0).at_most(88.0);
         let power = (x * LOG2_E + 0.5).floor();
         // ln 2 in two parts.
@@ -110,11 +110,11 @@ pub(super) fn exp<R: Real>(x: R) -> R {
 }
 
 pub(super) fn ln<R: Real>(x: R) -> R {
-    x.call("ln", x, |x| ln_hi_lo(x).0)
+    x.call(FunctionKey::new("ln"), x, |x| ln_hi_lo(x).0)
 }
 
 pub(super) fn powf<R: Real>(x: R, exponent: R) -> R {
-    x.call("powf", (x, exponent), |(x, exponent)| {
+    x.call(FunctionKey::new("powf"), (x, exponent), |(x, exponent)| {
         let (high, low) = ln_hi_lo(x);
         let product = high * exponent;
         let lost = low.mul_add(exponent, high.mul_add(exponent, -product));

@@ -8,7 +8,7 @@ use super::microfacet::{
     ggx_distribution, orthonormal_basis, sample_visible_normal, schlick_weight, smith_g2_over_g1, smith_visibility,
     visible_normal_density,
 };
-use crate::real::{MaskValue, Real, Vec3, bundle, vec3};
+use crate::real::{FunctionKey, MaskValue, Real, Vec3, bundle, vec3};
 
 /// F0 of a clear coat, whose index of refraction is 1.5.
 pub(super) const CLEARCOAT_F0: f32 = 0.04;
@@ -173,7 +173,7 @@ impl<R: Real> Bsdf<R> {
 
     /// Light scattered to the viewer from a direction on the viewer's side. One function for all.
     pub fn evaluate(self, lobes: Lobes, seen: Geometry<R>, direction: Vec3<R>) -> Scattered<R> {
-        self.ior.call("scattering", (self, (seen, direction)), |(bsdf, (seen, direction))| {
+        self.ior.call(FunctionKey::new("scattering"), (self, (seen, direction)), |(bsdf, (seen, direction))| {
             bsdf.scattered(lobes, &seen, direction)
         })
     }

@@ -8,7 +8,7 @@ use super::microfacet::{alpha_from_roughness, f0_from_ior, ggx_distribution, sch
 use super::param::lerp;
 use super::{ColorParam, IncidentLight, ScalarParam, Shade, ShadingPoint, SpecularBsdf, Texture};
 use crate::materials::LightSample;
-use crate::real::{Real, Vec3, bundle, vec3};
+use crate::real::{FunctionKey, Real, Vec3, bundle, vec3};
 use crate::seek::Seek;
 use crate::values::{Fraction, RefractiveIndex};
 
@@ -201,7 +201,7 @@ impl<R: Real> SurfaceTerms<R> {
     /// Light from one direction, reflected to the viewer. One function for all surfaces and lights.
     fn reflect(self, light: LightSample<R>) -> Vec3<R> {
         self.n_dot_v.call(
-            if self.clearcoat.is_some() { "coated_surface" } else { "surface" },
+            FunctionKey::new(if self.clearcoat.is_some() { "coated_surface" } else { "surface" }),
             (self, light),
             |(layers, light)| layers.reflected(&light),
         )

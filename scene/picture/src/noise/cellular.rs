@@ -6,7 +6,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::lattice::{LatticeHash, cell};
-use crate::real::{Real, Vec3, vec3};
+use crate::real::{FunctionKey, Real, Vec3, vec3};
 use crate::seek::Seek;
 
 /// Value computed from the distances to the nearest points.
@@ -23,7 +23,7 @@ pub enum Feature {
 /// Squared distances to the nearest and the second point, each at most 1. Any point nearer than 1 is in the
 /// cell or one of the 26 around it, so there is no step at the edge of the search.
 fn f1_f2_squared<R: Real>(p: Vec3<R>, seed: R) -> (R, R) {
-    p.x.call("cellular", (p, seed), |(p, seed)| {
+    p.x.call(FunctionKey::new("cellular"), (p, seed), |(p, seed)| {
         let (corner, fraction) = cell(p);
         let (mut first, mut second) = (seed.constant(1.0), seed.constant(1.0));
         for place in 0..27_u8 {

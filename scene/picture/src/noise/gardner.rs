@@ -13,7 +13,7 @@
 use std::f32::consts::{FRAC_PI_2, PI, TAU};
 
 use super::lattice::float_in_1_2;
-use crate::real::{Real, Vec3, vec3};
+use crate::real::{FunctionKey, Real, Vec3, vec3};
 
 /// Minimum and maximum number of waves in a sum.
 pub(super) const MIN_WAVES: u32 = 3;
@@ -62,10 +62,11 @@ pub(super) fn gardner<R: Real>(p: Vec3<R>, seed: R, waves: u32) -> R {
     let (mut x_sum, mut y_sum) = (seed.constant(1.0), seed.constant(1.0));
     for weight in weights(waves) {
         let (x, y) = (double_angle(x_middle), double_angle(y_middle));
-        let (across_x, across_y) =
-            p.x.call("gardner_wave", ((x, y_low.0), (y, x_low.0), z.0), |((x, y_low), (y, x_low), z)| {
-                (wave(x, y_low, z), wave(y, x_low, z))
-            });
+        let (across_x, across_y) = p.x.call(
+            FunctionKey::new("gardner_wave"),
+            ((x, y_low.0), (y, x_low.0), z.0),
+            |((x, y_low), (y, x_low), z)| (wave(x, y_low, z), wave(y, x_low, z)),
+        );
         x_sum = across_x.mul_add(seed.constant(weight), x_sum);
         y_sum = across_y.mul_add(seed.constant(weight), y_sum);
         (x_low, x_middle, y_low, y_middle, z) = (x_middle, x, y_middle, y, double_angle(z));

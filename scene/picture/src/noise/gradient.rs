@@ -2,7 +2,7 @@
 //! smoothly.
 
 use super::lattice::{LatticeHash, cell, corner_hashes, corner_offsets, float_in_1_2, gradient_dot, trilinear};
-use crate::real::{Real, Vec3, vec3};
+use crate::real::{FunctionKey, Real, Vec3, vec3};
 
 // Each corner's gradient or value is independent, so the maximum slope along a direction u at a point is the sum over
 // the corners of the maximum of each: w·g·u + (u·∇w)·(g·d) for a gradient g at distance d with the weight w. The
@@ -18,7 +18,7 @@ pub(super) const SIMPLEX_LIPSCHITZ: f32 = 0.090_621 * SIMPLEX_SCALE;
 /// Ken Perlin, "Improving noise", SIGGRAPH 2002, <https://mrl.cs.nyu.edu/~perlin/paper445.pdf>: gradients at the
 /// corners of unit cubes, interpolated by a quintic.
 pub(super) fn perlin<R: Real>(p: Vec3<R>, seed: R) -> R {
-    p.x.call("perlin", (p, seed), |(p, seed)| {
+    p.x.call(FunctionKey::new("perlin"), (p, seed), |(p, seed)| {
         let (corner, fraction) = cell(p);
         let words = corner_hashes(LatticeHash::pair(corner, seed));
         let away = corner_offsets(fraction);
@@ -32,7 +32,7 @@ pub(super) fn perlin<R: Real>(p: Vec3<R>, seed: R) -> R {
 
 /// Random values at the corners of unit cubes, −1 to 1, interpolated by the same quintic.
 pub(super) fn value<R: Real>(p: Vec3<R>, seed: R) -> R {
-    p.x.call("value_noise", (p, seed), |(p, seed)| {
+    p.x.call(FunctionKey::new("value_noise"), (p, seed), |(p, seed)| {
         let (corner, fraction) = cell(p);
         let words = corner_hashes(LatticeHash::pair(corner, seed));
         let mut corners = [seed; 8];
@@ -53,7 +53,7 @@ const SIMPLEX_SCALE: f32 = 76.88;
 /// <https://cgvr.cs.uni-bremen.de/teaching/cg_literatur/simplexnoise.pdf>, with the kernel (½ − r²)⁴, which
 /// is continuous.
 pub(super) fn simplex<R: Real>(p: Vec3<R>, seed: R) -> R {
-    p.x.call("simplex", (p, seed), |(p, seed)| {
+    p.x.call(FunctionKey::new("simplex"), (p, seed), |(p, seed)| {
         let (one, none) = (seed.constant(1.0), seed.constant(0.0));
         // Skewed, the lattice consists of cubes, each cut into six simplices by the order of the coordinates.
         let p = p.map(|c| c.at_least(-MAX_CELL).at_most(MAX_CELL));

@@ -6,7 +6,7 @@
 
 use super::Bounds2;
 use super::edge::{EdgeScan, is_crossed};
-use crate::real::Real;
+use crate::real::{FunctionKey, Real};
 
 /// Maximum deviation at which a curve is replaced by a straight line, as a fraction of a font's size.
 const FLATNESS_TOLERANCE: f32 = 1e-5;
@@ -130,7 +130,7 @@ impl HalfParabola {
     pub(super) fn min_distance_squared<R: Real>(&self, x: R, y: R, nearest: R) -> R {
         let Self { start, a, b, .. } = *self;
         x.call(
-            "half_parabola",
+            FunctionKey::new("half_parabola"),
             (
                 (x - x.uniform(start[0]), y - x.uniform(start[1])),
                 (x.uniform(a[0]), x.uniform(a[1])),
@@ -149,7 +149,7 @@ impl HalfParabola {
     pub(super) fn pass<R: Real>(&self, x: R, y: R, found: EdgeScan<R>) -> EdgeScan<R> {
         let Self { start, end, a, b, over_turn } = *self;
         x.call(
-            "outline_curve",
+            FunctionKey::new("outline_curve"),
             (
                 (x, y),
                 found,

@@ -1,6 +1,6 @@
 //! Straight edges of an outline.
 
-use crate::real::Real;
+use crate::real::{FunctionKey, Real};
 
 /// State of a scan over an outline's edges: the squared distance to the nearest edge so far, and a sign that
 /// changes at each edge that a ray to the right crosses.
@@ -27,7 +27,7 @@ impl Edge {
     pub(super) fn scan<R: Real>(&self, x: R, y: R, found: EdgeScan<R>) -> EdgeScan<R> {
         let Self { from, to, over_square } = *self;
         x.call(
-            "outline_edge",
+            FunctionKey::new("outline_edge"),
             (
                 (x, y),
                 found,

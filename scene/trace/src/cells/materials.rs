@@ -8,7 +8,7 @@ use super::walk::function_names;
 use super::{Cells, Program};
 use crate::nodes::{DistanceWithMaterials, MaterialWeight, SdfValue, union_weight};
 use crate::real::list::ListFunctions;
-use crate::real::{Bundle, Merge, Real, Vec3, bundle, vec3};
+use crate::real::{Bundle, FunctionKey, Merge, Real, Vec3, bundle, vec3};
 
 /// Maximum number of materials of objects that have several: each is a part of every value that a list joins.
 pub(super) const MAX_MATERIALS: usize = 64;
@@ -173,7 +173,8 @@ impl JoinKind {
 impl Cells<'_> {
     /// Weights at a point of the materials of objects that have several; 0 where the nearest object has one.
     pub fn material_weights<R: Real>(&self, p: Vec3<R>) -> Vec<MaterialWeight<R>> {
-        let weights = p.x.call("materials", p, |p| self.listed_weights(self.list(&self.locate(p)), p));
+        let weights =
+            p.x.call(FunctionKey::new("materials"), p, |p| self.listed_weights(self.list(&self.locate(p)), p));
         let of_material = |(weighted, material): (Weighted<R>, &ListedMaterial)| MaterialWeight {
             slot: Some(material.slot),
             weight: weighted.weight,

@@ -5,7 +5,7 @@ use super::{Cells, Program};
 use crate::march::Part;
 use crate::ray::Ray;
 use crate::real::list::{IS_LAST, ListFunctions, OPERATION_WORDS, is_set};
-use crate::real::{F32Bits, Real, Vec3, bundle, vec3};
+use crate::real::{F32Bits, FunctionKey, Real, Vec3, bundle, vec3};
 
 /// Maximum number of cells that a ray meets between two evaluations of a list.
 const MAX_CELLS: u32 = 1 << 16;
@@ -173,7 +173,7 @@ impl Cells<'_> {
 
     /// The cell of a point.
     pub fn locate<R: Real>(&self, p: Vec3<R>) -> Located<R> {
-        p.x.call("locate", p, |p| {
+        p.x.call(FunctionKey::new("locate"), p, |p| {
             let (tree, frame) = (&self.tree, self.tree.frame());
             let (units, is_outside) = self.units(p);
             let half = p.x.uniform(0.5 * BLOCK_EDGE.pow(frame.levels) as f32);
@@ -216,7 +216,7 @@ impl Cells<'_> {
 
     /// The value of a list at a point. The list is given by the bits of a number.
     pub(crate) fn fold<R: Real>(&self, list: R, p: Vec3<R>) -> R {
-        p.x.call("fold", (list, p), |(list, p)| {
+        p.x.call(FunctionKey::new("fold"), (list, p), |(list, p)| {
             R::fold(&self.tree.words, list.to_bits(), p, &DistanceLists(&self.program))
         })
     }
@@ -270,7 +270,7 @@ impl Cells<'_> {
     /// From a point of a ray on: the first point in a cell that may have a surface, and the way to the cell's end; or a
     /// point beyond `farthest`.
     pub(crate) fn enter<R: Real>(&self, ray: &Ray<R>, t: R, farthest: R) -> (R, Part<R>) {
-        farthest.call("enter", (*ray, t, farthest), |(ray, t, farthest)| {
+        farthest.call(FunctionKey::new("enter"), (*ray, t, farthest), |(ray, t, farthest)| {
             let per_slope = ray.direction.map(|slope| {
                 let slope = R::select(slope.abs().below(1e-9), slope.constant(1e-9), slope);
                 slope.constant(1.0) / slope

@@ -114,7 +114,7 @@ impl<'a> Integrator<'a> {
             normal_epsilon: _,
             seen: _,
             media: _,
-            names: _,
+            rays: _,
             // Compared with what is in cells.
             step_scales: _,
             ray_boxes: _,

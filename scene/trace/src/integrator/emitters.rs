@@ -4,6 +4,7 @@ use std::f32::consts::PI;
 
 use super::Integrator;
 use super::lighting::{OF_LIGHT, ON_LIGHT};
+use super::ray_kinds::RayFunction;
 use super::sky_table::{SkyDirection, SkyTable};
 use crate::lights::{LightBody, NEVER, PlacedLight, direction_around};
 use crate::materials::microfacet::orthonormal_basis;
@@ -445,7 +446,8 @@ impl Integrator<'_> {
     /// The distance of what shines, 1 if nothing is nearer, else 0; and the number of distance evaluations.
     fn light_occlusion<R: Real>(&self, origin: Vec3<R>, near: R, shadow: &ShadowRay<R>) -> (R, R, R) {
         let arguments = ((near, origin), (shadow.direction, shadow.distance), shadow.object);
-        near.call(self.names.light_visibility, arguments, |((near, origin), (direction, distance), object)| {
+        let key = self.key(RayFunction::LightVisibility);
+        near.call(key, arguments, |((near, origin), (direction, distance), object)| {
             let zero = near.constant(0.0);
             let ray = Ray { origin, direction };
             let Some(object) = object else { return self.is_clear(&ray, near, distance) };

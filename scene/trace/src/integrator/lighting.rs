@@ -1,5 +1,6 @@
 //! Incident light at a point, and its occlusion.
 
+use super::ray_kinds::RayFunction;
 use super::scene_distance::AlongRay;
 use super::{Hit, Integrator};
 use crate::ambient_occlusion::AmbientOcclusion;
@@ -120,7 +121,8 @@ impl Integrator<'_> {
     /// Fraction of the light from `direction` that reaches the hit, and the number of distance evaluations it took.
     pub(super) fn shadow_visibility<R: Real>(&self, hit: &Hit<R>, direction: Vec3<R>, farthest: R) -> (R, R) {
         let shadows = self.of_shadow_rays();
-        farthest.call(shadows.names.visibility, (*hit, direction, farthest), |(hit, direction, farthest)| {
+        let key = shadows.key(RayFunction::Visibility);
+        farthest.call(key, (*hit, direction, farthest), |(hit, direction, farthest)| {
             let zero = farthest.constant(0.0);
             // Start farther from the surface than the march ended.
             let near = self.tolerance.at(hit.t);

@@ -1,5 +1,6 @@
 //! Marches to the surfaces of a scene, and the hits there.
 
+use super::ray_kinds::RayFunction;
 use super::scene_distance::AlongRay;
 use super::{Hit, Integrator};
 use crate::march::{Approach, MarchRange, MarchResult, find_root, march_to_root, settle};
@@ -8,7 +9,7 @@ use crate::real::{MaskValue, Real, Vec3, vec3};
 
 impl Integrator<'_> {
     pub(super) fn march<R: Real>(&self, ray: &Ray<R>) -> MarchResult<R> {
-        ray.direction.x.call(self.names.march, *ray, |ray| {
+        ray.direction.x.call(self.key(RayFunction::March), *ray, |ray| {
             let Tolerance { slope, floor } = self.tolerance;
             self.march_in_bounds(&ray, ray.direction.x.uniform(slope), ray.direction.x.uniform(floor), false)
         })
@@ -16,7 +17,7 @@ impl Integrator<'_> {
 
     /// Like `march`, but to an exact root also on surfaces with fine detail. Only the depth layer is worth its cost.
     pub(super) fn march_to_depth<R: Real>(&self, ray: &Ray<R>) -> MarchResult<R> {
-        ray.direction.x.call(self.names.march_to_depth, *ray, |ray| {
+        ray.direction.x.call(self.key(RayFunction::MarchToDepth), *ray, |ray| {
             let Tolerance { slope, floor } = self.tolerance;
             self.march_in_bounds(&ray, ray.direction.x.uniform(slope), ray.direction.x.uniform(floor), true)
         })
@@ -94,7 +95,7 @@ impl Integrator<'_> {
 
     /// Refines a march that came near the surface to the exact intersection, and computes the normal there.
     pub(super) fn hit<R: Real>(&self, ray: &Ray<R>, marched: &MarchResult<R>) -> Hit<R> {
-        marched.t.call(self.names.hit, (*ray, *marched), |(ray, marched)| {
+        marched.t.call(self.key(RayFunction::Hit), (*ray, *marched), |(ray, marched)| {
             let MarchResult { t: root, near, distance: gap, .. } = marched;
             let fine = self.is_fine(ray.at(near));
             let from = fine.map_or(root, |fine| R::select(fine, near, root));

@@ -5,6 +5,7 @@
 
 use super::Integrator;
 use super::lighting::sample_lights;
+use super::ray_kinds::RayFunction;
 use crate::bounds::Bounds;
 use crate::camera::View;
 use crate::lights::{AmbientLight, Light};
@@ -238,7 +239,7 @@ impl Integrator<'_> {
 
     /// Optical depth along a ray up to `farthest`: the integral of the extinction.
     fn optical_depth<R: Real>(&self, media: &Media<'_>, ray: &Ray<R>, farthest: R) -> R {
-        farthest.call(self.names.optical_depth, (*ray, farthest), |(ray, farthest)| {
+        farthest.call(self.key(RayFunction::OpticalDepth), (*ray, farthest), |(ray, farthest)| {
             let zero = farthest.constant(0.0);
             let (near, far) = media.bounds.intersect_ray(&ray, farthest);
             R::when(near.lt(far), zero, || {

@@ -4,6 +4,7 @@ use super::brightness_levels::LeveledLight;
 use super::grouped_light::GroupedLight;
 use super::lighting::{OF_DIRECTION, OF_LOBE};
 use super::media::MediumSegment;
+use super::ray_kinds::RayFunction;
 use super::{Hit, Integrator, Radiance};
 use crate::fog::Fog;
 use crate::march::MarchResult;
@@ -261,7 +262,7 @@ impl Integrator<'_> {
 
     /// Marches from a surface, or from the camera. `near` is the tolerance at the start.
     pub(super) fn march_from<R: Real>(&self, ray: &Ray<R>, near: R) -> MarchResult<R> {
-        near.call(self.names.march_on, (*ray, near), |(ray, near)| {
+        near.call(self.key(RayFunction::MarchOn), (*ray, near), |(ray, near)| {
             self.march_in_bounds(&ray, near.uniform(self.tolerance.slope), near, false)
         })
     }

@@ -1,6 +1,7 @@
 //! Boxes of large objects along a ray: a march evaluates such an object only where the ray is in its box.
 
 use super::Integrator;
+use super::ray_kinds::RayFunction;
 use crate::bounds::{Bounds, per_slope};
 use crate::march::Part;
 use crate::nodes::Node;
@@ -102,7 +103,7 @@ fn with_margin(bounds: Bounds, error: f32) -> Bounds {
 impl Integrator<'_> {
     /// The part of a ray from a point on in which it is in the same boxes. Their bits are the part's formula.
     pub(super) fn enter_boxes<R: Real>(&self, boxes: &RayBoxes, ray: &Ray<R>, t: R, farthest: R) -> Part<R> {
-        farthest.call(self.names.enter_boxes, (*ray, t, farthest), |(ray, t, farthest)| {
+        farthest.call(self.key(RayFunction::EnterBoxes), (*ray, t, farthest), |(ray, t, farthest)| {
             let rest = Ray { origin: ray.at(t), direction: ray.direction };
             let from_point = RayFromPoint::new(rest.origin, rest.direction);
             let mut inside = t.constant(0.0).to_bits();

@@ -1,56 +1,51 @@
 //! The scene as each kind of ray sees it.
 
 use super::Integrator;
+use crate::real::FunctionKey;
 use crate::visible::RayKind;
 
-/// Names of the functions that depend on the objects that are seen: a name identifies one function.
-#[derive(Debug)]
-pub(super) struct CallNames {
-    pub(super) distance: &'static str,
-    pub(super) nearest: &'static str,
-    pub(super) enter_boxes: &'static str,
-    pub(super) march: &'static str,
-    pub(super) march_on: &'static str,
-    pub(super) march_to_depth: &'static str,
-    pub(super) hit: &'static str,
-    pub(super) visibility: &'static str,
-    pub(super) light_visibility: &'static str,
-    pub(super) optical_depth: &'static str,
-}
+/// Declares functions whose bodies depend on the objects that rays see.
+macro_rules! ray_functions {
+    ($($Kind:ident: $name:literal),* $(,)?) => {
+        /// What depends on the objects that are seen, and so on the kind of ray.
+        #[derive(Clone, Copy)]
+        pub(super) enum RayFunction {
+            $($Kind),*
+        }
 
-macro_rules! call_names {
-    ($suffix:literal) => {
-        CallNames {
-            distance: concat!("distance", $suffix),
-            nearest: concat!("nearest", $suffix),
-            enter_boxes: concat!("enter_boxes", $suffix),
-            march: concat!("march", $suffix),
-            march_on: concat!("march_on", $suffix),
-            march_to_depth: concat!("march_to_depth", $suffix),
-            hit: concat!("hit", $suffix),
-            visibility: concat!("visibility", $suffix),
-            light_visibility: concat!("light_visibility", $suffix),
-            optical_depth: concat!("optical_depth", $suffix),
+        impl RayFunction {
+            fn of(self, rays: RayKind) -> FunctionKey {
+                FunctionKey::new(match (self, rays) {
+                    $(
+                        (Self::$Kind, RayKind::Camera) => $name,
+                        (Self::$Kind, RayKind::Shadow) => concat!($name, "_of_shadows"),
+                        (Self::$Kind, RayKind::Reflection) => concat!($name, "_of_reflections"),
+                    )*
+                })
+            }
         }
     };
 }
 
-static OF_CAMERA: CallNames = call_names!("");
-static OF_SHADOWS: CallNames = call_names!("_of_shadows");
-static OF_REFLECTIONS: CallNames = call_names!("_of_reflections");
-
-impl CallNames {
-    /// Names of the functions for rays of a kind.
-    pub(super) fn of(rays: RayKind) -> &'static Self {
-        match rays {
-            RayKind::Camera => &OF_CAMERA,
-            RayKind::Shadow => &OF_SHADOWS,
-            RayKind::Reflection => &OF_REFLECTIONS,
-        }
-    }
+ray_functions! {
+    Distance: "distance",
+    Nearest: "nearest",
+    EnterBoxes: "enter_boxes",
+    March: "march",
+    MarchOn: "march_on",
+    MarchToDepth: "march_to_depth",
+    Hit: "hit",
+    Visibility: "visibility",
+    LightVisibility: "light_visibility",
+    OpticalDepth: "optical_depth",
 }
 
 impl Integrator<'_> {
+    /// The key of a function for the rays of this integrator.
+    pub(super) fn key(&self, function: RayFunction) -> FunctionKey {
+        function.of(self.rays)
+    }
+
     /// The scene as shadow rays see it.
     pub(super) fn of_shadow_rays(&self) -> &Self {
         self.of_shadows.as_deref().unwrap_or(self)

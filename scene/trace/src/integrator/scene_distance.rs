@@ -2,6 +2,7 @@
 
 use super::Integrator;
 use super::ray_boxes::RayBoxes;
+use super::ray_kinds::RayFunction;
 use crate::march::{Part, RayField};
 use crate::ray::Ray;
 use crate::real::{Bundle, Real, Vec3};
@@ -27,11 +28,11 @@ impl Integrator<'_> {
 
     fn unrecorded_distance<R: Real>(&self, p: Vec3<R>, boxes: Option<R>) -> R {
         if let Some(cells) = &self.cells {
-            p.x.call(self.names.distance, p, |p| cells.distance(p))
+            p.x.call(self.key(RayFunction::Distance), p, |p| cells.distance(p))
         } else if self.shares_nearest {
             self.unrecorded_nearest_object(p, boxes).0
         } else {
-            p.x.call(self.names.distance, (p, boxes), |(p, boxes)| {
+            p.x.call(self.key(RayFunction::Distance), (p, boxes), |(p, boxes)| {
                 let (first, others) = self.first_and_others();
                 let start = first.map_or(p.x.constant(MISS_DISTANCE), |first| self.object_distance(first, p));
                 others.iter().fold(start, |nearest, &index| {
@@ -55,7 +56,7 @@ impl Integrator<'_> {
     }
 
     fn unrecorded_nearest_object<R: Real>(&self, p: Vec3<R>, boxes: Option<R>) -> (R, R) {
-        p.x.call(self.names.nearest, (p, boxes), |(p, boxes)| {
+        p.x.call(self.key(RayFunction::Nearest), (p, boxes), |(p, boxes)| {
             if let Some(cells) = &self.cells {
                 return cells.nearest(p);
             }

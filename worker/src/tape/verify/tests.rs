@@ -2,7 +2,7 @@
 
 use std::mem::discriminant;
 
-use scene::real::Real;
+use scene::real::{FunctionKey, Real};
 
 use super::*;
 use crate::cells::FastBuilder;
@@ -45,7 +45,7 @@ const MAIN: usize = 1;
 fn example() -> Tape {
     record(|recording| {
         recording.entry("main", |[a, b, c]: [Expr; 3]| {
-            let called = a.call("step", (a, b), |(x, y): (Expr, Expr)| x * y + 1.0);
+            let called = a.call(FunctionKey::new("step"), (a, b), |(x, y): (Expr, Expr)| x * y + 1.0);
             let chosen = Expr::when(a.lt(b), c, || called.labeled("Box", || called.sqrt() + b));
             let (x, y) = Expr::repeat(9, (chosen, b), |(x, y)| {
                 let next = Expr::when(!x.lt(y), x, || x * 0.7 + y);

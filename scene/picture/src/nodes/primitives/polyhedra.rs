@@ -13,7 +13,7 @@ use serde::{Deserialize, Serialize};
 
 use super::super::Primitive;
 use crate::bounds::Bounds;
-use crate::real::{Real, Vec3, vec3};
+use crate::real::{FunctionKey, Real, Vec3, vec3};
 use crate::seek::Seek;
 use crate::values::Length;
 
@@ -180,7 +180,7 @@ fn fold_tetrahedron<R: Real>(p: Vec3<R>) -> Vec3<R> {
 
 /// Folds space into the wedge between (0, 0, 1), (0, 1, φ) and (1, 0, φ²).
 fn fold_icosahedron<R: Real>(p: Vec3<R>) -> Vec3<R> {
-    p.x.call("fold_icosahedron", p, |p: Vec3<R>| {
+    p.x.call(FunctionKey::new("fold_icosahedron"), p, |p: Vec3<R>| {
         // Mirrors: x = 0, y = 0, and the plane through the wedge's corners off the z axis. z = 0 is a mirror of
         // the group too: with it, three rounds suffice instead of five.
         let p = mirror_icosahedron(vec3(p.x.abs(), p.y.abs(), p.z.abs()));
