@@ -13,6 +13,7 @@ mod interval;
 pub mod list;
 mod reference;
 mod table;
+mod uniform;
 mod vector;
 
 use std::fmt::Debug;
@@ -24,6 +25,7 @@ pub use interval::{Interval, IntervalBits, Tribool};
 use list::ListFunctions;
 pub use reference::F32Bits;
 pub use table::{Division, INDEX_BITS, LENGTH_PLACE, LIST_PLACE, MakeWords, STAND_IN, Table, Words};
+pub use uniform::Uniform;
 pub use vector::{Vec3, vec3};
 
 /// Below this, [`Real::sqrt`] is 0, so that a GPU may compute a root through its reciprocal.
@@ -76,7 +78,12 @@ pub trait Real:
 
     /// `value`, a number of the scene, in every lane. It is an input of a compiled formula, whereas a `constant` is
     /// part of its code.
-    fn uniform(self, value: f32) -> Self {
+    fn uniform(self, value: impl Into<Uniform>) -> Self {
+        self.input(value.into().0)
+    }
+
+    /// Makes a number like this one from the value of a [`Uniform`].
+    fn input(self, value: f32) -> Self {
         self.constant(value)
     }
 

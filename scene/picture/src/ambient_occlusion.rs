@@ -59,7 +59,7 @@ impl AmbientOcclusion {
         let mut open = p.x.constant(1.0);
         let mut sum = p.x.constant(0.0);
         for (share, weight) in BALLS {
-            let way = self.distance.get() * share;
+            let way = self.distance.in_frame() * share;
             let found = distance(axis.mul_add(p.x.uniform(way), p));
             let part = found.mul_add(p.x.uniform(0.5 / (way * height)), p.x.constant(0.5)).at_least(0.0).at_most(1.0);
             // The fraction of a ball that a plane cuts off. A cone is as occluded as its most occluded ball so far.

@@ -98,14 +98,14 @@ impl Camera {
         }
         errors.extend(lens.errors());
         if view.is_none() {
-            errors.extend(lens.focus_error(self.position.get(), self.forward()));
+            errors.extend(lens.focus_error(self.position.in_frame(), self.forward()));
         }
         errors
     }
 
     /// Error if the camera looks nowhere, or its picture has no upper edge.
     fn view_error(&self) -> Option<(&'static str, &'static str)> {
-        let away = self.target() - self.position.get();
+        let away = self.target() - self.position.in_frame();
         if self.look_at.is_ahead() && self.turntable.is_some() {
             return Some(("turntable", "circles the point look_at: give look_at a point, or leave turntable out"));
         }
@@ -132,12 +132,12 @@ impl Camera {
 
     /// Direction to the center of the picture, of length 1, before the camera is placed by its groups.
     fn forward(&self) -> Vec3<f32> {
-        (self.target() - self.position.get()).normalize()
+        (self.target() - self.position.in_frame()).normalize()
     }
 
     /// Point at the center of the picture.
     pub fn target(&self) -> Vec3<f32> {
-        self.look_at.point(self.position.get())
+        self.look_at.point(self.position.in_frame())
     }
 
     /// Tells a camera that looks ahead where it will be.
@@ -155,10 +155,10 @@ impl Camera {
     pub(crate) fn apply_turntable(&mut self, frame: f64, frames: &Frames) -> bool {
         let Some(Turntable { turns }) = self.turntable.take() else { return false };
         let share = frame / f64::from(frames.count);
-        let degrees = (360.0 * f64::from(turns.get()) * share % 360.0) as f32;
+        let degrees = (360.0 * f64::from(turns.in_frame()) * share % 360.0) as f32;
         if degrees != 0.0 {
             let middle = self.target();
-            let moved = rotate_about_axis(self.position.get() - middle, self.up.unit(), degrees) + middle;
+            let moved = rotate_about_axis(self.position.in_frame() - middle, self.up.unit(), degrees) + middle;
             self.position = Point::clamped(moved);
         }
         true
@@ -167,7 +167,7 @@ impl Camera {
     /// Prepares the camera for a picture of this size, in pixels from the top left; the center of pixel (0, 0) is
     /// (0.5, 0.5).
     pub fn view(&self, width: u32, height: u32) -> View {
-        let origin = self.position.get();
+        let origin = self.position.in_frame();
         let (to, up) = (self.target(), self.up.unit());
         let roll = self.look_at.roll(origin, up);
         let inward = self.placements.iter().rev();
@@ -179,7 +179,7 @@ impl Camera {
         let right = if roll == 0.0 { right } else { rotate_about_axis(right, forward, roll) };
         let up = right.cross(forward);
         // A placement changes no distance.
-        let focus = |lens: &Lens| lens.focus.distance(self.position.get(), self.forward());
+        let focus = |lens: &Lens| lens.focus.distance(self.position.in_frame(), self.forward());
         let lens = self.lens.as_ref().map(|lens| lens.prepare(right, up, focus(lens)));
         let (width, height) = (width as f32, height as f32);
         let aspect = width / height;
@@ -363,7 +363,7 @@ mod tests {
         let position = |frame| {
             let mut camera = camera.clone();
             assert!(camera.apply_turntable(f64::from(frame), &frames) && camera.turntable.is_none());
-            camera.position.get()
+            camera.position.in_frame()
         };
         for (frame, want) in [(0, [1.0, 3.0, 5.0]), (2, [-4.0, 3.0, 0.0]), (4, [1.0, 3.0, -5.0]), (8, [1.0, 3.0, 5.0])]
         {

@@ -113,7 +113,7 @@ fn sample_cone<R: Real>(like: R, axis: Vec3<f32>, angle: &FullAngle, pair: impl 
         return Vec3::uniform(like, axis);
     }
     let (u, v) = pair();
-    let half = Real::sin(angle.get() * (std::f32::consts::PI / 720.0));
+    let half = Real::sin(angle.in_frame() * (std::f32::consts::PI / 720.0));
     // 1 − cos θ, uniform from 0 to 1 − cos(angle/2) = 2 sin²(angle/4).
     let versine = u * like.uniform(2.0 * half * half);
     let (right, up) = orthonormal_basis(axis);
@@ -131,7 +131,7 @@ pub fn direction_around<R: Real>(axis: Vec3<R>, right: Vec3<R>, up: Vec3<R>, ver
 /// Strength at `p` of a light of some color and size around a point.
 fn strength_of_point<R: Real>(p: Vec3<R>, position: &Point, color: &Color, size: f32) -> R {
     let square = (Vec3::uniform(p.x, position.get()) - p).length_squared();
-    p.x.uniform(color.get().mean()) / square.at_least(1e-12).max(p.x.uniform(size * size))
+    p.x.uniform(color.in_frame().mean()) / square.at_least(1e-12).max(p.x.uniform(size * size))
 }
 
 /// The lights of a scene without a `lights` member.

@@ -40,9 +40,9 @@ use crate::values::{Coordinate, LengthOrZero};
 pub struct Point2(pub Coordinate, pub Coordinate);
 
 impl Point2 {
-    /// Its coordinates.
-    pub fn get(&self) -> [f32; 2] {
-        [self.0.get(), self.1.get()]
+    /// Its coordinates in this frame.
+    pub fn in_frame(&self) -> [f32; 2] {
+        [self.0.in_frame(), self.1.in_frame()]
     }
 }
 

@@ -3,6 +3,7 @@
 //! Each type is one kind of number of a job file, with its range in the type and in the schema. A number may have a
 //! motion, a track or a formula. It then stores it next to its value at one time, and `Seek` evaluates it at another. All
 //! frames share one compiled program, so code that branches on a number's value asks for its `constant()`.
+//! `get` is for formulas, which take it as a [`Uniform`]; only `in_frame` tells host code the value in one frame.
 
 mod angles;
 mod color;
@@ -35,6 +36,7 @@ pub(crate) use points::{inverse_rows_of, sin_cos_degrees, unit_of};
 
 use self::motion::{Motion, RangedNumber};
 use crate::limits::{MAX_LENGTH, MIN_LENGTH};
+use crate::real::Uniform;
 use crate::seek::{FrameTime, Seek, SeekError};
 
 pub(crate) use peeked_map::PeekedMap;
@@ -45,6 +47,18 @@ pub(crate) use placement::inverse_rows_about;
 macro_rules! animatable_numbers {
     ($($(#[$doc:meta])* $Name:ident: $is_in_range:expr, $words:literal, $schema:tt;)*) => { $(
         number_type! { $(#[$doc])* $Name: $is_in_range, $words }
+
+        impl $Name {
+            /// The number, for a formula.
+            pub fn get(&self) -> Uniform {
+                self.value.into()
+            }
+
+            /// The value in this frame: in another one it may differ.
+            pub fn in_frame(&self) -> f32 {
+                self.value
+            }
+        }
 
         impl<'de> Deserialize<'de> for $Name {
             fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
@@ -68,6 +82,13 @@ macro_rules! animatable_numbers {
 macro_rules! constant_numbers {
     ($($(#[$doc:meta])* $Name:ident: $is_in_range:expr, $words:literal, $schema:tt;)*) => { $(
         number_type! { $(#[$doc])* $Name: $is_in_range, $words }
+
+        impl $Name {
+            /// The value.
+            pub fn get(&self) -> f32 {
+                self.value
+            }
+        }
 
         impl<'de> Deserialize<'de> for $Name {
             fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
@@ -106,11 +127,6 @@ macro_rules! number_type {
             /// The value, if it is the same in all frames: they share one compiled program.
             pub fn constant(&self) -> Option<f32> {
                 self.motion.is_none().then_some(self.value)
-            }
-
-            /// The value.
-            pub fn get(&self) -> f32 {
-                self.value
             }
 
             /// Whether a motion gives this number a different value in other frames.

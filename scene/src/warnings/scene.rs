@@ -139,7 +139,7 @@ pub(super) fn dense_media(scene: &Scene) -> Option<String> {
     let depths = scene.objects.iter().enumerate().filter_map(|(index, object)| {
         let filling = scene.material_of(index).as_medium()?;
         let bounds = object.shape.bounds(0.0);
-        let length = if bounds.is_finite() { bounds.diagonal() } else { scene.march.max_distance.get() };
+        let length = if bounds.is_finite() { bounds.diagonal() } else { scene.march.max_distance.in_frame() };
         let depth = filling.density() * length;
         (depth > MAX_STEP_DEPTH * filling.steps() as f32).then_some((index, depth, filling.steps()))
     });

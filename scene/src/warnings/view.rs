@@ -36,7 +36,7 @@ pub(super) fn of(at_frame: &JobAtFrame<'_>) -> Option<Warning> {
 }
 
 fn nothing_in_view(scene: &Scene, view: &View) -> Option<String> {
-    let farthest = scene.march.max_distance.get();
+    let farthest = scene.march.max_distance.in_frame();
     let mut is_one_beyond = false;
     for object in &scene.objects {
         let bounds = object.shape.bounds(0.0);

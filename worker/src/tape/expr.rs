@@ -134,7 +134,7 @@ impl Real for Expr {
         literal(value)
     }
 
-    fn uniform(self, value: f32) -> Self {
+    fn input(self, value: f32) -> Self {
         Self(uniform(ValueType::F32, value.to_bits()))
     }
 

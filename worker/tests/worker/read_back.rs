@@ -61,7 +61,7 @@ fn graded() -> impl Iterator<Item = Job> {
 /// Displayed value of linear light, in double precision.
 #[expect(clippy::disallowed_methods, reason = "the reference must not use the code under test")]
 fn shown(image: &Image, linear: f64) -> f64 {
-    let x = linear * f64::from(image.exposure.get()).exp2();
+    let x = linear * f64::from(image.exposure.in_frame()).exp2();
     match image.tone_map {
         ToneMap::None => x,
         ToneMap::Filmic => x * (2.51 * x + 0.03) / (x * (2.43 * x + 0.59) + 0.14),

@@ -2,7 +2,7 @@
 
 use std::ops::{Add, Mul, Neg, Sub};
 
-use super::Real;
+use super::{Real, Uniform};
 
 /// A point, a direction or a color.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -22,7 +22,8 @@ pub const fn vec3<R>(x: R, y: R, z: R) -> Vec3<R> {
 
 impl<R: Real> Vec3<R> {
     /// A vector of the scene in every lane of numbers like `like`.
-    pub fn uniform(like: R, vector: Vec3<f32>) -> Self {
+    pub fn uniform(like: R, vector: impl Into<Vec3<Uniform>>) -> Self {
+        let vector = vector.into();
         vec3(like.uniform(vector.x), like.uniform(vector.y), like.uniform(vector.z))
     }
 
@@ -37,7 +38,7 @@ impl<R: Real> Vec3<R> {
     }
 
     /// Scalar product with a vector of the scene.
-    pub fn dot_uniform(self, other: Vec3<f32>) -> R {
+    pub fn dot_uniform(self, other: impl Into<Vec3<Uniform>>) -> R {
         self.dot(Self::uniform(self.x, other))
     }
 

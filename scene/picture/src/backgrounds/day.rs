@@ -122,9 +122,9 @@ impl Backdrop for Day {
 
 impl PreethamModel {
     fn new(day: &Day) -> Self {
-        let t = day.turbidity.get();
+        let t = day.turbidity.in_frame();
         let sun = day.sun.unit();
-        let strength = day.strength.get() * PER_KILOCANDELA;
+        let strength = day.strength.in_frame() * PER_KILOCANDELA;
         let angle = Real::acos(sun.y.max(0.0));
         let perez = [
             [
@@ -170,7 +170,7 @@ impl PreethamModel {
         });
         let zenith = [luminance / at_zenith[0], x / at_zenith[1], y / at_zenith[2]];
         let sun_color = sun_transmittance(t, angle).map(|channel| channel * SUN_KILOCANDELAS * strength);
-        let albedo: [f32; 3] = day.ground.get().into();
+        let albedo: [f32; 3] = day.ground.in_frame().into();
         let ground = std::array::from_fn(|i| albedo[i] * (sun_color[i] * sun.y.max(0.0) + luminance));
         Self { perez, zenith, ground, sun_color }
     }

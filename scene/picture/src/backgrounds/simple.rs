@@ -74,7 +74,7 @@ impl Backdrop for Transparent {
 /// Color of a gradient at ½ + `share` · `height`.
 fn gradient_at<R: Real>(bottom: &Color, top: &Color, height: R, share: f32) -> Vec3<R> {
     let share = height.mul_add(height.constant(share), height.constant(0.5));
-    let (bottom, top) = (bottom.get(), top.get());
+    let (bottom, top) = (bottom.in_frame(), top.in_frame());
     let rise = vec3(top.x - bottom.x, top.y - bottom.y, top.z - bottom.z);
     Vec3::uniform(height, rise).mul_add(share, Vec3::uniform(height, bottom))
 }

@@ -119,9 +119,11 @@ impl Lens {
 
     /// Radius of its aperture, in scene units.
     fn radius(&self) -> f32 {
-        let ratio =
-            || self.focal_length.as_ref().map_or(0.0, Length::get) / self.f_stop.as_ref().map_or(1.0, FNumber::get);
-        0.5 * self.aperture.as_ref().map_or_else(ratio, LengthOrZero::get)
+        let ratio = || {
+            self.focal_length.as_ref().map_or(0.0, Length::in_frame)
+                / self.f_stop.as_ref().map_or(1.0, FNumber::in_frame)
+        };
+        0.5 * self.aperture.as_ref().map_or_else(ratio, LengthOrZero::in_frame)
     }
 
     /// The lens of a camera whose picture has these directions of length 1. `focus` is the distance of its plane of focus.
@@ -129,7 +131,7 @@ impl Lens {
         let radius = self.radius();
         let shape = (self.blades > 0).then(|| Blades::new(self.blades));
         // The first triangle of a polygon is to the right of its top.
-        let turn = if self.blades > 0 { 90.0 - 180.0 / self.blades as f32 + self.turn.get() } else { 0.0 };
+        let turn = if self.blades > 0 { 90.0 - 180.0 / self.blades as f32 + self.turn.in_frame() } else { 0.0 };
         let (sine, cosine) = sin_cos_degrees(turn);
         Aperture {
             across: (right * cosine + up * sine) * radius,

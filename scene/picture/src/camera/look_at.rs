@@ -45,7 +45,7 @@ impl LookAt {
     /// The point at the center of the picture of a camera at a position.
     pub(super) fn point(&self, position: Vec3<f32>) -> Vec3<f32> {
         match self {
-            Self::Point(point) => point.get(),
+            Self::Point(point) => point.in_frame(),
             Self::Ahead(ahead) => ahead.point(position),
         }
     }
@@ -76,23 +76,23 @@ impl LookAt {
 impl Ahead {
     fn point(&self, position: Vec3<f32>) -> Vec3<f32> {
         let Some([later, before]) = &self.later else { return position };
-        let later = later.get();
+        let later = later.in_frame();
         if (later - position).length() > 1e-4 {
             return later;
         }
         // At the end of its way, it looks on in the same direction.
-        position + (position - before.get())
+        position + (position - before.in_frame())
     }
 
     fn roll(&self, position: Vec3<f32>, up: Vec3<f32>) -> f32 {
-        let Some([later, before]) = self.later.as_ref().map(|points| points.each_ref().map(Point::get)) else {
+        let Some([later, before]) = self.later.as_ref().map(|points| points.each_ref().map(Point::in_frame)) else {
             return 0.0;
         };
         let (from, to) = (position - before, later - position);
         let turn = up.dot(from.cross(to));
         let onward = from.dot(to) - up.dot(from) * up.dot(to);
         let degrees = Real::atan2(turn, onward) * (180.0 / std::f32::consts::PI);
-        (-degrees / self.ahead.get() * self.bank.get()).clamp(-MAX_ROLL, MAX_ROLL)
+        (-degrees / self.ahead.in_frame() * self.bank.in_frame()).clamp(-MAX_ROLL, MAX_ROLL)
     }
 }
 
@@ -105,7 +105,7 @@ impl Seek for LookAt {
                 let moves = seconds.seek(clock).map_err(|error| error.inside("ahead"))?
                     | bank.seek(clock).map_err(|error| error.inside("bank"))?;
                 let Some([later, before]) = later else { return Ok(moves) };
-                let away = f64::from(seconds.get());
+                let away = f64::from(seconds.in_frame());
                 let follows = later.seek(&mut FrameTime::at(clock.frame, clock.seconds + away))?
                     | before.seek(&mut FrameTime::at(clock.frame, clock.seconds - away))?;
                 Ok(moves | follows)

@@ -15,7 +15,7 @@ pub struct DisplayTransform {
 impl DisplayTransform {
     /// Display transform of an image.
     pub fn new(image: &Image) -> Self {
-        Self { exposure: power_of_two(image.exposure.get()), tone_map: image.tone_map }
+        Self { exposure: power_of_two(image.exposure.in_frame()), tone_map: image.tone_map }
     }
 
     /// Display value of a channel's linear light.

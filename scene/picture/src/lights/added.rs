@@ -47,7 +47,7 @@ impl LightSource for AddedLight {
     }
 
     fn strength<R: Real>(&self, p: Vec3<R>, _: Option<&Day>) -> R {
-        p.x.uniform(self.color.get().mean()) / (p.y.square() + 1.0)
+        p.x.uniform(self.color.in_frame().mean()) / (p.y.square() + 1.0)
     }
 
     fn is_dark(&self) -> bool {

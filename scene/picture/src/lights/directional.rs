@@ -56,7 +56,7 @@ impl LightSource for Directional {
     }
 
     fn strength<R: Real>(&self, p: Vec3<R>, _: Option<&Day>) -> R {
-        p.x.uniform(self.color.get().mean())
+        p.x.uniform(self.color.in_frame().mean())
     }
 
     fn is_dark(&self) -> bool {

@@ -78,9 +78,9 @@ struct FlatLight<'a> {
 impl FlatLight<'_> {
     fn body(&self) -> LightBody {
         let Self { position, direction, sides, outline, color } = *self;
-        let shape = LightShape::Flat { center: position.get(), normal: direction.unit(), sides, outline };
+        let shape = LightShape::Flat { center: position.in_frame(), normal: direction.unit(), sides, outline };
         // The irradiance over π at a distance of 1 is radiance · area/π.
-        let radiance = color.get().map(|c| c * (std::f32::consts::PI / outline.area().max(1e-20)));
+        let radiance = color.in_frame().map(|c| c * (std::f32::consts::PI / outline.area().max(1e-20)));
         LightBody { shape, radiance }
     }
 
@@ -111,7 +111,7 @@ impl RectangleLight {
             let right = across.normalize();
             [right, normal.cross(right)]
         };
-        let outline = Outline::Rectangle([0.5 * width.get(), 0.5 * height.get()]);
+        let outline = Outline::Rectangle([0.5 * width.in_frame(), 0.5 * height.in_frame()]);
         FlatLight { position, direction, sides, outline, color }
     }
 }
@@ -120,7 +120,7 @@ impl DiscLight {
     fn flat(&self) -> FlatLight<'_> {
         let Self { position, direction, radius, color, .. } = self;
         let (right, up) = orthonormal_basis(direction.unit());
-        FlatLight { position, direction, sides: [right, up], outline: Outline::Disc(radius.get()), color }
+        FlatLight { position, direction, sides: [right, up], outline: Outline::Disc(radius.in_frame()), color }
     }
 }
 
@@ -153,7 +153,7 @@ macro_rules! flat_light {
             }
 
             fn place(&self) -> Option<(Vec3<f32>, f32)> {
-                Some((self.position.get(), self.flat().outline.radius()))
+                Some((self.position.in_frame(), self.flat().outline.radius()))
             }
 
             fn body(&self) -> Option<LightBody> {

@@ -77,8 +77,8 @@ impl LightSource for SpotLight {
         let distance = toward.length().at_least(1e-6);
         let per_distance = p.x.constant(1.0) / distance;
         let direction = toward * per_distance;
-        let half = self.angle.get() * (std::f32::consts::PI / 360.0);
-        let (edge, full) = (Real::cos(half), Real::cos(half * (1.0 - self.softness.get())));
+        let half = self.angle.in_frame() * (std::f32::consts::PI / 360.0);
+        let (edge, full) = (Real::cos(half), Real::cos(half * (1.0 - self.softness.in_frame())));
         let inside = -direction.dot_uniform(self.direction.unit());
         let share = (inside - p.x.uniform(edge)) * p.x.uniform(1.0 / (full - edge).max(1e-6));
         let share = share.at_least(0.0).at_most(1.0);
@@ -88,13 +88,13 @@ impl LightSource for SpotLight {
     }
 
     fn place(&self) -> Option<(Vec3<f32>, f32)> {
-        Some((self.position.get(), 0.0))
+        Some((self.position.in_frame(), 0.0))
     }
 
     fn strength<R: Real>(&self, p: Vec3<R>, _: Option<&Day>) -> R {
         let strength = strength_of_point(p, &self.position, &self.color, 0.0);
         let toward = (Vec3::uniform(p.x, self.position.get()) - p).normalize();
-        let edge = p.x.uniform(Real::cos(self.angle.get() * (std::f32::consts::PI / 360.0)));
+        let edge = p.x.uniform(Real::cos(self.angle.in_frame() * (std::f32::consts::PI / 360.0)));
         R::select(edge.lt(-toward.dot_uniform(self.direction.unit())), strength, p.x.constant(0.0))
     }
 
@@ -145,18 +145,18 @@ impl LightSource for SphereLight {
     }
 
     fn place(&self) -> Option<(Vec3<f32>, f32)> {
-        Some((self.position.get(), self.radius.get()))
+        Some((self.position.in_frame(), self.radius.in_frame()))
     }
 
     fn strength<R: Real>(&self, p: Vec3<R>, _: Option<&Day>) -> R {
         let Self { position, radius, color, .. } = self;
-        strength_of_point(p, position, color, radius.get())
+        strength_of_point(p, position, color, radius.in_frame())
     }
 }
 
 impl SphereLight {
     fn shape_and_radiance(&self) -> LightBody {
-        let (center, radius, color) = (self.position.get(), self.radius.get(), self.color.get());
+        let (center, radius, color) = (self.position.in_frame(), self.radius.in_frame(), self.color.in_frame());
         let per_square = 1.0 / (radius * radius).max(1e-20);
         LightBody { shape: LightShape::Sphere { center, radius }, radiance: color.map(|c| c * per_square) }
     }

@@ -53,7 +53,7 @@ impl LightSource for PointLight {
     }
 
     fn place(&self) -> Option<(Vec3<f32>, f32)> {
-        Some((self.position.get(), 0.0))
+        Some((self.position.in_frame(), 0.0))
     }
 
     fn strength<R: Real>(&self, p: Vec3<R>, _: Option<&Day>) -> R {

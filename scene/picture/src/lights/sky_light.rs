@@ -36,7 +36,7 @@ impl Light {
     /// The ambient light of this light in front of the background, if it is one.
     pub fn ambient<'a>(&'a self, background: &'a Background) -> Option<AmbientLight<'a>> {
         let Self::Sky(sky) = self else { return None };
-        Some(AmbientLight { from: sky.from.as_ref().unwrap_or(background), strength: sky.strength.get() })
+        Some(AmbientLight { from: sky.from.as_ref().unwrap_or(background), strength: sky.strength.in_frame() })
     }
 }
 

@@ -42,7 +42,7 @@ impl LightSource for Sun {
     ) -> Option<(LightSample<R>, R)> {
         let day = day?;
         let direction = sample_cone(p.x, day.sun.unit(), &self.angle, pair);
-        let (color, strength) = (day.sun_color(), self.strength.get());
+        let (color, strength) = (day.sun_color(), self.strength.in_frame());
         let radiance = Vec3::uniform(p.x, color.map(|channel| channel * strength));
         Some((LightSample { direction, radiance }, farthest))
     }

@@ -38,7 +38,7 @@ impl Diffuse {
     fn ambient<R: Real>(&self, place: &ShadingPoint<R>, kd: Vec3<R>) -> Vec3<R> {
         let answer = self.ka.as_ref().unwrap_or(&self.kd);
         if let (Some(ka), Some(la)) = (answer.as_constant(), self.ambient.as_constant()) {
-            let (ka, la) = (ka.get(), la.get());
+            let (ka, la) = (ka.in_frame(), la.in_frame());
             return Vec3::uniform(place.normal.x, vec3(ka.x * la.x, ka.y * la.y, ka.z * la.z));
         }
         let ka = match &self.ka {

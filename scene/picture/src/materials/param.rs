@@ -154,7 +154,7 @@ macro_rules! parameters {
     ($($Number:ident),*) => { $(
         impl ScalarKind for $Number {
             fn value(&self) -> f32 {
-                self.get()
+                self.in_frame()
             }
 
             fn is_zero(&self) -> bool {

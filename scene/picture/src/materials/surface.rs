@@ -93,7 +93,7 @@ bundle!(SurfaceTerms { to_viewer, normal, n_dot_v, viewer_schlick, f0, diffuse_c
 impl Surface {
     fn base<R: Real>(&self, place: &ShadingPoint<R>) -> Vec3<R> {
         if let Some(color) = self.base_color.as_constant() {
-            let color = color.get();
+            let color = color.in_frame();
             return Vec3::uniform(place.normal.x, vec3(color.x.min(1.0), color.y.min(1.0), color.z.min(1.0)));
         }
         self.base_color.at(place).map(|c| c.at_most(1.0))
@@ -102,7 +102,7 @@ impl Surface {
     /// F0 of the surface: of the dielectric, and by channel with metalness.
     fn f0<R: Real>(&self, place: &ShadingPoint<R>, base: Vec3<R>) -> (R, Vec3<R>) {
         let border = match &self.ior {
-            ScalarParam::Constant(ior) => base.x.uniform(f0_from_ior(ior.get())),
+            ScalarParam::Constant(ior) => base.x.uniform(f0_from_ior(ior.in_frame())),
             ScalarParam::Textured(_) => f0_from_ior(self.ior.at(place)),
         };
         if self.metallic.is_zero() {
@@ -309,7 +309,7 @@ impl Shade for Surface {
 
     fn uniform_emission(&self) -> Option<Vec3<f32>> {
         let emission = self.emission.as_constant().filter(|color| !color.is_black())?;
-        self.clearcoat.is_zero().then(|| emission.get())
+        self.clearcoat.is_zero().then(|| emission.in_frame())
     }
 
     fn is_lit(&self) -> bool {

@@ -42,7 +42,7 @@ impl Shade for Flat {
     }
 
     fn uniform_emission(&self) -> Option<Vec3<f32>> {
-        self.color.as_constant().filter(|color| !color.is_black()).map(Color::get)
+        self.color.as_constant().filter(|color| !color.is_black()).map(Color::in_frame)
     }
 
     fn textures(&self) -> Vec<&Texture> {

@@ -126,8 +126,8 @@ impl MediumMaterial<'_> {
     /// The extinction coefficient at full density.
     pub fn density(&self) -> f32 {
         match self {
-            Self::Clouds(clouds) => clouds.density.get(),
-            Self::Volume(volume) => volume.density.get(),
+            Self::Clouds(clouds) => clouds.density.in_frame(),
+            Self::Volume(volume) => volume.density.in_frame(),
         }
     }
 
@@ -159,11 +159,13 @@ impl MediumMaterial<'_> {
     pub fn scattering(&self) -> MediumScattering {
         let black = vec3(0.0, 0.0, 0.0);
         match self {
-            Self::Clouds(clouds) => MediumScattering { albedo: clouds.color.get(), emission: black, anisotropy: 0.0 },
+            Self::Clouds(clouds) => {
+                MediumScattering { albedo: clouds.color.in_frame(), emission: black, anisotropy: 0.0 }
+            }
             Self::Volume(volume) => MediumScattering {
-                albedo: volume.albedo.get(),
-                emission: volume.emission.get(),
-                anisotropy: volume.anisotropy.get(),
+                albedo: volume.albedo.in_frame(),
+                emission: volume.emission.in_frame(),
+                anisotropy: volume.anisotropy.in_frame(),
             },
         }
     }
@@ -193,7 +195,7 @@ fn above_threshold<R: Real>(share: R, threshold: f32) -> R {
 impl Clouds {
     /// Density at `p`, 0 to 1.
     fn density_at<R: Real>(&self, p: Vec3<R>) -> R {
-        above_threshold(normalized_noise(&self.noise, p), self.threshold.get())
+        above_threshold(normalized_noise(&self.noise, p), self.threshold.in_frame())
     }
 }
 
@@ -292,11 +294,11 @@ impl Volume {
     fn extinction<R: Real>(&self, p: Vec3<R>, depth: R) -> R {
         let mut thick = p.x.uniform(self.density.get());
         if !self.edge.is_zero() {
-            thick = thick * (depth * p.x.uniform(1.0 / self.edge.get().max(1e-6))).at_least(0.0).at_most(1.0);
+            thick = thick * (depth * p.x.uniform(1.0 / self.edge.in_frame().max(1e-6))).at_least(0.0).at_most(1.0);
         }
         match &self.noise {
             None => thick,
-            Some(noise) => above_threshold(normalized_noise(noise, p), 1.0 - self.coverage.get()) * thick,
+            Some(noise) => above_threshold(normalized_noise(noise, p), 1.0 - self.coverage.in_frame()) * thick,
         }
     }
 
@@ -306,7 +308,7 @@ impl Volume {
         let mut sum = cosine.constant(0.0);
         let mut share = 1.0;
         for _ in 0..self.orders {
-            let g = self.anisotropy.get() * share;
+            let g = self.anisotropy.in_frame() * share;
             let below = (cosine * cosine.uniform(-2.0 * g) + cosine.uniform(1.0 + g * g)).at_least(1e-4);
             let phase = cosine.uniform(0.25 * (1.0 - g * g)) / (below * below.sqrt());
             let left = (-(depth * share)).exp() * share;

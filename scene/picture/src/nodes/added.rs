@@ -25,7 +25,7 @@ impl Primitive for AddedNode {
     }
 
     fn bounds(&self, isolevel: f32) -> Bounds {
-        let reach = 0.5 * self.depth.get() + isolevel;
+        let reach = 0.5 * self.depth.in_frame() + isolevel;
         Bounds::symmetric(f32::INFINITY, f32::INFINITY, reach)
     }
 }

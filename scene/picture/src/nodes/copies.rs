@@ -133,7 +133,7 @@ impl Sdf for Copies {
 
     fn bounds(&self, isolevel: f32) -> Bounds {
         let count = self.placements().all().len();
-        let isolevel = isolevel + self.smooth.get() * seam_sink(count, is_grouped(count, &self.smooth));
+        let isolevel = isolevel + self.smooth.in_frame() * seam_sink(count, is_grouped(count, &self.smooth));
         self.placed_bounds(isolevel).reduce(Bounds::union).unwrap_or(Bounds::EMPTY)
     }
 

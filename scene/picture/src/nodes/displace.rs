@@ -54,7 +54,7 @@ pub struct Sine {
 
 impl Sine {
     fn value<R: Real>(&self, p: Vec3<R>) -> R {
-        let frequency = self.frequency.get();
+        let frequency = self.frequency.in_frame();
         let sine = periodic_sine(p.x, frequency.x) * periodic_sine(p.y, frequency.y);
         sine * periodic_sine(p.z, frequency.z)
     }
@@ -63,7 +63,7 @@ impl Sine {
     /// φ² · Σ (1 − sᵢ²)·Πsⱼ². The last sum is at most 1, because it is the probability that exactly one of three
     /// independent events fails.
     fn lipschitz(&self) -> f32 {
-        let Vec3 { x, y, z } = self.frequency.get();
+        let Vec3 { x, y, z } = self.frequency.in_frame();
         x.abs().max(y.abs()).max(z.abs())
     }
 }
@@ -99,7 +99,7 @@ impl DisplacementFunction {
 
 impl Displace {
     fn bounds_cache(&self) -> DisplacementBounds {
-        let amplitude = self.amplitude.get();
+        let amplitude = self.amplitude.in_frame();
         let (low, high) = self.by.range();
         let steepening = amplitude.abs() * self.by.lipschitz() / self.child.lipschitz();
         DisplacementBounds::new([low * amplitude, high * amplitude], steepening)
@@ -133,7 +133,7 @@ impl Sdf for Displace {
     }
 
     fn lipschitz(&self) -> f32 {
-        (self.child.lipschitz() + self.amplitude.get().abs() * self.by.lipschitz()).min(MAX_LIPSCHITZ)
+        (self.child.lipschitz() + self.amplitude.in_frame().abs() * self.by.lipschitz()).min(MAX_LIPSCHITZ)
     }
 
     fn own_exactness(&self) -> Exactness {

@@ -74,7 +74,7 @@ pub fn smooth_min<R: Real, V: SdfValue<R>>(a: V, b: V, smooth: &LengthOrZero) ->
         return a.blend(b, da.min(db), || union_weight(da, db, smooth));
     }
     let overlap = seam_depth(da, db, smooth);
-    let distance = overlap.square().mul_add(da.uniform(-0.25 * per(smooth.get())), da.min(db));
+    let distance = overlap.square().mul_add(da.uniform(-0.25 * per(smooth.in_frame())), da.min(db));
     a.blend(b, distance, || seam_weight(overlap, smooth, db.lt(da)))
 }
 
@@ -93,7 +93,7 @@ fn smooth_max<R: Real, V: SdfValue<R>>(a: V, b: V, smooth: &LengthOrZero) -> V {
         return a.blend(b, da.max(db), || indicator(da, da.lt(db)));
     }
     let overlap = seam_depth(da, db, smooth);
-    let distance = overlap.square().mul_add(da.uniform(0.25 * per(smooth.get())), da.max(db));
+    let distance = overlap.square().mul_add(da.uniform(0.25 * per(smooth.in_frame())), da.max(db));
     a.blend(b, distance, || seam_weight(overlap, smooth, da.lt(db)))
 }
 
@@ -114,7 +114,7 @@ fn per(width: f32) -> f32 {
 
 /// Weight of the second child: the child whose distance is not used has ½(h/k)².
 fn seam_weight<R: Real>(overlap: R, smooth: &LengthOrZero, second_wins: R::Mask) -> R {
-    let loser = overlap.square() * overlap.uniform(0.5 * per(smooth.get() * smooth.get()));
+    let loser = overlap.square() * overlap.uniform(0.5 * per(smooth.in_frame() * smooth.in_frame()));
     R::select(second_wins, loser.constant(1.0) - loser, loser)
 }
 
@@ -214,7 +214,7 @@ macro_rules! around_list {
 
         fn bounds(&self, isolevel: f32) -> Bounds {
             let sink: fn(&Self) -> f32 = $sink;
-            let isolevel = isolevel + self.smooth.get() * sink(self);
+            let isolevel = isolevel + self.smooth.in_frame() * sink(self);
             let mut of = self.of.iter().map(|shape| shape.bounds(isolevel));
             let first = of.next().expect("a list has one shape or more");
             of.fold(first, $join_bounds)
@@ -299,7 +299,7 @@ impl<R: Real, S, J> BvhUnion<'_, R, S, J> {
     ) -> V {
         let Some(bounds) = bounds else { return combine(sum) };
         let beyond = bounds.distance_lower_bound(self.p);
-        let width = self.smooth.get() * (1.0 + sink);
+        let width = self.smooth.in_frame() * (1.0 + sink);
         let beyond = if self.smooth.is_zero() { beyond } else { beyond - self.p.x.uniform(width) };
         sum.combine_unless_farther(beyond, combine)
     }

@@ -17,9 +17,9 @@ use crate::values::{Coordinate, Point};
 pub struct PerAxis(Point);
 
 impl PerAxis {
-    /// The numbers.
-    pub fn get(&self) -> Vec3<f32> {
-        self.0.get()
+    /// The numbers in this frame.
+    pub fn in_frame(&self) -> Vec3<f32> {
+        self.0.in_frame()
     }
 
     fn all(number: Coordinate) -> Self {

@@ -53,7 +53,7 @@ impl Primitive for Sphere {
     }
 
     fn bounds(&self, isolevel: f32) -> Bounds {
-        let radius = self.radius.get();
+        let radius = self.radius.in_frame();
         Bounds::symmetric(radius, radius, radius).expanded(isolevel)
     }
 }
@@ -88,8 +88,8 @@ impl Primitive for Box {
     }
 
     fn validate(&self) -> Option<NodeError> {
-        let most = self.size.iter().map(Length::get).fold(f32::MAX, f32::min) / 2.0;
-        (self.round.get() > most).then(|| {
+        let most = self.size.iter().map(Length::in_frame).fold(f32::MAX, f32::min) / 2.0;
+        (self.round.in_frame() > most).then(|| {
             NodeError::new(
                 "round",
                 format!(
@@ -101,7 +101,7 @@ impl Primitive for Box {
 
     fn bounds(&self, isolevel: f32) -> Bounds {
         let [x, y, z] = &self.size;
-        Bounds::symmetric(x.get() / 2.0, y.get() / 2.0, z.get() / 2.0).expanded(isolevel)
+        Bounds::symmetric(x.in_frame() / 2.0, y.in_frame() / 2.0, z.in_frame() / 2.0).expanded(isolevel)
     }
 }
 
@@ -123,7 +123,7 @@ impl Primitive for Plane {
     }
 
     fn bounds(&self, isolevel: f32) -> Bounds {
-        let farthest = self.offset.get() + isolevel;
+        let farthest = self.offset.in_frame() + isolevel;
         // Behind a plane perpendicular to an axis, that coordinate is bounded.
         let low = |slope: f32| if slope == -1.0 { -farthest } else { f32::NEG_INFINITY };
         let high = |slope: f32| if slope == 1.0 { farthest } else { f32::INFINITY };
@@ -153,8 +153,8 @@ impl Primitive for Cylinder {
     }
 
     fn bounds(&self, isolevel: f32) -> Bounds {
-        let radius = self.radius.get();
-        Bounds::symmetric(radius, self.height.get() / 2.0, radius).expanded(isolevel)
+        let radius = self.radius.in_frame();
+        Bounds::symmetric(radius, self.height.in_frame() / 2.0, radius).expanded(isolevel)
     }
 }
 
@@ -174,7 +174,7 @@ impl Primitive for InfiniteCylinder {
     }
 
     fn bounds(&self, isolevel: f32) -> Bounds {
-        let radius = self.radius.get();
+        let radius = self.radius.in_frame();
         Bounds::symmetric(radius, f32::INFINITY, radius).expanded(isolevel)
     }
 }
@@ -208,8 +208,8 @@ impl Primitive for TriangularPrism {
 
     fn bounds(&self, isolevel: f32) -> Bounds {
         // At a larger isolevel, the triangle is a larger one; its apex is its farthest corner.
-        let apex = self.height.get() + 2.0 * isolevel;
-        Bounds::symmetric(apex, apex, self.length.get() / 2.0 + isolevel)
+        let apex = self.height.in_frame() + 2.0 * isolevel;
+        Bounds::symmetric(apex, apex, self.length.in_frame() / 2.0 + isolevel)
     }
 }
 
@@ -233,7 +233,7 @@ impl Primitive for Pyramid {
 
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
         if let Some(base) = &self.base {
-            return rectangular_pyramid(p, base.each_ref().map(Length::get), self.height.get());
+            return rectangular_pyramid(p, base.each_ref().map(Length::in_frame), self.height.in_frame());
         }
         let slant = self.height.get() * self.height.get() + 0.25;
         let (over_slant, over_base) = (p.x.uniform(1.0 / slant), p.x.uniform(1.0 / (slant + 0.25)));
@@ -256,8 +256,8 @@ impl Primitive for Pyramid {
     }
 
     fn bounds(&self, isolevel: f32) -> Bounds {
-        let [x, z] = self.base.as_ref().map_or([0.5; 2], |base| base.each_ref().map(|extent| extent.get() / 2.0));
-        Bounds { min: vec3(-x, 0.0, -z), max: vec3(x, self.height.get(), z) }.expanded(isolevel)
+        let [x, z] = self.base.as_ref().map_or([0.5; 2], |base| base.each_ref().map(|extent| extent.in_frame() / 2.0));
+        Bounds { min: vec3(-x, 0.0, -z), max: vec3(x, self.height.in_frame(), z) }.expanded(isolevel)
     }
 }
 
@@ -292,11 +292,11 @@ impl Primitive for Torus {
     }
 
     fn validate(&self) -> Option<NodeError> {
-        closed_hole_error("tube", self.tube.get(), "radius", self.radius.get())
+        closed_hole_error("tube", self.tube.in_frame(), "radius", self.radius.in_frame())
     }
 
     fn bounds(&self, isolevel: f32) -> Bounds {
-        let (across, up) = (self.radius.get() + self.tube.get(), self.tube.get());
+        let (across, up) = (self.radius.in_frame() + self.tube.in_frame(), self.tube.in_frame());
         Bounds::symmetric(across, up, across).expanded(isolevel)
     }
 }
@@ -319,7 +319,7 @@ impl Primitive for Capsule {
     const EXAMPLE: &str = r#"{ "a": [-0.7, -0.4, 0], "b": [0.7, 0.5, 0.2], "radius": 0.4 }"#;
 
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
-        let (a, b) = (self.a.get(), self.b.get());
+        let (a, b) = (self.a.in_frame(), self.b.in_frame());
         let axis = vec3(b.x - a.x, b.y - a.y, b.z - a.z);
         // If both ends coincide, the shape is a ball: every point of a zero axis is the same.
         let axis_over_square = scaled(axis, 1.0 / axis.length_squared().max(1e-20));
@@ -330,8 +330,8 @@ impl Primitive for Capsule {
     }
 
     fn bounds(&self, isolevel: f32) -> Bounds {
-        let (a, b) = (self.a.get(), self.b.get());
-        Bounds { min: a, max: a }.union(Bounds { min: b, max: b }).expanded(self.radius.get() + isolevel)
+        let (a, b) = (self.a.in_frame(), self.b.in_frame());
+        Bounds { min: a, max: a }.union(Bounds { min: b, max: b }).expanded(self.radius.in_frame() + isolevel)
     }
 }
 

@@ -64,7 +64,7 @@ impl Rotate {
             (Angles::Fixed(rotation), _) => rotation.inverse_rows(),
             (Angles::About(degrees), axis) => {
                 let axis = axis.as_ref().map_or(vec3(0.0, 1.0, 0.0), Direction::unit);
-                *self.rows.get(|| inverse_rows_about(axis, degrees.get()))
+                *self.rows.get(|| inverse_rows_about(axis, degrees.in_frame()))
             }
         }
     }
@@ -163,7 +163,7 @@ impl Sdf for Rotate {
         let rows = self.inverse_rows();
         match &self.about {
             None => child.rotated(rows),
-            Some(about) => child.translated(-about.get()).rotated(rows).translated(about.get()),
+            Some(about) => child.translated(-about.in_frame()).rotated(rows).translated(about.in_frame()),
         }
     }
 

@@ -236,7 +236,7 @@ impl Sdf for Scatter {
 
     fn bounds(&self, isolevel: f32) -> Bounds {
         let sink = seam_sink(self.count.get() as usize, self.is_grouped());
-        let isolevel = isolevel + self.smooth.get() * sink;
+        let isolevel = isolevel + self.smooth.in_frame() * sink;
         self.placed_bounds(isolevel).reduce(Bounds::union).unwrap_or(Bounds::EMPTY)
     }
 

@@ -61,19 +61,19 @@ impl Sdf for Extrude {
     // Its factor is 1, rounded or not: it is a norm of two values: one changes with x and y alone and the
     // other with z alone, neither faster than the point.
     fn own_exactness(&self) -> Exactness {
-        let worst_rounding = if self.round.get() == 0.0 { Exactness::Exact } else { Exactness::Bound };
+        let worst_rounding = if self.round.in_frame() == 0.0 { Exactness::Exact } else { Exactness::Bound };
         self.profile.exactness().max(worst_rounding)
     }
 
     fn validate(&self) -> Option<NodeError> {
-        let most = self.height.get() / 2.0;
+        let most = self.height.in_frame() / 2.0;
         let message = format!("must be at most half of the height: make round {most} or less");
-        let round = (self.round.get() > most).then(|| NodeError::new("round", message));
+        let round = (self.round.in_frame() > most).then(|| NodeError::new("round", message));
         profile_error(&self.profile).or(round)
     }
 
     fn bounds(&self, isolevel: f32) -> Bounds {
-        let (extent, up) = (self.profile.extent(isolevel), self.height.get() / 2.0 + isolevel);
+        let (extent, up) = (self.profile.extent(isolevel), self.height.in_frame() / 2.0 + isolevel);
         let ([low_x, low_y], [high_x, high_y]) = (extent.low, extent.high);
         Bounds { min: vec3(low_x, low_y, -up), max: vec3(high_x, high_y, up) }
     }
@@ -103,7 +103,7 @@ impl Sdf for Revolve {
     }
 
     fn own_exactness(&self) -> Exactness {
-        let offset = self.offset.get();
+        let offset = self.offset.in_frame();
         let is_whole =
             self.profile.extent(0.0).low[0] + offset >= 0.0 || (offset == 0.0 && self.profile.is_symmetric());
         let worst_cut = if is_whole { Exactness::Exact } else { Exactness::Bound };
@@ -113,13 +113,13 @@ impl Sdf for Revolve {
     fn validate(&self) -> Option<NodeError> {
         let reach = self.profile.extent(0.0).high[0];
         let message = format!("puts the whole profile beyond the axis: make offset more than {}", -reach);
-        let beyond = (self.offset.get() + reach <= 0.0).then(|| NodeError::new("offset", message));
+        let beyond = (self.offset.in_frame() + reach <= 0.0).then(|| NodeError::new("offset", message));
         profile_error(&self.profile).or(beyond)
     }
 
     fn bounds(&self, isolevel: f32) -> Bounds {
         let extent = self.profile.extent(isolevel);
-        let across = (extent.high[0] + self.offset.get()).max(0.0);
+        let across = (extent.high[0] + self.offset.in_frame()).max(0.0);
         Bounds { min: vec3(-across, extent.low[1], -across), max: vec3(across, extent.high[1], across) }
     }
 

@@ -30,7 +30,7 @@ pub struct HeightField {
 impl HeightField {
     /// Lipschitz factor of the formula, less 1.
     fn slope_bound(&self) -> f32 {
-        let slope = self.height.get() * self.noise.lipschitz();
+        let slope = self.height.in_frame() * self.noise.lipschitz();
         // √(1 + slope²) − 1, without cancellation; for a large slope, whose square may overflow, the
         // slope itself.
         if slope > 1e6 { slope } else { slope * slope / (1.0 + Real::sqrt(1.0 + slope * slope)) }
@@ -38,7 +38,7 @@ impl HeightField {
 
     fn displacement(&self) -> DisplacementBounds {
         let (low, high) = self.noise.range();
-        let height = self.height.get();
+        let height = self.height.in_frame();
         DisplacementBounds::new([-height * low, -height * high], self.slope_bound())
     }
 }
@@ -96,5 +96,5 @@ impl Sdf for HeightField {
 }
 
 fn half_extents([x, y, z]: &[Length; 3]) -> Vec3<f32> {
-    vec3(x.get() * 0.5, y.get() * 0.5, z.get() * 0.5)
+    vec3(x.in_frame() * 0.5, y.in_frame() * 0.5, z.in_frame() * 0.5)
 }

@@ -70,7 +70,7 @@ impl Sdf for Translate {
     }
 
     fn bounds_from_child(&self, child: Bounds) -> Bounds {
-        child.translated(self.by.get())
+        child.translated(self.by.in_frame())
     }
 
     fn bounds(&self, isolevel: f32) -> Bounds {
@@ -111,6 +111,6 @@ impl Sdf for Scale {
     carries_child!(|self| self.by.is_animated());
 
     fn bounds(&self, isolevel: f32) -> Bounds {
-        self.child.bounds(isolevel / self.by.get()).scaled(self.by.get())
+        self.child.bounds(isolevel / self.by.in_frame()).scaled(self.by.in_frame())
     }
 }

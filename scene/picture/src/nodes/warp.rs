@@ -45,7 +45,7 @@ impl Sdf for Warp {
     around_child!();
 
     fn lipschitz(&self) -> f32 {
-        let shift = self.amplitude.get().abs() * Real::sqrt(3.0_f32) * self.noise.lipschitz();
+        let shift = self.amplitude.in_frame().abs() * Real::sqrt(3.0_f32) * self.noise.lipschitz();
         (self.child.lipschitz() * (1.0 + shift)).min(MAX_LIPSCHITZ)
     }
 
@@ -59,7 +59,7 @@ impl Sdf for Warp {
 
     fn bounds(&self, isolevel: f32) -> Bounds {
         let (low, high) = self.noise.range();
-        self.child.bounds(isolevel).expanded(self.amplitude.get().abs() * (high - low) * 0.5)
+        self.child.bounds(isolevel).expanded(self.amplitude.in_frame().abs() * (high - low) * 0.5)
     }
 
     fn formula_cost(&self) -> f32 {

@@ -51,11 +51,11 @@ macro_rules! noises {
                 /// Combination of its octaves.
                 pub(super) fn layers(&self) -> FractalSum<'_> {
                     FractalSum {
-                        scale: self.scale.get(),
+                        scale: self.scale.in_frame(),
                         seed: self.seed,
                         octaves: self.octaves,
-                        lacunarity: self.lacunarity.get(),
-                        gain: self.gain.get(),
+                        lacunarity: self.lacunarity.in_frame(),
+                        gain: self.gain.in_frame(),
                         fractal: self.fractal,
                         warp: &self.warp,
                     }

@@ -114,7 +114,7 @@ impl FractalSum<'_> {
             Fractal::Turbulence | Fractal::Ridged => 2.0 / (high - low),
         };
         let of_octaves: f32 = self.octaves(0).map(|octave| octave.frequency * octave.weight).sum();
-        let warped = 1.0 + self.warp.get() * Real::sqrt(3.0_f32) * basis.lipschitz();
+        let warped = 1.0 + self.warp.in_frame() * Real::sqrt(3.0_f32) * basis.lipschitz();
         basis.lipschitz() * folded * of_octaves * warped * self.scale * MARGIN
     }
 }

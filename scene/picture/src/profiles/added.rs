@@ -28,6 +28,6 @@ impl ProfileSdf for AddedProfile {
     }
 
     fn extent(&self, isolevel: f32) -> Bounds2 {
-        Bounds2::symmetric(f32::INFINITY, 0.5 * self.height.get() + isolevel)
+        Bounds2::symmetric(f32::INFINITY, 0.5 * self.height.in_frame() + isolevel)
     }
 }

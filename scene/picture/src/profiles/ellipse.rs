@@ -37,7 +37,7 @@ impl ProfileSdf for Ellipse {
     }
 
     fn distance<R: Real>(&self, x: R, y: R) -> R {
-        let [width, height] = self.size.each_ref().map(|extent| extent.get() / 2.0);
+        let [width, height] = self.size.each_ref().map(|extent| extent.in_frame() / 2.0);
         let (a, b) = (width.max(height), width.min(height));
         let is_tall = x.uniform(width).lt(x.uniform(height));
         let (along, across) = (R::select(is_tall, y, x).abs(), R::select(is_tall, x, y).abs());
@@ -64,6 +64,6 @@ impl ProfileSdf for Ellipse {
 
     fn extent(&self, isolevel: f32) -> Bounds2 {
         let [width, height] = &self.size;
-        Bounds2::symmetric(width.get() / 2.0, height.get() / 2.0).widened(isolevel)
+        Bounds2::symmetric(width.in_frame() / 2.0, height.in_frame() / 2.0).widened(isolevel)
     }
 }

@@ -54,7 +54,7 @@ impl TryFrom<Vec<Point2>> for PolygonVertices {
 
 fn edges(spots: &[Point2]) -> Vec<Edge> {
     let ends = spots.iter().zip(spots.iter().cycle().skip(1));
-    ends.map(|(from, to)| Edge::new(from.get(), to.get())).collect()
+    ends.map(|(from, to)| Edge::new(from.in_frame(), to.in_frame())).collect()
 }
 
 impl Seek for PolygonVertices {

@@ -70,7 +70,7 @@ fn fold<R: Real>(x: R, y: R, n: u32) -> (R, R) {
 impl RegularPolygon {
     /// Distance from the origin to a side.
     fn apothem(&self) -> f32 {
-        self.radius.get() * half_sector_sin_cos(self.sides).1
+        self.radius.in_frame() * half_sector_sin_cos(self.sides).1
     }
 }
 
@@ -85,7 +85,7 @@ impl ProfileSdf for RegularPolygon {
 
     fn distance<R: Real>(&self, x: R, y: R) -> R {
         let (s, c) = half_sector_sin_cos(self.sides);
-        let apothem = self.apothem() - self.round.get();
+        let apothem = self.apothem() - self.round.in_frame();
         let (up, across) = fold(x, y, self.sides);
         let past_side = up.mul_add(x.uniform(c), across.mul_add(x.uniform(s), -x.uniform(apothem)));
         // Half of a side is its apothem times the tangent of half its angle.
@@ -96,13 +96,13 @@ impl ProfileSdf for RegularPolygon {
     }
 
     fn extent(&self, isolevel: f32) -> Bounds2 {
-        Bounds2::symmetric(self.radius.get(), self.radius.get()).widened(isolevel)
+        Bounds2::symmetric(self.radius.in_frame(), self.radius.in_frame()).widened(isolevel)
     }
 
     fn validate(&self) -> Option<NodeError> {
         let most = self.apothem();
         let message = format!("must be at most the distance from the center to a side: make round {most} or less");
-        (self.round.get() > most).then(|| NodeError::new("round", message))
+        (self.round.in_frame() > most).then(|| NodeError::new("round", message))
     }
 }
 
@@ -117,7 +117,7 @@ impl ProfileSdf for Star {
 
     fn distance<R: Real>(&self, x: R, y: R) -> R {
         let (s, c) = half_sector_sin_cos(self.points);
-        let (outer, inner) = (self.outer.get(), self.inner.get());
+        let (outer, inner) = (self.outer.in_frame(), self.inner.in_frame());
         // The edge from the point down to the notch.
         let (edge_up, edge_across) = (inner * c - outer, inner * s);
         let over_square = 1.0 / (edge_up * edge_up + edge_across * edge_across);
@@ -133,7 +133,7 @@ impl ProfileSdf for Star {
     }
 
     fn extent(&self, isolevel: f32) -> Bounds2 {
-        let radius = self.outer.get().max(self.inner.get());
+        let radius = self.outer.in_frame().max(self.inner.in_frame());
         Bounds2::symmetric(radius, radius).widened(isolevel)
     }
 }

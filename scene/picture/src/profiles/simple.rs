@@ -29,7 +29,7 @@ impl ProfileSdf for Circle {
     }
 
     fn extent(&self, isolevel: f32) -> Bounds2 {
-        Bounds2::symmetric(self.radius.get(), self.radius.get()).widened(isolevel)
+        Bounds2::symmetric(self.radius.in_frame(), self.radius.in_frame()).widened(isolevel)
     }
 }
 
@@ -64,13 +64,13 @@ impl ProfileSdf for Rectangle {
 
     fn extent(&self, isolevel: f32) -> Bounds2 {
         let [width, height] = &self.size;
-        Bounds2::symmetric(width.get() / 2.0, height.get() / 2.0).widened(isolevel)
+        Bounds2::symmetric(width.in_frame() / 2.0, height.in_frame() / 2.0).widened(isolevel)
     }
 
     fn validate(&self) -> Option<NodeError> {
         let [width, height] = &self.size;
-        let most = width.get().min(height.get()) / 2.0;
+        let most = width.in_frame().min(height.in_frame()) / 2.0;
         let message = format!("must be at most half of the shorter side: make round {most} or less");
-        (self.round.get() > most).then(|| NodeError::new("round", message))
+        (self.round.in_frame() > most).then(|| NodeError::new("round", message))
     }
 }

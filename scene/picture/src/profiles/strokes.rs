@@ -37,7 +37,7 @@ impl ProfileSdf for Arc {
     }
 
     fn distance<R: Real>(&self, x: R, y: R) -> R {
-        let (s, c) = sin_cos_degrees(self.degrees.get() / 2.0);
+        let (s, c) = sin_cos_degrees(self.degrees.in_frame() / 2.0);
         let radius = self.radius.get();
         let across = x.abs();
         let (from_end_x, from_end_y) = (across - x.uniform(s * radius), y - x.uniform(c * radius));
@@ -48,17 +48,18 @@ impl ProfileSdf for Arc {
     }
 
     fn extent(&self, isolevel: f32) -> Bounds2 {
-        let (s, c) = sin_cos_degrees(self.degrees.get() / 2.0);
-        let radius = self.radius.get();
+        let (s, c) = sin_cos_degrees(self.degrees.in_frame() / 2.0);
+        let radius = self.radius.in_frame();
         let across = if c < 0.0 { radius } else { radius * s };
-        Bounds2 { low: [-across, radius * c], high: [across, radius] }.widened(self.thickness.get() / 2.0 + isolevel)
+        Bounds2 { low: [-across, radius * c], high: [across, radius] }
+            .widened(self.thickness.in_frame() / 2.0 + isolevel)
     }
 
     fn exactness(&self) -> Exactness {
         // Inside, the distance to the outline follows from the distance to the center line, unless the line's ends, or
         // both sides of its circle, are closer to each other than the thickness.
-        let (s, c) = sin_cos_degrees(self.degrees.get() / 2.0);
-        let (radius, half) = (self.radius.get(), self.thickness.get() / 2.0);
+        let (s, c) = sin_cos_degrees(self.degrees.in_frame() / 2.0);
+        let (radius, half) = (self.radius.in_frame(), self.thickness.in_frame() / 2.0);
         let is_closed = s == 0.0;
         if half <= radius && (c >= 0.0 || is_closed || radius * s >= half) {
             Exactness::Exact
@@ -83,7 +84,7 @@ pub struct Bezier {
 
 impl Bezier {
     fn curve(&self) -> QuadraticBezier {
-        let [from, control, to] = self.points.each_ref().map(Point2::get);
+        let [from, control, to] = self.points.each_ref().map(Point2::in_frame);
         QuadraticBezier { from, control, to }
     }
 }
@@ -105,14 +106,14 @@ impl ProfileSdf for Bezier {
     }
 
     fn extent(&self, isolevel: f32) -> Bounds2 {
-        self.curve().extent().widened(self.thickness.get() / 2.0 + isolevel)
+        self.curve().extent().widened(self.thickness.in_frame() / 2.0 + isolevel)
     }
 
     fn exactness(&self) -> Exactness {
         // Inside, the distance to the outline follows from the distance to the curve, if no circle with the thickness
         // as its diameter touches the curve twice. A parabola turns by less than 180 degrees, so no circle does unless
         // it is larger than the smallest circle of curvature.
-        let is_slack = self.thickness.get() / 2.0 <= self.curve().least_radius();
+        let is_slack = self.thickness.in_frame() / 2.0 <= self.curve().least_radius();
         if is_slack { Exactness::Exact } else { Exactness::Bound }
     }
 

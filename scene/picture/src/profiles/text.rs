@@ -77,7 +77,7 @@ impl ProfileSdf for Text {
     }
 
     fn extent(&self, isolevel: f32) -> Bounds2 {
-        let size = self.size.get();
+        let size = self.size.in_frame();
         let letters = self.string.letters().iter();
         let corners = letters.flat_map(|letter| [letter.extent.low, letter.extent.high]);
         Bounds2::from_points(corners.map(|corner| corner.map(|c| c * size))).widened(isolevel)

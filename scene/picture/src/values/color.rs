@@ -11,7 +11,7 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use super::track::{self, KeyframeValue, WrittenTrack};
 use super::{Channel, ColorTemperature, PeekedMap, triple};
 use crate::color::{linear_from_srgb, of_temperature};
-use crate::real::{Vec3, vec3};
+use crate::real::{Uniform, Vec3, vec3};
 use crate::seek::{FrameTime, Seek, SeekError};
 
 /// A color in linear light; above 1 is allowed. Two are equal if their channels are.
@@ -34,7 +34,7 @@ impl MovingColor {
     fn light(&self) -> Vec3<f32> {
         match self {
             Self::Channels(channels) => light_of(channels),
-            Self::Temperature { kelvin } => of_temperature(kelvin.get()),
+            Self::Temperature { kelvin } => of_temperature(kelvin.in_frame()),
         }
     }
 }
@@ -45,8 +45,13 @@ impl Color {
         Self { linear: vec3(red, green, blue), moving: None }
     }
 
-    /// Red, green, blue, in linear light.
-    pub fn get(&self) -> Vec3<f32> {
+    /// Red, green, blue, in linear light, for a formula.
+    pub fn get(&self) -> Vec3<Uniform> {
+        self.linear.into()
+    }
+
+    /// Red, green, blue, in linear light, in this frame.
+    pub fn in_frame(&self) -> Vec3<f32> {
         self.linear
     }
 
@@ -68,7 +73,7 @@ impl Color {
 
 fn light_of(channels: &[Channel; 3]) -> Vec3<f32> {
     let [red, green, blue] = channels;
-    vec3(red.get(), green.get(), blue.get())
+    vec3(red.in_frame(), green.in_frame(), blue.in_frame())
 }
 
 impl Seek for Color {
@@ -153,11 +158,11 @@ impl<'de> Visitor<'de> for ColorVisitor {
         match key.as_str() {
             "keys" | "ease" | "loop" => {
                 let written = WrittenTrack::<KeyframeColor>::deserialize(map)?;
-                triple::of_track(&written, |key, axis| <[f32; 3]>::from(key.0.get())[axis]).map(of_channels)
+                triple::of_track(&written, |key, axis| <[f32; 3]>::from(key.0.in_frame())[axis]).map(of_channels)
             }
             "kelvin" => {
                 let WrittenTemperature { kelvin } = WrittenTemperature::deserialize(map)?;
-                let linear = of_temperature(kelvin.get());
+                let linear = of_temperature(kelvin.in_frame());
                 let moving = kelvin.is_animated().then(|| Box::new(MovingColor::Temperature { kelvin }));
                 Ok(Color { linear, moving })
             }

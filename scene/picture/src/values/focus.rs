@@ -28,8 +28,8 @@ impl Focus {
     /// point is not ahead of it.
     pub fn distance(&self, position: Vec3<f32>, forward: Vec3<f32>) -> f32 {
         match self {
-            Self::Distance(distance) => distance.get(),
-            Self::Point(point) => (point.get() - position).dot(forward),
+            Self::Distance(distance) => distance.in_frame(),
+            Self::Point(point) => (point.in_frame() - position).dot(forward),
         }
     }
 }

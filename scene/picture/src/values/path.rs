@@ -59,7 +59,7 @@ impl track::KeyframeValue for Fraction {
 
 impl<'de> Deserialize<'de> for Fraction {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        super::motion::read_constant::<super::Fraction, D>(deserializer).map(|fraction| Self(fraction.get()))
+        super::motion::read_constant::<super::Fraction, D>(deserializer).map(|fraction| Self(fraction.in_frame()))
     }
 }
 

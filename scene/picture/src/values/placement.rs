@@ -26,7 +26,7 @@ impl Placement {
             Angles::Fixed(rotation) => rotation.inverse_rows(),
             Angles::About(degrees) => {
                 let axis = self.axis.as_ref().map_or(vec3(0.0, 1.0, 0.0), Direction::unit);
-                inverse_rows_about(axis, degrees.get())
+                inverse_rows_about(axis, degrees.in_frame())
             }
         })
     }
@@ -54,8 +54,8 @@ impl Placement {
 
     /// A point of the group, as seen in the scene.
     pub fn to_scene(&self, p: Vec3<f32>) -> Vec3<f32> {
-        let about = self.about.as_ref().map_or(vec3(0.0, 0.0, 0.0), Point::get);
-        let by = self.by.as_ref().map_or(vec3(0.0, 0.0, 0.0), Point::get);
+        let about = self.about.as_ref().map_or(vec3(0.0, 0.0, 0.0), Point::in_frame);
+        let by = self.by.as_ref().map_or(vec3(0.0, 0.0, 0.0), Point::in_frame);
         self.direction_to_scene(p - about) + about + by
     }
 }

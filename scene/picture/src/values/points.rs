@@ -8,7 +8,7 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use super::{Coordinate, Degrees, triple};
 use crate::limits::{MAX_LENGTH, MIN_LENGTH};
-use crate::real::{Real, Vec3, vec3};
+use crate::real::{Real, Uniform, Vec3, vec3};
 use crate::seek::{FrameTime, Seek, SeekError};
 
 /// A point or an offset, in scene units.
@@ -33,9 +33,14 @@ impl JsonSchema for Point {
 }
 
 impl Point {
-    /// Its coordinates.
-    pub fn get(&self) -> Vec3<f32> {
+    /// Its coordinates, for a formula.
+    pub fn get(&self) -> Vec3<Uniform> {
         vec3(self.0.get(), self.1.get(), self.2.get())
+    }
+
+    /// Its coordinates in this frame.
+    pub fn in_frame(&self) -> Vec3<f32> {
+        vec3(self.0.in_frame(), self.1.in_frame(), self.2.in_frame())
     }
 
     /// The nearest point whose coordinates are in range.
@@ -78,7 +83,7 @@ impl Direction {
 
 /// A point as a direction of length 1; `None` if it is the origin.
 pub(crate) fn unit_of(given: &Point) -> Option<Vec3<f32>> {
-    let numbers = <[f32; 3]>::from(given.get());
+    let numbers = <[f32; 3]>::from(given.in_frame());
     let largest = numbers.iter().fold(0.0_f32, |largest, c| largest.max(c.abs()));
     // Scaled first, so that squares neither overflow nor underflow.
     let [x, y, z] = numbers.map(|c| c / largest);
@@ -149,7 +154,7 @@ impl Rotation {
 
 /// The columns of Rz·Ry·Rx, which are the rows of its inverse.
 fn inverse_rows(degrees: &[Degrees; 3]) -> [Vec3<f32>; 3] {
-    inverse_rows_of(degrees.each_ref().map(Degrees::get))
+    inverse_rows_of(degrees.each_ref().map(Degrees::in_frame))
 }
 
 /// Rows of the inverse of a rotation by these angles in degrees about the fixed x, y and z axes.

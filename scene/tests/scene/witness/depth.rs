@@ -93,7 +93,7 @@ fn measure(path: &Path) -> (usize, usize, usize, String) {
     let program = Integrator::new(&at_frame);
     let (scene, image) = (at_frame.scene(), at_frame.image());
     let view = scene.camera.view(image.width, image.height);
-    let farthest = f64::from(scene.march.max_distance.get());
+    let farthest = f64::from(scene.march.max_distance.in_frame());
     let stride = (f64::from(image.width) * f64::from(image.height) / PIXELS).sqrt().round() as usize;
     let (mut looked, mut wrong, mut untold, mut examples) = (0, 0, 0, String::new());
     for y in (stride / 2..image.height as usize).step_by(stride) {

@@ -258,7 +258,7 @@ fn level_intervals(levels: &[(f32, Bounds)], regions: &Regions) -> Intervals {
 impl JoinRange {
     fn new(kind: &JoinKind) -> Self {
         match kind {
-            JoinKind::Union(smooth) if smooth.get() > 0.0 => Self::Union(smooth.get()),
+            JoinKind::Union(smooth) if smooth.in_frame() > 0.0 => Self::Union(smooth.in_frame()),
             JoinKind::Union(_) | JoinKind::Objects => Self::Least,
             JoinKind::Scale(by) => Self::Scale(*by),
         }

@@ -155,7 +155,7 @@ impl Real for Symbol {
         emit(Step::Constant, &[value.to_bits()])
     }
 
-    fn uniform(self, value: f32) -> Self {
+    fn input(self, value: f32) -> Self {
         self.uniform_bits(value.to_bits())
     }
 

@@ -32,7 +32,7 @@ impl<'a> Integrator<'a> {
     pub fn of_picture(at_frame: &'a JobAtFrame<'_>, how: &dyn CellBuilder) -> Self {
         let own = Self::new(at_frame);
         let cells = program(at_frame).map(|program| {
-            let reach = super::reach(own.bounds, &own.view, own.scene.march.max_distance.get());
+            let reach = super::reach(own.bounds, &own.view, own.scene.march.max_distance.in_frame());
             Cells::new(program, reach, how)
         });
         // Cells have other parts of rays.

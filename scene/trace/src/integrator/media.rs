@@ -79,7 +79,7 @@ impl<'a> Media<'a> {
                 continue;
             }
             let own = tree.shape.bounds(0.0);
-            let within = if own.is_finite() { own.diagonal() } else { scene.march.max_distance.get() };
+            let within = if own.is_finite() { own.diagonal() } else { scene.march.max_distance.in_frame() };
             all.push(Medium { object, step: within / filling.steps() as f32, material: filling });
             bounds = if all.len() == 1 { own } else { bounds.union(own) };
             max_steps += filling.steps();

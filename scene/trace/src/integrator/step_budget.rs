@@ -26,7 +26,7 @@ impl Integrator<'_> {
             let (across, down) = r2_point(number);
             let of_lens = || richtmyer_point(number);
             let ray = self.view.ray_through_lens(across * width as f32, down * height as f32, of_lens);
-            let (nearest, farthest) = self.bounds.intersect_ray(&ray, self.scene.march.max_distance.get());
+            let (nearest, farthest) = self.bounds.intersect_ray(&ray, self.scene.march.max_distance.in_frame());
             rays += 1;
             if nearest >= farthest {
                 continue;

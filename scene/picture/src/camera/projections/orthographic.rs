@@ -31,7 +31,7 @@ impl Project for Orthographic {
     }
 
     fn extent(&self, _: Option<&FieldOfView>, aspect: f32, height: f32) -> Extent {
-        let half = self.height.get() * 0.5;
+        let half = self.height.in_frame() * 0.5;
         let footprint = Tolerance { slope: 0.0, floor: half / height };
         Extent { half_width: aspect * half, half_height: half, footprint }
     }

@@ -25,7 +25,7 @@ impl Project for Perspective {
     }
 
     fn extent(&self, fov: Option<&FieldOfView>, aspect: f32, height: f32) -> Extent {
-        let fov = fov.map_or(DEFAULT_FOV_DEGREES, FieldOfView::get);
+        let fov = fov.map_or(DEFAULT_FOV_DEGREES, FieldOfView::in_frame);
         let (sine, cosine) = Real::sin_cos(fov * (std::f32::consts::PI / 360.0));
         let tangent = sine / cosine;
         let footprint = Tolerance { slope: tangent / height, floor: 0.0 };

@@ -47,7 +47,7 @@ impl Bricks {
     /// Sample at a point of the plane with a footprint: 1 in a brick and 0 in mortar, and the position of the brick's
     /// color between its two colors.
     fn sample_plane<R: Real>(&self, across: (R, R), up: (R, R), plane: u32) -> BrickSample<R> {
-        let (width, height) = (self.size[0].get(), self.size[1].get());
+        let (width, height) = (self.size[0].in_frame(), self.size[1].in_frame());
         let ((across, seen_across), (up, seen_up)) = (across, up);
         let v = up * up.uniform(1.0 / height);
         let row = v.floor();
@@ -61,12 +61,12 @@ impl Bricks {
     /// Fraction of brick along one edge of it, at the fraction `part` of its length, averaged over a footprint.
     fn inside<R: Real>(&self, part: R, length: f32, seen: R) -> R {
         let half = part.uniform(0.5 * self.mortar.get());
-        let window = softened(self.softness.get(), seen);
+        let window = softened(self.softness.in_frame(), seen);
         // Fraction of the footprint before a distance from the joint's center: mortar is between the joint's edges.
         let from_middle = (part - 0.5).abs().mul_add(part.uniform(-length), part.uniform(0.5 * length));
         let before = |edge: R| ((edge - from_middle) / window + 0.5).at_least(0.0).at_most(1.0);
         let mortar = before(half) - before(-half);
-        let mean = part.uniform((self.mortar.get() / length).min(1.0));
+        let mean = part.uniform((self.mortar.in_frame() / length).min(1.0));
         let kept = kept(seen, 2.0 * length);
         part.constant(1.0) - (mortar - mean).mul_add(kept, mean).at_most(1.0)
     }

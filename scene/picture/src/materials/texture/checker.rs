@@ -48,7 +48,7 @@ pub enum Axes {
 impl Checker {
     /// Parity of a coordinate's cell: 1 or −1, and in between on a border.
     fn parity<R: Real>(&self, x: R, seen: R) -> R {
-        square_wave(x, self.cell.get(), self.softness.get(), seen)
+        square_wave(x, self.cell.in_frame(), self.softness.in_frame(), seen)
     }
 }
 

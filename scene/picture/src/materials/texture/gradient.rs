@@ -66,7 +66,7 @@ fn slope(from: f32, to: f32) -> f32 {
 
 /// 0 if `x` is `from`, 1 if it is `to`.
 fn between<R: Real>(x: R, from: &LengthOrZero, to: &LengthOrZero) -> R {
-    (x - x.uniform(from.get())) * x.uniform(slope(from.get(), to.get()))
+    (x - x.uniform(from.get())) * x.uniform(slope(from.in_frame(), to.in_frame()))
 }
 
 impl GradientBy {
@@ -75,7 +75,7 @@ impl GradientBy {
         let like = place.normal.x;
         match self {
             Self::Position { from, to } => {
-                let (from, to) = (from.get(), to.get());
+                let (from, to) = (from.in_frame(), to.in_frame());
                 let way = vec3(to.x - from.x, to.y - from.y, to.z - from.z);
                 let scale = 1.0 / way.length_squared().max(1e-12);
                 let way = vec3(way.x * scale, way.y * scale, way.z * scale);

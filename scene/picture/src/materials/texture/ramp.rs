@@ -36,7 +36,7 @@ impl Ramp {
     pub fn at<R: Real>(&self, share: R, place: &ShadingPoint<R>) -> Vec3<R> {
         let mut color = self.0[0].1.at(place);
         for pair in self.0.windows(2) {
-            let (from, to) = (pair[0].0.get(), pair[1].0.get());
+            let (from, to) = (pair[0].0.in_frame(), pair[1].0.in_frame());
             let slope = 1.0 / (to - from).max(MIN_STEP);
             let way = ((share - share.uniform(from)) * share.uniform(slope)).at_least(0.0).at_most(1.0);
             color = lerp_colors(color, pair[1].1.at(place), way);
@@ -53,8 +53,8 @@ impl Ramp {
 fn out_of_order(before: &RampStop, stop: &RampStop) -> String {
     format!(
         "is at {}, less than the stop before it at {}: put stops in order, from 0 to 1",
-        stop.0.get(),
-        before.0.get()
+        stop.0.in_frame(),
+        before.0.in_frame()
     )
 }
 

@@ -38,7 +38,7 @@ impl Pattern for Stripes {
     fn color<R: Real>(&self, place: &ShadingPoint<R>) -> Vec3<R> {
         let along = place.local_point.dot_uniform(self.direction.unit());
         let seen = place.width_along(self.direction.unit());
-        let wave = square_wave(along, self.width.get(), self.softness.get(), seen);
+        let wave = square_wave(along, self.width.in_frame(), self.softness.in_frame(), seen);
         let share = wave.mul_add(along.constant(0.5), along.constant(0.5));
         lerp_colors(self.colors[1].at(place), self.colors[0].at(place), share)
     }

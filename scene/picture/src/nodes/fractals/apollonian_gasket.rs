@@ -54,7 +54,7 @@ impl Primitive for ApollonianGasket {
     const MORE_EXAMPLES: &[&str] = &[r#"{ "radius": 1, "iterations": 1 }"#, r#"{ "radius": 1, "iterations": 64 }"#];
 
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
-        let radius = self.radius.get();
+        let radius = self.radius.in_frame();
         clamp_to_hull(p.length() - p.x.uniform(radius), MARGIN * radius, || self.estimate(p))
     }
 
@@ -73,7 +73,7 @@ impl Primitive for ApollonianGasket {
     }
 
     fn bounds(&self, isolevel: f32) -> Bounds {
-        let reach = self.radius.get() + isolevel;
+        let reach = self.radius.in_frame() + isolevel;
         Bounds::symmetric(reach, reach, reach)
     }
 }

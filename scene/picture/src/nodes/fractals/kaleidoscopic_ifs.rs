@@ -64,8 +64,8 @@ impl Primitive for KaleidoscopicIfs {
     ];
 
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
-        let offset = self.offset.get();
-        let scale = self.scale.get();
+        let offset = self.offset.in_frame();
+        let scale = self.scale.in_frame();
         // Space is not scaled; the step of each iteration shrinks instead, so that no value overflows.
         let share = (scale - 1.0) / scale;
         let step = Vec3::uniform(p.x, offset.map(|c| c * share));
@@ -97,7 +97,7 @@ impl Primitive for KaleidoscopicIfs {
     }
 
     fn validate(&self) -> Option<NodeError> {
-        let is_nothing = self.offset.get().map(f32::abs).max_element() < 1e-6;
+        let is_nothing = self.offset.in_frame().map(f32::abs).max_element() < 1e-6;
         is_nothing.then(|| NodeError::new("offset", "has no length, so the shape has no size: make a coordinate 1"))
     }
 
@@ -115,7 +115,7 @@ impl Primitive for KaleidoscopicIfs {
 impl KaleidoscopicIfs {
     /// Radius of the ball that contains it.
     fn bounding_radius(&self) -> f32 {
-        self.offset.get().length()
+        self.offset.in_frame().length()
     }
 }
 

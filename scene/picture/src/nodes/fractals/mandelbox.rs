@@ -54,7 +54,7 @@ impl Primitive for Mandelbox {
     ];
 
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
-        let half = self.size.get() * 0.5;
+        let half = self.size.in_frame() * 0.5;
         let from_cube = distance_from_box(p, vec3(half, half, half));
         clamp_to_hull(from_cube, MARGIN * half, || self.estimate(p))
     }
@@ -64,7 +64,7 @@ impl Primitive for Mandelbox {
     }
 
     fn validate(&self) -> Option<NodeError> {
-        let (least, fixed, fold) = (self.min_radius.get(), self.fixed_radius.get(), self.fold.get());
+        let (least, fixed, fold) = (self.min_radius.in_frame(), self.fixed_radius.in_frame(), self.fold.in_frame());
         if least > fixed {
             let cure = format!("is more than fixed_radius: make min_radius {fixed} or less");
             return Some(NodeError::new("min_radius", cure));
@@ -85,17 +85,17 @@ impl Primitive for Mandelbox {
     }
 
     fn bounds(&self, isolevel: f32) -> Bounds {
-        let half = self.size.get() * 0.5;
+        let half = self.size.in_frame() * 0.5;
         Bounds::symmetric(half, half, half).expanded(isolevel)
     }
 }
 
 impl Mandelbox {
     fn estimate<R: Real>(&self, p: Vec3<R>) -> R {
-        let (scale, fold) = (self.scale.get(), self.fold.get());
+        let (scale, fold) = (self.scale.in_frame(), self.fold.in_frame());
         // In units of the fold, so that all numbers are near 1.
-        let unit = self.size.get() * 0.5 / self.half_edge();
-        let (least, fixed) = (self.min_radius.get() / fold, self.fixed_radius.get() / fold);
+        let unit = self.size.in_frame() * 0.5 / self.half_edge();
+        let (least, fixed) = (self.min_radius.in_frame() / fold, self.fixed_radius.in_frame() / fold);
         let (least, fixed) = (p.x.uniform(least * least), p.x.uniform(fixed * fixed));
         let (growth, slope_growth) = (fixed * p.x.uniform(scale), fixed * p.x.uniform(scale.abs()));
         let start = p * p.x.uniform(1.0 / unit);
@@ -118,7 +118,7 @@ impl Mandelbox {
     /// faster, because no fold reduces a length by more than the growth increases it. For s < −1 and a = 2 + e each
     /// step multiplies x − 2 by at least |s|.
     fn half_edge(&self) -> f32 {
-        let scale = self.scale.get();
+        let scale = self.scale.in_frame();
         if scale > 0.0 { 2.0 * (scale + 1.0) / (scale - 1.0) } else { 2.0 }
     }
 }

@@ -56,9 +56,9 @@ impl Primitive for MandelbrotRelief {
     ];
 
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
-        let (half, half_height) = (self.size.get() * 0.5, self.height.get() * 0.5);
+        let (half, half_height) = (self.size.in_frame() * 0.5, self.height.in_frame() * 0.5);
         let p = vec3(p.x, p.y - p.x.uniform(half_height), p.z);
-        clamp_to_hull(distance_from_box(p, vec3(half, half_height, half)), MARGIN * self.size.get(), || {
+        clamp_to_hull(distance_from_box(p, vec3(half, half_height, half)), MARGIN * self.size.in_frame(), || {
             let across = self.planar_distance(p.x, p.z);
             let along = p.y.abs() - p.x.uniform(half_height);
             let outside = across.at_least(0.0).square_add(along.at_least(0.0).square()).sqrt();
@@ -71,11 +71,11 @@ impl Primitive for MandelbrotRelief {
     }
 
     fn validate(&self) -> Option<NodeError> {
-        let [real, imaginary] = self.center.each_ref().map(Coordinate::get);
+        let [real, imaginary] = self.center.each_ref().map(Coordinate::in_frame);
         if real.abs().max(imaginary.abs()) > 2.0 {
             return Some(NodeError::new("center", "is outside ±2, where the set is: make both numbers from -2 to 2"));
         }
-        let is_near = (1e-4..=8.0).contains(&self.width.get());
+        let is_near = (1e-4..=8.0).contains(&self.width.in_frame());
         (!is_near).then(|| NodeError::new("width", "must be from 0.0001 to 8: make it 3 to see the whole set"))
     }
 
@@ -84,7 +84,7 @@ impl Primitive for MandelbrotRelief {
     }
 
     fn bounds(&self, isolevel: f32) -> Bounds {
-        let (half, height) = (self.size.get() * 0.5, self.height.get());
+        let (half, height) = (self.size.in_frame() * 0.5, self.height.in_frame());
         Bounds { min: vec3(-half, 0.0, -half), max: vec3(half, height, half) }.expanded(isolevel)
     }
 }
@@ -92,7 +92,7 @@ impl Primitive for MandelbrotRelief {
 impl MandelbrotRelief {
     /// Lower bound of the distance to the set in the plane, in scene units; slightly below 0 inside.
     fn planar_distance<R: Real>(&self, x: R, z: R) -> R {
-        let [real, imaginary] = self.center.each_ref().map(Coordinate::get);
+        let [real, imaginary] = self.center.each_ref().map(Coordinate::in_frame);
         let unit = x.uniform(self.width.get() / self.size.get());
         let (cx, cy) = (x.mul_add(unit, x.uniform(real)), x.uniform(imaginary) - z * unit);
         let one = x.constant(1.0);

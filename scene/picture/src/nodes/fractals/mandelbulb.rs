@@ -70,11 +70,11 @@ impl Primitive for Mandelbulb {
         if self.julia.is_some() && as_integer(&self.power).is_none() {
             let cure = format!(
                 "must be a whole number for a Julia set, because other powers are discontinuous: make it {}, the same in all frames",
-                self.power.get().round()
+                self.power.in_frame().round()
             );
             return Some(NodeError::new("power", cure));
         }
-        let is_long = self.julia.as_ref().is_some_and(|constant| constant.get().length() > MAX_JULIA_LENGTH);
+        let is_long = self.julia.as_ref().is_some_and(|constant| constant.in_frame().length() > MAX_JULIA_LENGTH);
         is_long.then(|| {
             let cure = "is longer than 1.5, so the set is only dust: make the sum of its squares 2.25 or less";
             NodeError::new("julia", cure)
@@ -123,11 +123,11 @@ impl Mandelbulb {
     /// to their distance from it.
     fn julia_distance<R: Real>(&self, p: Vec3<R>, constant: Vec3<R>) -> R {
         let one = p.x.constant(1.0);
-        let whole = self.power.get() as u32;
+        let whole = self.power.in_frame() as u32;
         let power = one.uniform(self.power.get());
         // Points that have not escaped by the last iteration are solid: their potential is at most ln
         // E/nᴺ.
-        let share = Real::powf(self.power.get(), -(self.iterations as f32));
+        let share = Real::powf(self.power.in_frame(), -(self.iterations as f32));
         let isolevel = one.uniform(JULIA_ESCAPE_LOGARITHM * share);
         let (_, radius, slope, isolevel) =
             R::repeat(self.iterations, (p, p.length(), one, isolevel), |(z, radius, slope, isolevel)| {
@@ -145,7 +145,7 @@ impl Mandelbulb {
     /// Beyond the radius R where Rⁿ − |c| = R orbits only grow; in a Julia set |c| is at most 1.5.
     fn bounding_radius(&self) -> f32 {
         match &self.julia {
-            _ if self.power.get() >= 3.0 => 1.5,
+            _ if self.power.in_frame() >= 3.0 => 1.5,
             Some(_) => 1.85,
             None => 2.0,
         }

@@ -33,7 +33,7 @@ impl Primitive for MengerSponge {
     const MORE_EXAMPLES: &[&str] = &[r#"{ "size": 1.3, "iterations": 1 }"#, r#"{ "size": 1.3, "iterations": 64 }"#];
 
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
-        let half = self.size.get() * 0.5;
+        let half = self.size.in_frame() * 0.5;
         let cube = distance_from_box(p, vec3(half, half, half));
         let place = vec3(p.x.abs(), p.y.abs(), p.z.abs());
         // Bars are a third of their cell wide: `third` is the width, half of it the greatest depth.
@@ -60,7 +60,7 @@ impl Primitive for MengerSponge {
     }
 
     fn bounds(&self, isolevel: f32) -> Bounds {
-        let half = self.size.get() * 0.5;
+        let half = self.size.in_frame() * 0.5;
         Bounds::symmetric(half, half, half).expanded(isolevel)
     }
 }

@@ -73,7 +73,7 @@ impl Primitive for QuaternionJulia {
 
 impl QuaternionJulia {
     fn estimate<R: Real>(&self, p: Vec3<R>) -> R {
-        let [real, x, y, z] = self.c.each_ref().map(Coordinate::get);
+        let [real, x, y, z] = self.c.each_ref().map(Coordinate::in_frame);
         let real = p.x.uniform(real);
         let imaginary = Vec3::uniform(p.x, vec3(x, y, z));
         let start = vec3(p.y, p.z, p.x.constant(0.0));
@@ -98,7 +98,7 @@ impl QuaternionJulia {
     }
 
     fn length(&self) -> f32 {
-        let [a, x, y, z] = self.c.each_ref().map(Coordinate::get);
+        let [a, x, y, z] = self.c.each_ref().map(Coordinate::in_frame);
         Real::sqrt(a * a + x * x + y * y + z * z)
     }
 

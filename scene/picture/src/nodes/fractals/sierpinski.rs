@@ -49,7 +49,7 @@ impl Primitive for Sierpinski {
     }
 
     fn bounds(&self, isolevel: f32) -> Bounds {
-        let half = self.size.get() * 0.5;
+        let half = self.size.in_frame() * 0.5;
         Bounds::symmetric(half, half, half).expanded(isolevel)
     }
 }

@@ -84,7 +84,7 @@ impl Bend {
     fn arc(&self) -> &BentBounds {
         self.arc.get(|| {
             let Bounds { min: low, max: high } = ended(self.child.bounds(0.0));
-            let curvature = self.degrees_per_unit.get().to_radians();
+            let curvature = self.degrees_per_unit.in_frame().to_radians();
             let up = if curvature < 0.0 { -1.0 } else { 1.0 };
             let curvature = curvature.abs().max(MIN_CURVATURE);
             let (low_y, high_y) = if up < 0.0 { (-high.y, -low.y) } else { (low.y, high.y) };
@@ -164,7 +164,7 @@ impl Sdf for Bend {
             return Some(fault);
         }
         let Bounds { min: low, max: high } = self.child.bounds(0.0);
-        let degrees = self.degrees_per_unit.get();
+        let degrees = self.degrees_per_unit.in_frame();
         let far = low.x.abs().max(high.x.abs());
         let high = if degrees < 0.0 { -low.y } else { high.y };
         let most = (180.0 / far).min(if high > 0.0 {

@@ -51,7 +51,7 @@ impl Sdf for Elongate {
     fn way_from_child<R: Real>(&self, next: &Self, [p, q]: [Vec3<R>; 2], way: Option<Vec3<R>>) -> Option<Vec3<R>> {
         let growths: [Option<f32>; 3] = std::array::from_fn(|axis| {
             let (by, next) = (&self.by[axis], &next.by[axis]);
-            by.is_animated().then(|| if by.get() == 0.0 { 0.0 } else { next.get() / by.get() - 1.0 })
+            by.is_animated().then(|| if by.in_frame() == 0.0 { 0.0 } else { next.in_frame() / by.in_frame() - 1.0 })
         });
         way_of_parts(growths, p - q, way)
     }
@@ -62,7 +62,7 @@ impl Sdf for Elongate {
 
     fn bounds(&self, isolevel: f32) -> Bounds {
         let Bounds { min: low, max: high } = self.child.bounds(isolevel);
-        let [x, y, z] = self.by.each_ref().map(|by| 0.5 * by.get());
+        let [x, y, z] = self.by.each_ref().map(|by| 0.5 * by.in_frame());
         Bounds { min: vec3(low.x - x, low.y - y, low.z - z), max: vec3(high.x + x, high.y + y, high.z + z) }
     }
 }
@@ -90,7 +90,7 @@ fn elongated<R: Real>(c: R, by: &LengthOrZero) -> R {
 
 impl Stretch {
     fn factors(&self) -> Vec3<f32> {
-        let [x, y, z] = self.by.each_ref().map(ScaleFactor::get);
+        let [x, y, z] = self.by.each_ref().map(ScaleFactor::in_frame);
         vec3(x, y, z)
     }
 

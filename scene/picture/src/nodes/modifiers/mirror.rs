@@ -48,7 +48,7 @@ impl Mirror {
             let bounds = held.bounds;
             let normal = self.normal.unit();
             let half = (bounds.max - bounds.min) * 0.5;
-            let middle = Vec3::dot(normal, (bounds.max + bounds.min) * 0.5) - self.offset.get();
+            let middle = Vec3::dot(normal, (bounds.max + bounds.min) * 0.5) - self.offset.in_frame();
             let reach = Vec3::dot(normal.map(f32::abs), half);
             // A box that touches the plane counts as crossing it, and so does one that rounding
             // cannot distinguish from it.
@@ -60,7 +60,7 @@ impl Mirror {
 
 impl Mirror {
     fn height<R: Real>(&self, p: Vec3<R>) -> R {
-        height(p, self.normal.unit(), self.offset.get())
+        height(p, self.normal.unit(), self.offset.in_frame())
     }
 
     fn image<R: Real>(&self, p: Vec3<R>) -> Vec3<R> {
@@ -86,7 +86,7 @@ impl Sdf for Mirror {
         let original = RepeatedChild::new(&self.child, held);
         // Along the normal on the side of the shape: the mirror image of a point there is farther away.
         let normal = self.normal.unit() * main;
-        let offset = self.offset.get() * main;
+        let offset = self.offset.in_frame() * main;
         let copies = p.x.uniform(if is_apart { 1.0 } else { 2.0 });
         let folded = Vec3::uniform(p.x, normal).mul_add(height(p, normal, offset).at_most(0.0) * -2.0, p);
         let (_, _, nearest) =
@@ -123,7 +123,7 @@ impl Sdf for Mirror {
             column(vec3(0.0, 1.0, 0.0), normal.y),
             column(vec3(0.0, 0.0, 1.0), normal.z),
         ]);
-        child.union(image.translated(normal * (2.0 * self.offset.get())))
+        child.union(image.translated(normal * (2.0 * self.offset.in_frame())))
     }
 
     fn child_evaluations(&self) -> f32 {

@@ -127,7 +127,7 @@ impl Repeat {
             let ends = [(bounds.min.x, bounds.max.x), (bounds.min.y, bounds.max.y), (bounds.min.z, bounds.max.z)];
             let axis = |index: usize| {
                 let (low, high) = ends[index];
-                self.cell[index].as_ref().map(|cell| Axis::new(cell.get(), self.count[index], low, high))
+                self.cell[index].as_ref().map(|cell| Axis::new(cell.in_frame(), self.count[index], low, high))
             };
             GridLayout { axes: [axis(0), axis(1), axis(2)], held }
         })
@@ -165,7 +165,7 @@ impl Sdf for Repeat {
     fn way_from_child<R: Real>(&self, next: &Self, [p, q]: [Vec3<R>; 2], way: Option<Vec3<R>>) -> Option<Vec3<R>> {
         let growths = std::array::from_fn(|axis| {
             let (cell, next) = (self.cell[axis].as_ref()?, next.cell[axis].as_ref()?);
-            cell.is_animated().then(|| next.get() / cell.get() - 1.0)
+            cell.is_animated().then(|| next.in_frame() / cell.in_frame() - 1.0)
         });
         way_of_parts(growths, p - q, way)
     }
@@ -190,7 +190,7 @@ impl Sdf for Repeat {
         let widths = [bounds.max.x - bounds.min.x, bounds.max.y - bounds.min.y, bounds.max.z - bounds.min.z];
         for (index, (cell, name)) in self.cell.iter().zip(["x", "y", "z"]).enumerate() {
             let (place, width) = (format!("cell/{index}"), widths[index]);
-            let Some(cell) = cell.as_ref().map(Spacing::get) else {
+            let Some(cell) = cell.as_ref().map(Spacing::in_frame) else {
                 if self.count[index].is_some() {
                     let message =
                         format!("counts copies along {name}, which is not repeated: give it a cell, or null here");

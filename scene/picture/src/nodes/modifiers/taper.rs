@@ -63,7 +63,7 @@ struct BoundingFrustum {
 impl Taper {
     /// Factor at a height.
     fn factor<R: Real>(&self, y: R) -> R {
-        let (bottom, top) = (self.bottom_factor.get(), self.top_factor.get());
+        let (bottom, top) = (self.bottom_factor.in_frame(), self.top_factor.in_frame());
         let factor = (y - y.uniform(self.bottom.get())).mul_add(y.uniform(self.frustum().slope), y.uniform(bottom));
         factor.max(y.uniform(bottom.min(top))).min(y.uniform(bottom.max(top)))
     }
@@ -77,8 +77,8 @@ impl Taper {
         self.frustum.get(|| {
             let bounds = ended(self.child.bounds(0.0));
             let radius = radius_about_y(bounds);
-            let (bottom, top) = (self.bottom_factor.get(), self.top_factor.get());
-            let slope = (top - bottom) / (self.top.get() - self.bottom.get()).max(1e-6);
+            let (bottom, top) = (self.bottom_factor.in_frame(), self.top_factor.in_frame());
+            let slope = (top - bottom) / (self.top.in_frame() - self.bottom.in_frame()).max(1e-6);
             let widest = bottom.max(top);
             let shrink = 1.0 / widest.max(1.0);
             let shear = radius * slope.abs();
@@ -140,8 +140,8 @@ impl Sdf for Taper {
     }
 
     fn validate(&self) -> Option<NodeError> {
-        if self.top.get() - self.bottom.get() < 1e-6 {
-            let message = format!("must be above bottom: make top more than {}", self.bottom.get());
+        if self.top.in_frame() - self.bottom.in_frame() < 1e-6 {
+            let message = format!("must be above bottom: make top more than {}", self.bottom.in_frame());
             return Some(NodeError::new("top", message));
         }
         require_bounded(&self.child, &['x', 'z'], "so a taper would move it without limit")
@@ -150,7 +150,7 @@ impl Sdf for Taper {
     fn bounds(&self, isolevel: f32) -> Bounds {
         let BoundingFrustum { radius, low, high, slant, lipschitz, .. } = *self.frustum();
         let beyond = isolevel / lipschitz;
-        let radius = radius * self.bottom_factor.get().max(self.top_factor.get());
+        let radius = radius * self.bottom_factor.in_frame().max(self.top_factor.in_frame());
         let radius = radius + beyond / slant;
         Bounds { min: vec3(-radius, low - beyond, -radius), max: vec3(radius, high + beyond, radius) }
     }

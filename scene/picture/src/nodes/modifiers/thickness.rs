@@ -55,7 +55,7 @@ impl Sdf for Round {
         child.with_distance(distance)
     }
 
-    at_a_distance!(self, self.radius.get());
+    at_a_distance!(self, self.radius.in_frame());
 }
 
 impl Sdf for Onion {
@@ -74,5 +74,5 @@ impl Sdf for Onion {
         child.with_distance(distance)
     }
 
-    at_a_distance!(self, 0.5 * self.thickness.get());
+    at_a_distance!(self, 0.5 * self.thickness.in_frame());
 }

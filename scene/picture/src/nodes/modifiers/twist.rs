@@ -61,7 +61,7 @@ impl Twist {
         self.cylinder.get(|| {
             let bounds = ended(self.child.bounds(0.0));
             let radius = radius_about_y(bounds);
-            let shear = radius * self.degrees_per_unit.get().to_radians().abs();
+            let shear = radius * self.degrees_per_unit.in_frame().to_radians().abs();
             let drawn_apart = 0.5 * (shear + Real::sqrt(shear * shear + 4.0));
             // Slightly more than rounding could reduce it.
             let lipschitz = self.child.lipschitz() * drawn_apart * (1.0 + 1e-6);

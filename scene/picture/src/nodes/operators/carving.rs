@@ -150,7 +150,7 @@ impl Sdf for Tongue {
     }
 
     fn bounds(&self, isolevel: f32) -> Bounds {
-        self.of[0].bounds(isolevel + self.height.get())
+        self.of[0].bounds(isolevel + self.height.in_frame())
     }
 }
 

@@ -177,7 +177,7 @@ impl Sdf for Chamfer {
 
     fn bounds(&self, isolevel: f32) -> Bounds {
         // On the bevel a + b ≤ size + √2 isolevel, so the lesser is at most half of that.
-        let reach = |isolevel: f32| isolevel.max(self.size.get() * 0.5 + isolevel * FRAC_1_SQRT_2);
+        let reach = |isolevel: f32| isolevel.max(self.size.in_frame() * 0.5 + isolevel * FRAC_1_SQRT_2);
         self.kind.bounds(&self.of, isolevel, reach)
     }
 }
@@ -199,7 +199,7 @@ impl Sdf for Stairs {
     ];
 
     fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>, sample: &impl Fn(usize, Vec3<R>) -> V) -> V {
-        let size = self.size.get();
+        let size = self.size.in_frame();
         let step = size / (self.steps + 1) as f32;
         fold_children(&self.of, p, sample, |a, b| {
             self.kind.combine(a, b, &self.size, |a: R, b: R| {
@@ -219,7 +219,7 @@ impl Sdf for Stairs {
 
     fn bounds(&self, isolevel: f32) -> Bounds {
         // On the steps ½(a + b − size) ≤ isolevel, so the lesser is at most isolevel + size/2.
-        let reach = |isolevel: f32| isolevel + self.size.get() * 0.5;
+        let reach = |isolevel: f32| isolevel + self.size.in_frame() * 0.5;
         self.kind.bounds(&self.of, isolevel, reach)
     }
 }
@@ -227,7 +227,7 @@ impl Sdf for Stairs {
 impl Columns {
     /// A column's radius, and the distance of its center from the seam along the diagonal.
     fn column_layout(&self) -> (f32, f32) {
-        let (size, count) = (self.size.get(), self.columns as f32);
+        let (size, count) = (self.size.in_frame(), self.columns as f32);
         match self.kind {
             SeamKind::Union => {
                 let radius = size * SQRT_2 / (2.0 * count + SQRT_2);
@@ -287,7 +287,7 @@ impl Sdf for Columns {
 
     fn bounds(&self, isolevel: f32) -> Bounds {
         // No column extends farther than a bevel of the same size, a + b ≤ size + √2 isolevel.
-        let reach = |isolevel: f32| isolevel.max(self.size.get() * 0.5 + isolevel * FRAC_1_SQRT_2);
+        let reach = |isolevel: f32| isolevel.max(self.size.in_frame() * 0.5 + isolevel * FRAC_1_SQRT_2);
         self.kind.bounds(&self.of, isolevel, reach)
     }
 }

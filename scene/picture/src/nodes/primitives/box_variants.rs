@@ -30,7 +30,7 @@ impl Primitive for BoxFrame {
     const MORE_EXAMPLES: &[&str] = &[r#"{ "size": [1.2, 1.8, 1], "thickness": 0.4 }"#];
 
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
-        let half = vec3(self.size[0].get(), self.size[1].get(), self.size[2].get()).map(|c| c * 0.5);
+        let half = vec3(self.size[0].in_frame(), self.size[1].in_frame(), self.size[2].in_frame()).map(|c| c * 0.5);
         let thickness = p.x.uniform(self.thickness.get());
         // Depth below the box's faces: by symmetry, from the corner where all coordinates are positive. A point is in
         // a beam if two of the three are at most its thickness, and none is below 0.
@@ -54,12 +54,12 @@ impl Primitive for BoxFrame {
 
     fn bounds(&self, isolevel: f32) -> Bounds {
         let [x, y, z] = &self.size;
-        Bounds::symmetric(x.get() / 2.0, y.get() / 2.0, z.get() / 2.0).expanded(isolevel)
+        Bounds::symmetric(x.in_frame() / 2.0, y.in_frame() / 2.0, z.in_frame() / 2.0).expanded(isolevel)
     }
 
     fn validate(&self) -> Option<NodeError> {
-        let least = self.size.iter().fold(f32::INFINITY, |least, extent| least.min(extent.get()));
-        (self.thickness.get() * 2.0 >= least).then(|| {
+        let least = self.size.iter().fold(f32::INFINITY, |least, extent| least.min(extent.in_frame()));
+        (self.thickness.in_frame() * 2.0 >= least).then(|| {
             let half = least / 2.0;
             NodeError::new(
                 "thickness",
@@ -87,8 +87,8 @@ impl Primitive for Rhombus {
     const MORE_EXAMPLES: &[&str] = &[r#"{ "diagonals": [0.9, 1.9], "height": 0.5 }"#];
 
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
-        let round = self.round.get();
-        let (x, z) = (self.diagonals[0].get() * 0.5 - round, self.diagonals[1].get() * 0.5 - round);
+        let round = self.round.in_frame();
+        let (x, z) = (self.diagonals[0].in_frame() * 0.5 - round, self.diagonals[1].in_frame() * 0.5 - round);
         let edge = Real::sqrt(x * x + z * z).max(1e-14);
         let (along_x, along_z) = (p.x.uniform(x / edge), p.x.uniform(z / edge));
         // By symmetry, the edge from the corner on +x to the corner on +z.
@@ -105,13 +105,13 @@ impl Primitive for Rhombus {
 
     fn bounds(&self, isolevel: f32) -> Bounds {
         let [x, z] = &self.diagonals;
-        Bounds::symmetric(x.get() / 2.0, self.height.get() / 2.0, z.get() / 2.0).expanded(isolevel)
+        Bounds::symmetric(x.in_frame() / 2.0, self.height.in_frame() / 2.0, z.in_frame() / 2.0).expanded(isolevel)
     }
 
     fn validate(&self) -> Option<NodeError> {
         let [x, z] = &self.diagonals;
-        let half = x.get().min(z.get()).min(self.height.get()) / 2.0;
-        (self.round.get() >= half).then(|| {
+        let half = x.in_frame().min(z.in_frame()).min(self.height.in_frame()) / 2.0;
+        (self.round.in_frame() >= half).then(|| {
             NodeError::new(
                 "round",
                 format!("must be less than half of the diagonals and of the height: make round less than {half}"),

@@ -27,12 +27,12 @@ impl Primitive for Cone {
     const EXAMPLE: &str = r#"{ "radius": 0.8, "height": 1.8 }"#;
 
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
-        to_capped_cone(p, self.radius.get(), 0.0, self.height.get())
+        to_capped_cone(p, self.radius.in_frame(), 0.0, self.height.in_frame())
     }
 
     fn bounds(&self, isolevel: f32) -> Bounds {
-        let radius = self.radius.get();
-        Bounds::symmetric(radius, self.height.get() / 2.0, radius).expanded(isolevel)
+        let radius = self.radius.in_frame();
+        Bounds::symmetric(radius, self.height.in_frame() / 2.0, radius).expanded(isolevel)
     }
 }
 
@@ -56,11 +56,11 @@ impl Primitive for CappedCone {
     const MORE_EXAMPLES: &[&str] = &[r#"{ "bottom_radius": 0, "top_radius": 0.8, "height": 1.2 }"#];
 
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
-        to_capped_cone(p, self.bottom_radius.get(), self.top_radius.get(), self.height.get())
+        to_capped_cone(p, self.bottom_radius.in_frame(), self.top_radius.in_frame(), self.height.in_frame())
     }
 
     fn validate(&self) -> Option<NodeError> {
-        let (bottom, top) = (self.bottom_radius.get(), self.top_radius.get());
+        let (bottom, top) = (self.bottom_radius.in_frame(), self.top_radius.in_frame());
         (bottom.max(top) == 0.0).then(|| {
             NodeError::new(
                 "bottom_radius",
@@ -70,8 +70,8 @@ impl Primitive for CappedCone {
     }
 
     fn bounds(&self, isolevel: f32) -> Bounds {
-        let radius = self.bottom_radius.get().max(self.top_radius.get());
-        Bounds::symmetric(radius, self.height.get() / 2.0, radius).expanded(isolevel)
+        let radius = self.bottom_radius.in_frame().max(self.top_radius.in_frame());
+        Bounds::symmetric(radius, self.height.in_frame() / 2.0, radius).expanded(isolevel)
     }
 }
 
@@ -114,7 +114,7 @@ impl Precompute for InfiniteConeParams {
     type Derived = (f32, f32);
 
     fn derive(&self) -> (f32, f32) {
-        sin_cos_degrees(self.degrees.get())
+        sin_cos_degrees(self.degrees.in_frame())
     }
 }
 
@@ -157,7 +157,7 @@ impl Primitive for RoundCone {
     const MORE_EXAMPLES: &[&str] = &[r#"{ "bottom_radius": 0.3, "top_radius": 0.6, "height": 1.7 }"#];
 
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
-        let (bottom, top, height) = (self.bottom_radius.get(), self.top_radius.get(), self.height.get());
+        let (bottom, top, height) = (self.bottom_radius.in_frame(), self.top_radius.in_frame(), self.height.in_frame());
         let apart = (height - bottom - top).max(0.0);
         // Growth of the radius along the axis: the sine of the angle between axis and side.
         let growth = ((top - bottom) / apart.max(1e-12)).clamp(-1.0, 1.0);
@@ -170,8 +170,8 @@ impl Primitive for RoundCone {
     }
 
     fn validate(&self) -> Option<NodeError> {
-        let least = 2.0 * self.bottom_radius.get().max(self.top_radius.get());
-        (self.height.get() < least).then(|| {
+        let least = 2.0 * self.bottom_radius.in_frame().max(self.top_radius.in_frame());
+        (self.height.in_frame() < least).then(|| {
             NodeError::new(
                 "height",
                 format!("must be at least twice the larger radius, to contain that ball: make height {least} or more"),
@@ -180,8 +180,8 @@ impl Primitive for RoundCone {
     }
 
     fn bounds(&self, isolevel: f32) -> Bounds {
-        let radius = self.bottom_radius.get().max(self.top_radius.get());
-        Bounds::symmetric(radius, self.height.get() / 2.0, radius).expanded(isolevel)
+        let radius = self.bottom_radius.in_frame().max(self.top_radius.in_frame());
+        Bounds::symmetric(radius, self.height.in_frame() / 2.0, radius).expanded(isolevel)
     }
 }
 
@@ -205,7 +205,7 @@ impl Precompute for SolidAngleParams {
     type Derived = (f32, f32);
 
     fn derive(&self) -> (f32, f32) {
-        sin_cos_degrees(self.degrees.get())
+        sin_cos_degrees(self.degrees.in_frame())
     }
 }
 
@@ -226,7 +226,7 @@ impl Primitive for SolidAngle {
     }
 
     fn bounds(&self, isolevel: f32) -> Bounds {
-        let radius = self.radius.get();
+        let radius = self.radius.in_frame();
         let (sine, cosine) = *self.derive();
         let across = if cosine < 0.0 { radius } else { radius * sine };
         let low = (radius * cosine).min(0.0);

@@ -57,7 +57,7 @@ impl Precompute for BezierTubeParams {
     type Derived = BezierCoefficients;
 
     fn derive(&self) -> BezierCoefficients {
-        let [a, b, c] = [&self.a, &self.b, &self.c].map(Point::get);
+        let [a, b, c] = [&self.a, &self.b, &self.c].map(Point::in_frame);
         let (slope, bend) = ((b - a) * 2.0, (a - b) + (c - b));
         let (along, bends) = (slope.length_squared(), bend.length_squared());
         let over_size = 1.0 / (along + bends).max(1e-20);
@@ -150,11 +150,11 @@ impl Primitive for BezierTube {
 
     fn exactness(&self) -> Exactness {
         // If a bend is sharper than the tube is thick, the depth inside exceeds the formula's value.
-        if self.derive().least_bend_radius() >= self.radius.get() { Exactness::Exact } else { Exactness::Bound }
+        if self.derive().least_bend_radius() >= self.radius.in_frame() { Exactness::Exact } else { Exactness::Bound }
     }
 
     fn bounds(&self, isolevel: f32) -> Bounds {
-        let (a, c) = (self.a.get(), self.c.get());
+        let (a, c) = (self.a.in_frame(), self.c.in_frame());
         let &BezierCoefficients { slope, bend, .. } = self.derive();
         // Along an axis, the curve is farthest where its derivative is 0.
         let furthest = |a: f32, slope: f32, bend: f32| {
@@ -163,6 +163,6 @@ impl Primitive for BezierTube {
         };
         let turn = vec3(furthest(a.x, slope.x, bend.x), furthest(a.y, slope.y, bend.y), furthest(a.z, slope.z, bend.z));
         let at = |corner: Vec3<f32>| Bounds { min: corner, max: corner };
-        at(a).union(at(c)).union(at(turn)).expanded(self.radius.get() + isolevel)
+        at(a).union(at(c)).union(at(turn)).expanded(self.radius.in_frame() + isolevel)
     }
 }

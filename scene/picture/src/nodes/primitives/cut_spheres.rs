@@ -47,7 +47,7 @@ impl Primitive for CutSphere {
     }
 
     fn bounds(&self, isolevel: f32) -> Bounds {
-        let (radius, cut) = (self.radius.get(), self.cut.get());
+        let (radius, cut) = (self.radius.in_frame(), self.cut.in_frame());
         let across = if cut > 0.0 { rim(&self.radius, &self.cut) } else { radius };
         Bounds { min: vec3(-across, cut, -across), max: vec3(across, radius, across) }.expanded(isolevel)
     }
@@ -70,7 +70,7 @@ pub struct CutHollowSphere {
 impl CutHollowSphere {
     /// Whether the brim leaves a hole at its center.
     fn is_open(&self) -> bool {
-        self.cut.get() <= 0.0 || rim(&self.radius, &self.cut) * 2.0 >= self.thickness.get()
+        self.cut.in_frame() <= 0.0 || rim(&self.radius, &self.cut) * 2.0 >= self.thickness.in_frame()
     }
 }
 
@@ -97,8 +97,8 @@ impl Primitive for CutHollowSphere {
     }
 
     fn validate(&self) -> Option<NodeError> {
-        let most = 2.0 * self.radius.get();
-        let swallowed = self.thickness.get() >= most;
+        let most = 2.0 * self.radius.in_frame();
+        let swallowed = self.thickness.in_frame() >= most;
         plane_misses_sphere(&self.radius, &self.cut).or_else(|| {
             swallowed.then(|| {
                 NodeError::new(
@@ -110,23 +110,23 @@ impl Primitive for CutHollowSphere {
     }
 
     fn bounds(&self, isolevel: f32) -> Bounds {
-        let (radius, cut) = (self.radius.get(), self.cut.get());
+        let (radius, cut) = (self.radius.in_frame(), self.cut.in_frame());
         let across = if cut < 0.0 { rim(&self.radius, &self.cut) } else { radius };
         let middle = Bounds { min: vec3(-across, -radius, -across), max: vec3(across, cut, across) };
-        middle.expanded(self.thickness.get() / 2.0 + isolevel)
+        middle.expanded(self.thickness.in_frame() / 2.0 + isolevel)
     }
 }
 
 /// Radius of the circle that a plane cuts out of a sphere.
 fn rim(radius: &Length, cut: &Coordinate) -> f32 {
-    let (radius, cut) = (radius.get(), cut.get());
+    let (radius, cut) = (radius.in_frame(), cut.in_frame());
     Real::sqrt((radius - cut) * (radius + cut))
 }
 
 /// Error for a plane that does not intersect the ball that it should cut.
 fn plane_misses_sphere(radius: &Length, cut: &Coordinate) -> Option<NodeError> {
-    let radius = radius.get();
-    (cut.get().abs() >= radius)
+    let radius = radius.in_frame();
+    (cut.in_frame().abs() >= radius)
         .then(|| NodeError::new("cut", format!("must pass through the ball: put it between {} and {radius}", -radius)))
 }
 
@@ -147,7 +147,7 @@ pub struct DeathStar {
 impl DeathStar {
     /// Circle where the surfaces of ball and bite intersect: its radius and its height.
     fn rim(&self) -> (f32, f32) {
-        let (radius, bite, distance) = (self.radius.get(), self.bite.get(), self.distance.get());
+        let (radius, bite, distance) = (self.radius.in_frame(), self.bite.in_frame(), self.distance.in_frame());
         let height = ((radius - bite) * (radius + bite) / distance + distance) * 0.5;
         (Real::sqrt((radius - height) * (radius + height)), height)
     }
@@ -171,7 +171,7 @@ impl Primitive for DeathStar {
     }
 
     fn validate(&self) -> Option<NodeError> {
-        let (radius, bite, distance) = (self.radius.get(), self.bite.get(), self.distance.get());
+        let (radius, bite, distance) = (self.radius.in_frame(), self.bite.in_frame(), self.distance.in_frame());
         let (low, high) = ((radius - bite).abs(), radius + bite);
         (distance <= low || distance >= high).then(|| {
             NodeError::new("distance", format!("must make the two surfaces intersect: put it between {low} and {high}"))
@@ -179,7 +179,7 @@ impl Primitive for DeathStar {
     }
 
     fn bounds(&self, isolevel: f32) -> Bounds {
-        let ((rim, height), radius) = (self.rim(), self.radius.get());
+        let ((rim, height), radius) = (self.rim(), self.radius.in_frame());
         let across = if height < 0.0 { rim } else { radius };
         Bounds { min: vec3(-across, -radius, -across), max: vec3(across, height, across) }.expanded(isolevel)
     }

@@ -33,7 +33,7 @@ impl Precompute for TriangleParams {
     type Derived = ConvexFace<3>;
 
     fn derive(&self) -> ConvexFace<3> {
-        let [a, b, c] = [&self.a, &self.b, &self.c].map(Point::get);
+        let [a, b, c] = [&self.a, &self.b, &self.c].map(Point::in_frame);
         ConvexFace::new([a, b, c], direction((b - a).cross(c - a)))
     }
 }
@@ -46,7 +46,7 @@ impl Primitive for Triangle {
     }
 
     fn bounds(&self, isolevel: f32) -> Bounds {
-        self.derive().bounds().expanded(self.radius.get() + isolevel)
+        self.derive().bounds().expanded(self.radius.in_frame() + isolevel)
     }
 }
 
@@ -79,20 +79,20 @@ impl QuadParams {
     /// Normal of the plane through the centers of its sides, and the height of the corners a and c above it; b and d
     /// are as far below.
     fn plane(&self) -> (Vec3<f32>, f32) {
-        let [a, b, c, d] = [&self.a, &self.b, &self.c, &self.d].map(Point::get);
+        let [a, b, c, d] = [&self.a, &self.b, &self.c, &self.d].map(Point::in_frame);
         let normal = direction((c - a).cross(d - b));
         (normal, ((a - b) + (c - d)).dot(normal) * 0.25)
     }
 
     /// The longer diagonal.
     fn size(&self) -> f32 {
-        let [a, b, c, d] = [&self.a, &self.b, &self.c, &self.d].map(Point::get);
+        let [a, b, c, d] = [&self.a, &self.b, &self.c, &self.d].map(Point::in_frame);
         (c - a).length().max((d - b).length())
     }
 
     /// Error for corners that are not in one plane.
     fn non_planar_error(&self) -> Option<NodeError> {
-        let [a, b, c, d] = [&self.a, &self.b, &self.c, &self.d].map(Point::get);
+        let [a, b, c, d] = [&self.a, &self.b, &self.c, &self.d].map(Point::in_frame);
         (self.plane().1.abs() > FLATNESS * self.size()).then(|| {
             let normal = direction((b - a).cross(c - a));
             let Vec3 { x, y, z } = normal.mul_add((a - d).dot(normal), d);
@@ -105,7 +105,7 @@ impl QuadParams {
 
     /// Error for an outline that turns left at one corner and right at another.
     fn non_convex_error(&self) -> Option<NodeError> {
-        let corners = [&self.a, &self.b, &self.c, &self.d].map(Point::get);
+        let corners = [&self.a, &self.b, &self.c, &self.d].map(Point::in_frame);
         let turns = [3, 0, 1, 2].map(|before| {
             let [before, here, after] = [before, before + 1, before + 2].map(|place| corners[place % 4]);
             (here - before).cross(after - here)
@@ -127,7 +127,7 @@ impl Precompute for QuadParams {
 
     fn derive(&self) -> ConvexFace<4> {
         let (normal, above) = self.plane();
-        let mut corners = [&self.a, &self.b, &self.c, &self.d].map(Point::get);
+        let mut corners = [&self.a, &self.b, &self.c, &self.d].map(Point::in_frame);
         for (corner, side) in corners.iter_mut().zip([-1.0, 1.0, -1.0, 1.0]) {
             *corner = normal.mul_add(side * above, *corner);
         }
@@ -149,7 +149,7 @@ impl Primitive for Quad {
     }
 
     fn bounds(&self, isolevel: f32) -> Bounds {
-        self.derive().bounds().expanded(self.radius.get() + isolevel)
+        self.derive().bounds().expanded(self.radius.in_frame() + isolevel)
     }
 }
 

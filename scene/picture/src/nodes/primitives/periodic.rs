@@ -161,8 +161,8 @@ fn slab_around_zero<R: Real>(f: R, cell: &Length, thickness: Option<&Length>) ->
 
 /// Error for a wall so thick that it fills all of space, because |f| never exceeds `greatest`.
 fn thickness_error(cell: &Length, thickness: Option<&Length>, greatest: f32) -> Option<NodeError> {
-    let most = cell.get() * greatest / (PI * MAX_GRADIENT);
-    thickness.filter(|thickness| thickness.get() >= most).map(|_| {
+    let most = cell.in_frame() * greatest / (PI * MAX_GRADIENT);
+    thickness.filter(|thickness| thickness.in_frame() >= most).map(|_| {
         NodeError::new("thickness", format!("fills all of space: make thickness less than {most}, or cell larger"))
     })
 }

@@ -75,7 +75,7 @@ impl Primitive for Tetrahedron {
 
     fn bounds(&self, isolevel: f32) -> Bounds {
         // The base's corners are 2√2/3 of the radius from the axis.
-        let (radius, across) = (self.radius.get(), self.radius.get() * 0.942_809_1);
+        let (radius, across) = (self.radius.in_frame(), self.radius.in_frame() * 0.942_809_1);
         Bounds { min: vec3(-across, -radius / 3.0, -across), max: vec3(across, radius, across) }.expanded(isolevel)
     }
 }
@@ -97,7 +97,7 @@ impl Primitive for Octahedron {
     }
 
     fn bounds(&self, isolevel: f32) -> Bounds {
-        let radius = self.radius.get();
+        let radius = self.radius.in_frame();
         Bounds::symmetric(radius, radius, radius).expanded(isolevel)
     }
 }
@@ -118,7 +118,7 @@ impl Primitive for Dodecahedron {
 
     fn bounds(&self, isolevel: f32) -> Bounds {
         // The centers of edges on the axes have the greatest coordinate of all corners.
-        let reach = self.radius.get() * 0.934_172_4;
+        let reach = self.radius.in_frame() * 0.934_172_4;
         Bounds::symmetric(reach, reach, reach).expanded(isolevel)
     }
 }
@@ -139,7 +139,7 @@ impl Primitive for Icosahedron {
 
     fn bounds(&self, isolevel: f32) -> Bounds {
         // The centers of edges on the axes have the greatest coordinate of all corners.
-        let reach = self.radius.get() * 0.850_650_8;
+        let reach = self.radius.in_frame() * 0.850_650_8;
         Bounds::symmetric(reach, reach, reach).expanded(isolevel)
     }
 }

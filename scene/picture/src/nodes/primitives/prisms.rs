@@ -56,7 +56,8 @@ impl Primitive for HexagonalPrism {
     }
 
     fn bounds(&self, isolevel: f32) -> Bounds {
-        Bounds::symmetric(self.radius.get(), self.height.get() / 2.0, self.radius.get()).expanded(isolevel)
+        Bounds::symmetric(self.radius.in_frame(), self.height.in_frame() / 2.0, self.radius.in_frame())
+            .expanded(isolevel)
     }
 }
 
@@ -68,7 +69,8 @@ impl Primitive for OctagonalPrism {
     }
 
     fn bounds(&self, isolevel: f32) -> Bounds {
-        Bounds::symmetric(self.radius.get(), self.height.get() / 2.0, self.radius.get()).expanded(isolevel)
+        Bounds::symmetric(self.radius.in_frame(), self.height.in_frame() / 2.0, self.radius.in_frame())
+            .expanded(isolevel)
     }
 }
 
@@ -79,8 +81,8 @@ impl Primitive for RegularPyramid {
 
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
         let (along, out) = self.sides.fold(p.x, p.z);
-        let (inradius, half_edge) = self.sides.inradius_and_half_edge(self.radius.get());
-        let slope = PyramidFace::new(inradius, half_edge, self.height.get());
+        let (inradius, half_edge) = self.sides.inradius_and_half_edge(self.radius.in_frame());
+        let slope = PyramidFace::new(inradius, half_edge, self.height.in_frame());
         let past_edge = (along - p.x.uniform(half_edge)).at_least(0.0);
         let to_base = (out - p.x.uniform(inradius)).at_least(0.0).square_add(past_edge.square_add(p.y.square()));
         let (to_slope, past_slope) = slope.distance_and_depth(out, along, p.y);
@@ -89,7 +91,7 @@ impl Primitive for RegularPyramid {
     }
 
     fn bounds(&self, isolevel: f32) -> Bounds {
-        let (radius, height) = (self.radius.get(), self.height.get());
+        let (radius, height) = (self.radius.in_frame(), self.height.in_frame());
         Bounds { min: vec3(-radius, 0.0, -radius), max: vec3(radius, height, radius) }.expanded(isolevel)
     }
 }
@@ -97,7 +99,7 @@ impl Primitive for RegularPyramid {
 /// Distance to a prism over a regular polygon.
 fn prism<R: Real>(p: Vec3<R>, sides: &PolygonSides, radius: &Length, height: &Length) -> R {
     let (along, out) = sides.fold(p.x, p.z);
-    let (inradius, half_edge) = sides.inradius_and_half_edge(radius.get());
+    let (inradius, half_edge) = sides.inradius_and_half_edge(radius.in_frame());
     let past_edge = (along - p.x.uniform(half_edge)).at_least(0.0);
     let past_side = out - p.x.uniform(inradius);
     let past_cap = p.y.abs() - p.x.uniform(height.get() * 0.5);

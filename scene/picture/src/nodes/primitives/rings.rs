@@ -33,8 +33,8 @@ impl Precompute for CappedTorusParams {
     type Derived = (f32, f32);
 
     fn derive(&self) -> (f32, f32) {
-        let (sine, cosine) = sin_cos_degrees(self.degrees.get() / 2.0);
-        (sine * self.radius.get(), cosine * self.radius.get())
+        let (sine, cosine) = sin_cos_degrees(self.degrees.in_frame() / 2.0);
+        (sine * self.radius.in_frame(), cosine * self.radius.in_frame())
     }
 }
 
@@ -61,19 +61,20 @@ impl Primitive for CappedTorus {
     fn exactness(&self) -> Exactness {
         // If the two ends overlap, the depth inside exceeds the formula's value.
         let (end_x, end_z) = *self.derive();
-        let apart = end_z >= 0.0 || end_x >= self.tube.get() || self.degrees.get() == 360.0;
+        let apart = end_z >= 0.0 || end_x >= self.tube.in_frame() || self.degrees.in_frame() == 360.0;
         if apart { Exactness::Exact } else { Exactness::Bound }
     }
 
     fn validate(&self) -> Option<NodeError> {
-        closed_hole_error("tube", self.tube.get(), "radius", self.radius.get())
+        closed_hole_error("tube", self.tube.in_frame(), "radius", self.radius.in_frame())
     }
 
     fn bounds(&self, isolevel: f32) -> Bounds {
-        let radius = self.radius.get();
+        let radius = self.radius.in_frame();
         let (end_x, end_z) = *self.derive();
         let across = if end_z < 0.0 { radius } else { end_x };
-        Bounds { min: vec3(-across, 0.0, end_z), max: vec3(across, 0.0, radius) }.expanded(self.tube.get() + isolevel)
+        Bounds { min: vec3(-across, 0.0, end_z), max: vec3(across, 0.0, radius) }
+            .expanded(self.tube.in_frame() + isolevel)
     }
 }
 
@@ -94,7 +95,7 @@ pub struct Link {
 impl Link {
     /// Half the length of its straight sides.
     fn half_side(&self) -> f32 {
-        (self.height.get() / 2.0 - self.radius.get() - self.tube.get()).max(0.0)
+        (self.height.in_frame() / 2.0 - self.radius.in_frame() - self.tube.in_frame()).max(0.0)
     }
 }
 
@@ -108,9 +109,9 @@ impl Primitive for Link {
     }
 
     fn validate(&self) -> Option<NodeError> {
-        let least = 2.0 * (self.radius.get() + self.tube.get());
-        closed_hole_error("tube", self.tube.get(), "radius", self.radius.get()).or_else(|| {
-            (self.height.get() < least).then(|| {
+        let least = 2.0 * (self.radius.in_frame() + self.tube.in_frame());
+        closed_hole_error("tube", self.tube.in_frame(), "radius", self.radius.in_frame()).or_else(|| {
+            (self.height.in_frame() < least).then(|| {
                 NodeError::new(
                     "height",
                     format!("must leave room for two bends of radius and tube: make height {least} or more"),
@@ -120,7 +121,7 @@ impl Primitive for Link {
     }
 
     fn bounds(&self, isolevel: f32) -> Bounds {
-        let (radius, tube) = (self.radius.get(), self.tube.get());
+        let (radius, tube) = (self.radius.in_frame(), self.tube.in_frame());
         Bounds::symmetric(radius + tube, self.half_side() + radius + tube, tube).expanded(isolevel)
     }
 }
@@ -152,11 +153,11 @@ impl Precompute for HorseshoeParams {
 
     fn derive(&self) -> Ribbon {
         Ribbon {
-            radius: self.radius.get(),
-            turn: sin_cos_degrees(self.degrees.get() / 2.0),
-            leg: self.leg.get(),
-            width: self.width.get(),
-            thickness: self.thickness.get(),
+            radius: self.radius.in_frame(),
+            turn: sin_cos_degrees(self.degrees.in_frame() / 2.0),
+            leg: self.leg.in_frame(),
+            width: self.width.in_frame(),
+            thickness: self.thickness.in_frame(),
         }
     }
 }
@@ -217,11 +218,11 @@ impl Primitive for U {
 impl U {
     fn band(&self) -> Ribbon {
         Ribbon {
-            radius: self.radius.get(),
+            radius: self.radius.in_frame(),
             turn: (1.0, 0.0),
-            leg: self.leg.get(),
-            width: self.width.get(),
-            thickness: self.thickness.get(),
+            leg: self.leg.in_frame(),
+            width: self.width.in_frame(),
+            thickness: self.thickness.in_frame(),
         }
     }
 }

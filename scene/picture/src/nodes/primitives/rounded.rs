@@ -37,8 +37,8 @@ impl Primitive for RoundedCylinder {
     }
 
     fn validate(&self) -> Option<NodeError> {
-        let most = self.radius.get().min(self.height.get() / 2.0);
-        (self.round.get() > most).then(|| {
+        let most = self.radius.in_frame().min(self.height.in_frame() / 2.0);
+        (self.round.in_frame() > most).then(|| {
             NodeError::new(
                 "round",
                 format!(
@@ -49,8 +49,8 @@ impl Primitive for RoundedCylinder {
     }
 
     fn bounds(&self, isolevel: f32) -> Bounds {
-        let radius = self.radius.get();
-        Bounds::symmetric(radius, self.height.get() / 2.0, radius).expanded(isolevel)
+        let radius = self.radius.in_frame();
+        Bounds::symmetric(radius, self.height.in_frame() / 2.0, radius).expanded(isolevel)
     }
 }
 
@@ -93,7 +93,7 @@ impl Precompute for EllipsoidParams {
     type Derived = ScaledRadii;
 
     fn derive(&self) -> ScaledRadii {
-        let [x, y, z] = self.radii.each_ref().map(Length::get);
+        let [x, y, z] = self.radii.each_ref().map(Length::in_frame);
         let (largest, least) = (x.max(y).max(z), x.min(y).min(z));
         let radius = vec3(x, y, z).map(|c| c / largest);
         let least = least / largest;
@@ -131,7 +131,7 @@ impl Primitive for Ellipsoid {
 
     fn bounds(&self, isolevel: f32) -> Bounds {
         let [x, y, z] = &self.radii;
-        Bounds::symmetric(x.get(), y.get(), z.get()).expanded(isolevel)
+        Bounds::symmetric(x.in_frame(), y.in_frame(), z.in_frame()).expanded(isolevel)
     }
 }
 
@@ -163,7 +163,7 @@ pub struct Vesica {
 impl Vesica {
     /// Half the vector between the tips, from `a`.
     fn half_axis(&self) -> Vec3<f32> {
-        (self.b.get() - self.a.get()) * 0.5
+        (self.b.in_frame() - self.a.in_frame()) * 0.5
     }
 }
 
@@ -172,11 +172,11 @@ impl Primitive for Vesica {
 
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
         let half_axis = self.half_axis();
-        let (half, radius) = (half_axis.length(), self.radius.get());
+        let (half, radius) = (half_axis.length(), self.radius.in_frame());
         // The arc's center is this far behind the axis.
         let behind = ((half - radius) * (half + radius) / (2.0 * radius)).max(0.0);
         let around = behind + radius;
-        let from_middle = p - Vec3::uniform(p.x, self.a.get() + half_axis);
+        let from_middle = p - Vec3::uniform(p.x, self.a.in_frame() + half_axis);
         let unit = Vec3::uniform(p.x, half_axis * (1.0 / half.max(1e-12)));
         let along = from_middle.dot(unit);
         let across = unit.mul_add(-along, from_middle).length();
@@ -195,7 +195,7 @@ impl Primitive for Vesica {
         if half < crate::limits::MIN_LENGTH {
             return Some(NodeError::new("b", "equals a: put the two tips at different points"));
         }
-        (self.radius.get() > half).then(|| {
+        (self.radius.in_frame() > half).then(|| {
             NodeError::new(
                 "radius",
                 format!(
@@ -206,7 +206,7 @@ impl Primitive for Vesica {
     }
 
     fn bounds(&self, isolevel: f32) -> Bounds {
-        let (a, b) = (self.a.get(), self.b.get());
-        Bounds { min: a, max: a }.union(Bounds { min: b, max: b }).expanded(self.radius.get() + isolevel)
+        let (a, b) = (self.a.in_frame(), self.b.in_frame());
+        Bounds { min: a, max: a }.union(Bounds { min: b, max: b }).expanded(self.radius.in_frame() + isolevel)
     }
 }

@@ -20,11 +20,11 @@ fn refusal<T: serde::de::DeserializeOwned + fmt::Debug>(text: &str) -> String {
 
 #[test]
 fn a_track_clamps_at_its_ends_and_interpolates_between_keyframes() {
-    let linear = |seconds| at::<Coordinate>(seconds, r#"{ "keys": [[1, 2], [3, 6], [4, -2]] }"#).get();
+    let linear = |seconds| at::<Coordinate>(seconds, r#"{ "keys": [[1, 2], [3, 6], [4, -2]] }"#).in_frame();
     assert_eq!([0.0, 1.0, 1.5, 2.0, 3.0, 3.25, 4.0, 9.0].map(linear), [2.0, 2.0, 3.0, 4.0, 6.0, 4.0, -2.0, -2.0]);
-    let step = |seconds| at::<Coordinate>(seconds, r#"{ "ease": "step", "keys": [[1, 2], [3, 6]] }"#).get();
+    let step = |seconds| at::<Coordinate>(seconds, r#"{ "ease": "step", "keys": [[1, 2], [3, 6]] }"#).in_frame();
     assert_eq!([0.0, 2.9, 3.0, 5.0].map(step), [2.0, 2.0, 6.0, 6.0]);
-    let smooth = |seconds| at::<Coordinate>(seconds, r#"{ "keys": [[0, 0], [4, 64]], "ease": "smooth" }"#).get();
+    let smooth = |seconds| at::<Coordinate>(seconds, r#"{ "keys": [[0, 0], [4, 64]], "ease": "smooth" }"#).in_frame();
     assert_eq!([0.0, 1.0, 2.0, 3.0, 4.0].map(smooth), [0.0, 10.0, 32.0, 54.0, 64.0]);
 }
 
@@ -32,14 +32,14 @@ fn a_track_clamps_at_its_ends_and_interpolates_between_keyframes() {
 fn an_animated_number_is_animated_at_every_time() {
     const TRACK: &str = r#"{ "keys": [[0, 0], [2, 1]] }"#;
     let [first, later] = [0.0, 1.0].map(|seconds| at::<LengthOrZero>(seconds, TRACK));
-    assert!(first.is_animated() && first.get() == 0.0 && !first.is_zero());
-    assert!(later.is_animated() && later.get() == 0.5);
+    assert!(first.is_animated() && first.in_frame() == 0.0 && !first.is_zero());
+    assert!(later.is_animated() && later.in_frame() == 0.5);
     assert!(at::<LengthOrZero>(0.0, "0").is_zero() && !at::<LengthOrZero>(0.0, "0").is_animated());
     assert!(!at::<Color>(0.0, &format!("[0, {TRACK}, 0]")).is_black() && at::<Color>(0.0, "[0, 0, 0]").is_black());
-    assert_eq!(at::<Color>(1.0, &format!("[0, {TRACK}, 0]")).get().y, 0.5);
+    assert_eq!(at::<Color>(1.0, &format!("[0, {TRACK}, 0]")).in_frame().y, 0.5);
     assert!(at::<Direction>(1.0, &format!("[1, {TRACK}, 0]")).is_animated());
     assert!(at::<Rotation>(1.0, &format!("[0, {TRACK}, 0]")).is_animated());
-    assert_eq!(at::<Point>(1.0, &format!("[7, {TRACK}, 0]")).get().y, 0.5);
+    assert_eq!(at::<Point>(1.0, &format!("[7, {TRACK}, 0]")).in_frame().y, 0.5);
 }
 
 #[test]
@@ -47,18 +47,18 @@ fn an_animated_number_survives_a_json_round_trip() {
     let number = at::<Length>(1.0, r#"{ "keys": [[0, 1], [4, 3]] }"#);
     let text = serde_json::to_string(&number).unwrap();
     let again = at::<Length>(9.0, &text);
-    assert!(again.is_animated() && again.get() == 1.5, "{text}");
+    assert!(again.is_animated() && again.in_frame() == 1.5, "{text}");
     let color: Color = at(1.0, r#"[1, { "keys": [[0, 1], [4, 3]] }, 0]"#);
     let again: Color = serde_json::from_str(&serde_json::to_string(&color).unwrap()).unwrap();
-    assert!(again.is_animated() && again.get() == color.get());
+    assert!(again.is_animated() && again.in_frame() == color.in_frame());
 }
 
 #[test]
 fn a_value_between_0_and_the_minimum_snaps_to_one() {
-    let amount = |seconds| at::<LengthOrZero>(seconds, r#"{ "keys": [[0, 0], [1, 1]] }"#).get();
+    let amount = |seconds| at::<LengthOrZero>(seconds, r#"{ "keys": [[0, 0], [1, 1]] }"#).in_frame();
     assert_eq!(amount(1e-7), 0.0);
     assert_eq!(amount(0.5), 0.5);
-    let amount = |seconds| at::<LengthOrZero>(seconds, r#"{ "keys": [[0, 0], [1, 1e-6]] }"#).get();
+    let amount = |seconds| at::<LengthOrZero>(seconds, r#"{ "keys": [[0, 0], [1, 1e-6]] }"#).in_frame();
     assert_eq!([0.25, 0.75].map(amount), [0.0, 1e-6]);
 }
 
@@ -99,7 +99,7 @@ fn frame_counts_cannot_be_tracks() {
 }
 
 fn number(seconds: f64, track: &str) -> f32 {
-    at::<Coordinate>(seconds, track).get()
+    at::<Coordinate>(seconds, track).in_frame()
 }
 
 #[test]
@@ -149,7 +149,7 @@ fn easings_are_those_of_css() {
 #[test]
 fn an_easing_beyond_the_range_stays_in_it() {
     let track = r#"{ "keys": [[0, 0], [1, 1, "back_out"]] }"#;
-    assert!((0..=20).all(|step| at::<Fraction>(f64::from(step) / 20.0, track).get() <= 1.0));
+    assert!((0..=20).all(|step| at::<Fraction>(f64::from(step) / 20.0, track).in_frame() <= 1.0));
 }
 
 #[test]
@@ -166,14 +166,14 @@ fn a_loop_repeats_its_keys_or_goes_back_and_forth() {
 #[test]
 fn points_rotations_directions_and_colors_have_tracks() {
     let point = r#"{ "keys": [[0, [0, 1, 5]], [1, [2, 1, -5], "smooth"]] }"#;
-    assert_eq!(<[f32; 3]>::from(at::<Point>(0.5, point).get()), [1.0, 1.0, 0.0]);
+    assert_eq!(<[f32; 3]>::from(at::<Point>(0.5, point).in_frame()), [1.0, 1.0, 0.0]);
     assert!(at::<Rotation>(0.5, point).is_animated());
     assert!(at::<Direction>(0.25, point).is_animated());
     let color = r##"{ "keys": [[0, "#000"], [1, [1, 0.5, 0]], [2, { "kelvin": 2000 }]] }"##;
-    assert_eq!(<[f32; 3]>::from(at::<Color>(0.5, color).get()), [0.5, 0.25, 0.0]);
-    assert_eq!(at::<Color>(2.0, color).get(), at::<Color>(0.0, r#"{ "kelvin": 2000 }"#).get());
+    assert_eq!(<[f32; 3]>::from(at::<Color>(0.5, color).in_frame()), [0.5, 0.25, 0.0]);
+    assert_eq!(at::<Color>(2.0, color).in_frame(), at::<Color>(0.0, r#"{ "kelvin": 2000 }"#).in_frame());
     let kelvin = r#"{ "kelvin": { "keys": [[0, 2000], [1, 8000]] } }"#;
-    assert_eq!(at::<Color>(0.5, kelvin).get(), at::<Color>(0.0, r#"{ "kelvin": 5000 }"#).get());
+    assert_eq!(at::<Color>(0.5, kelvin).in_frame(), at::<Color>(0.0, r#"{ "kelvin": 5000 }"#).in_frame());
     assert!(at::<Color>(0.5, kelvin).is_animated());
     for (text, place, words) in [
         (r#"{ "keys": [[0, [0, 1]]] }"#, "keys[0][1]", "invalid length 2"),
@@ -191,7 +191,7 @@ fn points_rotations_directions_and_colors_have_tracks() {
 
 #[test]
 fn colors_are_written_as_in_css() {
-    let color = |text: &str| <[f32; 3]>::from(at::<Color>(0.0, text).get());
+    let color = |text: &str| <[f32; 3]>::from(at::<Color>(0.0, text).in_frame());
     assert_eq!(color(r##""#f80""##), color(r##""#ff8800""##));
     assert_eq!(color(r#""rgb(255, 136, 0)""#), color(r##""#ff8800""##));
     assert_eq!(color(r#""rgb(100% 0% 0%)""#), [1.0, 0.0, 0.0]);
