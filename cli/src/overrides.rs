@@ -42,12 +42,12 @@ impl OverrideArguments {
         }
         if let Some(scale) = scale {
             let image = JobFile { name: name.clone(), text: text.clone().into_bytes() }.parse()?.image;
-            let [width, height] = image.full_size().map(|edge| (f64::from(edge) * scale).round().max(1.0));
+            let [width, height] = [image.width, image.height].map(|edge| (f64::from(edge) * scale).round().max(1.0));
             for (path, edge) in [("image.width", width), ("image.height", height)] {
                 text = replaced(&text, path, &edge.to_string())?;
             }
-            if let Some(crop) = image.crop {
-                text = replaced(&text, "image.region", &scaled_region(crop.region, *scale, [width, height]))?;
+            if let Some(region) = image.region {
+                text = replaced(&text, "image.region", &scaled_region(region, *scale, [width, height]))?;
             }
         }
         Ok(JobFile { name, text: text.into_bytes() })

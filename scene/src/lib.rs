@@ -35,7 +35,7 @@ pub use math::{bounds, color, ray, real, sampling};
 pub use picture::animation::{Exposure, FrameError, JobAtFrame};
 pub use picture::backgrounds::Background;
 pub use picture::cache_key::PICTURE_VERSION;
-pub use picture::film::{Bits, Crop, Format, Frames, Image, Layer, Precision, Region, ToneMap};
+pub use picture::film::{Bits, Film, Format, Frames, ImageSpec, Layer, Precision, Region, ToneMap};
 pub use picture::job::Job;
 pub use picture::provenance::Provenance;
 pub use picture::sample_count::{AdaptiveSamples, SampleCount};

@@ -32,8 +32,9 @@ pub struct Pick {
 /// there is none. `text` is the job's file.
 pub fn pick(text: &str, job: &Job, frame: u32, [x, y]: [f32; 2]) -> Result<Option<Pick>, FrameError> {
     let at_frame = job.at(frame)?;
-    let (width, height) = (at_frame.image().width as f32, at_frame.image().height as f32);
-    let Some(seen) = Integrator::new(&at_frame).seen_at(x * width, y * height) else { return Ok(None) };
+    let film = at_frame.image().film();
+    let (x, y) = (x * film.width as f32, y * film.height as f32);
+    let Some(seen) = Integrator::new(&at_frame).seen_at(x, y) else { return Ok(None) };
     let in_scene = format!("/scene/objects/{}", seen.object);
     let material = seen.slot.and_then(|slot| job.material_pointer(slot));
     let name = material.as_deref().and_then(|pointer| pointer.strip_prefix("/scene/materials/"));

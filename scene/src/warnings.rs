@@ -128,7 +128,7 @@ fn job_warnings(job: &Job) -> Vec<String> {
                 .to_owned(),
         );
     }
-    warnings.extend(job.scene.camera.projection.warning(&job.image));
+    warnings.extend(job.scene.camera.projection.warning(job.image.film()));
     warnings.extend(samples::too_few(job));
     warnings.extend(scene::lost_ambient(job));
     for name in &job.unused_materials {

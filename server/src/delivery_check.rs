@@ -82,6 +82,7 @@ impl ExpectedPicture {
     pub(crate) fn new(job: &Job, frame: u32) -> Result<Self, FrameError> {
         let at_frame = job.at(frame)?;
         let image = at_frame.image();
+        let film = image.film();
         let format = match image.format {
             Format::Png => PictureFormat::Png {
                 opaque: !at_frame.scene().is_transparent(),
@@ -95,11 +96,11 @@ impl ExpectedPicture {
                     Precision::Half => ExrSample::Half,
                     Precision::Float => ExrSample::Float,
                 };
-                let channels = image.channels().into_iter().enumerate();
+                let channels = film.channels().into_iter().enumerate();
                 let mut channels: Vec<_> = channels
                     .map(|(index, name)| ExrChannel {
                         name: name.into_owned(),
-                        sample: if index < image.light_channels() { color } else { ExrSample::Float },
+                        sample: if index < film.light_channels() { color } else { ExrSample::Float },
                     })
                     .collect();
                 channels.sort();
@@ -107,7 +108,7 @@ impl ExpectedPicture {
             }
         };
         let provenance = Provenance::new(&at_frame).json();
-        Ok(Self { width_px: image.width, height_px: image.height, format, provenance })
+        Ok(Self { width_px: film.width, height_px: film.height, format, provenance })
     }
 
     /// Checks the ends of a file. The error says what is wrong with it.

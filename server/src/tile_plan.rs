@@ -26,11 +26,12 @@ pub(crate) struct TilePlan {
 impl TilePlan {
     /// Plan of a job; `chosen_edge_px` is the operator's tile edge, if any.
     pub(crate) fn new(job: &scene::Job, edge_px: Option<u32>) -> Self {
+        let film = job.image.film();
         Self {
-            width_px: job.image.width,
-            height_px: job.image.height,
+            width_px: film.width,
+            height_px: film.height,
             samples: job.image.samples.max(),
-            pixel_bytes: job.image.pixel_bytes(),
+            pixel_bytes: film.pixel_bytes(),
             edge_px,
             frames: job.frames.count,
         }

@@ -89,7 +89,7 @@ fn try_png(effort: Effort) {
     let jobs = [job(json!({ "format": "png" })), job(json!({ "format": "png", "bits": 16 }))];
     fuzz("PNG", effort, &samples(), |bytes| {
         for job in &jobs {
-            let file = written(job, tile_of(bytes, job.image.channels().len()));
+            let file = written(job, tile_of(bytes, job.image.film().channels().len()));
             let mut reader = png::Decoder::new(Cursor::new(&file)).read_info().expect("a PNG");
             let mut pixels = vec![0; reader.output_buffer_size().expect("small")];
             let frame = reader.next_frame(&mut pixels).expect("a complete PNG");
@@ -115,7 +115,7 @@ fn try_exr(effort: Effort) {
     use exr::prelude::{ReadChannels, ReadLayers};
     let job = job(json!({ "format": "exr", "precision": "float", "layers": ["depth", "normal"] }));
     fuzz("EXR", effort, &samples(), |bytes| {
-        let tile = tile_of(bytes, job.image.channels().len());
+        let tile = tile_of(bytes, job.image.film().channels().len());
         let file = written(&job, tile.clone());
         let image = exr::prelude::read()
             .no_deep_data()
@@ -127,7 +127,7 @@ fn try_exr(effort: Effort) {
             .expect("a complete EXR");
         let channels = &image.layer_data.channel_data.list;
         assert_eq!(channels.len(), tile.planes.len());
-        for (name, plane) in job.image.channels().iter().zip(&tile.planes) {
+        for (name, plane) in job.image.film().channels().iter().zip(&tile.planes) {
             let channel = channels.iter().find(|channel| channel.name.to_string() == *name).expect("every channel");
             let read: Vec<f32> = channel.sample_data.values_as_f32().collect();
             let alike = read.iter().zip(plane).all(|(read, wrote)| read == wrote);

@@ -22,7 +22,7 @@ fn files() -> Vec<Vec<u8>> {
     ];
     let file = |image: Value| {
         let job = job(image);
-        let planes = job.image.channels().len();
+        let planes = job.image.film().channels().len();
         written(&job, tile_of(&samples()[0], planes))
     };
     images.map(file).to_vec()

@@ -146,8 +146,8 @@ impl CpuRenderer {
         progress: &(dyn Fn(u64) + Sync),
     ) -> Result<TilePixels, RenderError> {
         let (left, width) = (run.rect.x, run.rect.width as usize);
-        let mut pixels = TilePixels::zeroed(run.rect, run.job.image.rendered_channels().len());
-        let sum_channels = run.job.image.sum_channels();
+        let mut pixels = TilePixels::zeroed(run.rect, run.job.image.film().rendered_channels().len());
+        let sum_channels = run.job.image.film().sum_channels();
         let (rounds, samples) = (Rounds::of(exposure.last().image()), exposure.samples());
         let height = if rounds.is_some() { BLOCK_PX as usize } else { block(kernel.lanes()).1 };
         let band = |(index, planes)| {

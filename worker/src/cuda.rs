@@ -201,7 +201,8 @@ impl CudaRenderer {
     /// Renders the self-test and compares it with the CPU's.
     fn self_test(&self) -> Result<(), CudaError> {
         let job = scene::parse(SELF_TEST.as_bytes()).expect("the self-test is a job");
-        let run = TileRequest { job: &job, frame: 0, rect: Rect::full(job.image.width, job.image.height) };
+        let run =
+            TileRequest { job: &job, frame: 0, rect: Rect::full(job.image.film().width, job.image.film().height) };
         let mut got = Vec::new();
         self.render_groups(&[run], &CancelFlag::new(), &|_| {}, &mut || {}, &mut got)?;
         let cpu = CpuRenderer::new(None, Simd::Auto).and_then(|cpu| cpu.render(&run, &CancelFlag::new(), &|_| {}));
@@ -227,7 +228,7 @@ impl CudaRenderer {
         let start = Instant::now();
         let division = source.division.as_ref().map(|text| self.division_kernels(text, cancel)).transpose()?;
         // A cached kernel that cannot be loaded, for example by another driver, is compiled again.
-        let has_layers = sample.job.image.has_layers();
+        let has_layers = sample.job.image.film().has_layers();
         let load = |code: &[u8]| self.device.load(code, source.together, has_layers, division.as_ref());
         let kept = self.cache.get(key).and_then(|kept| Some((load(&kept.code).ok()?, kept.block)));
         let was_kept = kept.is_some();

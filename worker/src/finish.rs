@@ -5,7 +5,7 @@ use std::ops::Range;
 use proto::Rect;
 use scene::film::BRIGHTNESS_LEVELS;
 use scene::film::GUIDE_CHANNELS;
-use scene::{Image, Layer};
+use scene::{ImageSpec, Layer};
 
 use crate::renderer::TilePixels;
 use crate::stitch::{RowBand, RowSource, StitchError};
@@ -29,12 +29,13 @@ pub(crate) struct Finish {
 
 impl Finish {
     /// How a picture is finished; `None` if it is as rendered.
-    pub(crate) fn of(image: &Image) -> Option<Self> {
-        let noisy = image.channels().iter().position(|channel| channel == Layer::Noisy.channels()[0]);
+    pub(crate) fn of(image: &ImageSpec) -> Option<Self> {
+        let film = image.film();
+        let noisy = film.channels().iter().position(|channel| channel == Layer::Noisy.channels()[0]);
         (image.is_denoised() || image.is_reweighted()).then(|| Self {
-            height: image.height,
-            rendered: image.rendered_channels().len(),
-            levels: image.is_reweighted().then_some(image.light_channels()),
+            height: film.height,
+            rendered: film.rendered_channels().len(),
+            levels: image.is_reweighted().then_some(film.light_channels()),
             is_denoised: image.is_denoised(),
             noisy,
         })

@@ -70,15 +70,14 @@ pub fn render_frame(
 
 /// Tiles of a frame.
 fn tiles(job: &Job, edge: Option<u32>) -> Vec<Rect> {
-    let image = &job.image;
-    let pixel_bytes = image.pixel_bytes();
-    Tiling { width: image.width, height: image.height, samples: image.samples.max(), pixel_bytes, tile_edge: edge }
-        .tiles()
+    let film = job.image.film();
+    let (width, height, samples) = (film.width, film.height, job.image.samples.max());
+    Tiling { width, height, samples, pixel_bytes: film.pixel_bytes(), tile_edge: edge }.tiles()
 }
 
 fn frame_bytes(job: &Job) -> u64 {
-    let image = &job.image;
-    Rect::full(image.width, image.height).pixels() * u64::from(image.pixel_bytes())
+    let film = job.image.film();
+    film.pixels() * u64::from(film.pixel_bytes())
 }
 
 enum TileBuffer {

@@ -65,11 +65,12 @@ impl PictureSpec {
     /// Picture settings of a job at a frame.
     pub fn new(at_frame: &JobAtFrame<'_>) -> Self {
         let image = at_frame.image();
+        let film = image.film();
         Self {
-            width: image.width,
-            height: image.height,
-            channels: image.channels(),
-            light_channels: image.light_channels(),
+            width: film.width,
+            height: film.height,
+            channels: film.channels(),
+            light_channels: film.light_channels(),
             format: image.format,
             bits: image.bits,
             precision: image.precision,

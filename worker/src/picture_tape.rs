@@ -5,7 +5,7 @@ use scene::film::DisplayTransform;
 use scene::integrator::{Coverage, Guides, LayerValues, Rank, Ranks};
 use scene::real::{Real, vec3};
 use scene::sampling::thresholds;
-use scene::{Image, Integrator, JobAtFrame, Layer};
+use scene::{ImageSpec, Integrator, JobAtFrame, Layer};
 
 use crate::cells::FastBuilder;
 use crate::tape::{Recording, Tape, record};
@@ -40,16 +40,16 @@ pub(crate) fn record_entries(program: &Integrator<'_>, at_frame: &JobAtFrame<'_>
 }
 
 /// Records the entries [`MEAN`] and, if the image has layers, [`LAYERS`].
-pub(crate) fn finish(recording: &Recording, program: &Integrator<'_>, image: &Image) {
-    recording.entry_of(MEAN, image.sum_channels(), |all| program.mean(program.sum_of_channels(&all)).channels());
-    if image.has_layers() {
+pub(crate) fn finish(recording: &Recording, program: &Integrator<'_>, image: &ImageSpec) {
+    recording.entry_of(MEAN, image.film().sum_channels(), |all| program.mean(program.sum_of_channels(&all)).channels());
+    if image.film().has_layers() {
         recording.entry(LAYERS, |[x, y]| layer_channels(program, image, x, y));
     }
 }
 
 /// Records the entry [`ACCUMULATE`].
-pub(crate) fn accumulate(recording: &Recording, program: &Integrator<'_>, image: &Image) {
-    recording.entry_of(ACCUMULATE, 4 + image.sum_channels(), |all| {
+pub(crate) fn accumulate(recording: &Recording, program: &Integrator<'_>, image: &ImageSpec) {
+    recording.entry_of(ACCUMULATE, 4 + image.film().sum_channels(), |all| {
         let sum = program.sum_of_channels(&all[4..]);
         program.accumulate(all[0], all[1], all[2], all[3], sum).channels()
     });
@@ -87,7 +87,7 @@ pub fn record_distance(at_frame: &JobAtFrame<'_>) -> Tape {
 }
 
 /// The channels of a pixel's layers, and of what only its finishing reads.
-pub(crate) fn layer_channels<R: Real>(program: &Integrator<'_>, image: &Image, x: R, y: R) -> Vec<R> {
+pub(crate) fn layer_channels<R: Real>(program: &Integrator<'_>, image: &ImageSpec, x: R, y: R) -> Vec<R> {
     let mut channels = Vec::new();
     if !image.layers.is_empty() {
         let coverage = image.layers.iter().any(|layer| layer.is_matte()).then(|| program.coverage(x, y));

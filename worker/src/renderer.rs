@@ -114,7 +114,7 @@ const CHUNK_BYTES: u64 = 256 << 20;
 
 /// Number of these tiles per call: the renderer's preference, limited by memory.
 pub(crate) fn chunk_length(renderer: &dyn Renderer, job: &scene::Job, rects: impl Iterator<Item = Rect>) -> usize {
-    let largest_bytes = rects.map(Rect::pixels).max().unwrap_or(1) * u64::from(job.image.pixel_bytes());
+    let largest_bytes = rects.map(Rect::pixels).max().unwrap_or(1) * u64::from(job.image.film().pixel_bytes());
     let fitting = usize::try_from(CHUNK_BYTES / largest_bytes.max(1)).unwrap_or(usize::MAX);
     renderer.preferred_tiles().min(fitting).max(1)
 }
@@ -136,7 +136,7 @@ pub struct TileRequest<'a> {
 pub struct TilePixels {
     /// Position in the picture.
     pub rect: Rect,
-    /// One plane for each of [`scene::Image::channels`], row by row from the top.
+    /// One plane for each of [`scene::Film::channels`], row by row from the top.
     /// R, G and B are scene-linear and premultiplied by A.
     pub planes: Vec<Vec<f32>>,
 }

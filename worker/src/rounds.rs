@@ -3,7 +3,7 @@
 //! One code for all devices: it decides with the sums of a block's pixels, and turns them into the block's numbers.
 
 use scene::sample_count::standard_error;
-use scene::{AdaptiveSamples, Image};
+use scene::{AdaptiveSamples, ImageSpec};
 
 /// Channels of every picture, which decide about its samples: red, green, blue, alpha.
 pub(crate) const CHANNELS: usize = 4;
@@ -23,13 +23,14 @@ pub(crate) struct Rounds<'a> {
 
 impl<'a> Rounds<'a> {
     /// The rules of a picture; `None` if all its samples are taken at once.
-    pub(crate) fn of(image: &'a Image) -> Option<Self> {
+    pub(crate) fn of(image: &'a ImageSpec) -> Option<Self> {
+        let film = image.film();
         (image.rounds().len() > 1).then(|| Self {
             adaptive: image.samples.adaptive(),
             max_samples: image.samples.max(),
-            sum_channels: image.sum_channels(),
-            samples_planes: image.samples_planes(),
-            error_plane: image.error_plane(),
+            sum_channels: film.sum_channels(),
+            samples_planes: film.samples_planes(),
+            error_plane: film.error_plane(),
         })
     }
 
@@ -38,7 +39,7 @@ impl<'a> Rounds<'a> {
         self.max_samples
     }
 
-    /// Number of planes of sums, see [`Image::sum_channels`].
+    /// Number of planes of sums, see [`scene::Film::sum_channels`].
     pub(crate) fn sum_channels(&self) -> usize {
         self.sum_channels
     }

@@ -67,14 +67,14 @@ pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     };
     let server = Server::start(config).await?;
     let client = Client::new(&format!("http://{}", server.address()))?;
-    let image = &job.image;
+    let film = job.image.film();
     print_note(&format!(
         "a farm serves {}; it renders {}: {}×{}, {}",
         client.server(),
         arguments.scene,
-        image.width,
-        image.height,
-        counted(image.samples.max(), "sample")
+        film.width,
+        film.height,
+        counted(job.image.samples.max(), "sample")
     ));
     let start = Instant::now();
 

@@ -29,11 +29,11 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
     if arguments.cuda {
         return print_line(source.text.trim_end());
     }
-    let image = &job.image;
+    let film = job.image.film();
     let (nodes, frames) = (counted(job.nodes(), "node"), counted(job.frames.count, "frame"));
     print_line(&format!("{}: {nodes}, {frames}", escape_line(&job.name)))?;
     let rays = counted(job.rays_per_frame(), "camera ray");
-    print_line(&format!("each frame: {}×{} pixels, {rays}", image.width, image.height))?;
+    print_line(&format!("each frame: {}×{} pixels, {rays}", film.width, film.height))?;
     let distance =
         source.distance_operations.map_or_else(|| "with loops".to_owned(), |count| counted(count, "operation"));
     let (statements, numbers) =

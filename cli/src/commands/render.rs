@@ -95,7 +95,8 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let cancel = CancelFlag::new();
     let stopper = Stopper::start(&cancel)?;
     let silent = Progress::silent;
-    let progress = if arguments.json { silent() } else { Progress::new(&job.name, rays(&job) * files.len() as u64) };
+    let progress =
+        if arguments.json { silent() } else { Progress::new(&job.name, job.rays_per_frame() * files.len() as u64) };
     let setting = Setting { renderer: &*renderer, job: &job, arguments, cancel: &cancel, progress: &progress };
     for (index, (frame, path)) in files.iter().enumerate() {
         let mut output = OutputFile::create(path)?;
@@ -116,8 +117,8 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
         let summary = Summary {
             output: path,
             frame: *frame,
-            width: job.image.width,
-            height: job.image.height,
+            width: job.image.film().width,
+            height: job.image.film().height,
             samples: job.image.samples.max(),
             device: renderer.device(),
             render_ms: rounding::seconds(times.render.as_secs_f64() * 1e3),
@@ -199,10 +200,6 @@ pub(crate) fn check_frame(job: &Job, frame: u32) -> anyhow::Result<()> {
         return Ok(());
     }
     Err(UsageError(format!("there is no frame {frame}: {} has frames 0 to {}", job.name, count - 1)).into())
-}
-
-fn rays(job: &Job) -> u64 {
-    u64::from(job.image.width) * u64::from(job.image.height) * u64::from(job.image.samples.max())
 }
 
 /// Makes the first signal a cancel, and the second one delete the temporary file and end the process.

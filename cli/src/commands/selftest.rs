@@ -7,7 +7,7 @@ use std::time::Instant;
 use anyhow::Context;
 use clap::{Args, ValueEnum};
 use proto::tile::Tiling;
-use scene::{Image, Job, Layer};
+use scene::{ImageSpec, Job, Layer};
 use worker::{CancelFlag, CpuRenderer, RenderError, Renderer, Simd, TilePixels, TileRequest};
 
 use crate::arguments::{DeviceChoice, RendererArguments};
@@ -81,7 +81,8 @@ fn compare_full_size(arguments: &Arguments, against: Reference) -> anyhow::Resul
         let (bytes, wrong) = match against {
             Reference::Cpu => compared(&tiles, &render(&cpu, &job, arguments.tile)?),
             Reference::Hashes | Reference::Levels => {
-                let bytes = job.image.pixels() * u64::from(job.image.pixel_bytes());
+                let film = job.image.film();
+                let bytes = film.pixels() * u64::from(film.pixel_bytes());
                 (bytes, u64::from(shipped::hash(name).as_deref() != Some(hash(&job, &tiles).as_str())) * bytes)
             }
         };
@@ -136,15 +137,15 @@ fn with_layers(mut job: Job, width: Option<u32>) -> Job {
     job.image.layers.extend(own.into_iter().filter(|layer| !LAYERS.contains(layer)));
     if let Some(width) = width {
         let height = (job.image.height * width / job.image.width).max(1);
-        job.image = Image { width, height, samples: 2.into(), ..job.image };
+        job.image = ImageSpec { width, height, samples: 2.into(), ..job.image };
     }
     job
 }
 
 fn render(renderer: &dyn Renderer, job: &Job, edge: Option<u32>) -> Result<Vec<TilePixels>, RenderError> {
-    let image = &job.image;
-    let (width, height, samples, pixel_bytes) = (image.width, image.height, image.samples.max(), image.pixel_bytes());
-    let rects = Tiling { width, height, samples, pixel_bytes, tile_edge: edge }.tiles();
+    let film = job.image.film();
+    let (width, height, samples) = (film.width, film.height, job.image.samples.max());
+    let rects = Tiling { width, height, samples, pixel_bytes: film.pixel_bytes(), tile_edge: edge }.tiles();
     let runs: Vec<TileRequest<'_>> = rects.into_iter().map(|rect| TileRequest { job, frame: 0, rect }).collect();
     renderer.render_tiles(&runs, &CancelFlag::new(), &|_| {})
 }
@@ -162,11 +163,11 @@ fn compared(got: &[TilePixels], want: &[TilePixels]) -> (u64, u64) {
 
 /// A hash of all pixels that does not depend on how they were cut into tiles.
 fn hash(job: &Job, tiles: &[TilePixels]) -> String {
-    let image = &job.image;
-    let (width, length) = (image.width as usize, image.pixels() as usize);
+    let film = job.image.film();
+    let (width, length) = (film.width as usize, film.pixels() as usize);
     let mut hasher = blake3::Hasher::new();
     // With what fireflies are reweighted by, if they are.
-    let channels = if image.is_reweighted() { image.rendered_channels() } else { image.channels() };
+    let channels = if job.image.is_reweighted() { film.rendered_channels() } else { film.channels() };
     for plane in 0..channels.len() {
         let mut whole = vec![0; length * size_of::<f32>()];
         for tile in tiles {

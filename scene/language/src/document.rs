@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 use crate::ambient_occlusion::AmbientOcclusion;
 use crate::backgrounds::Background;
 use crate::camera::Camera;
-use crate::film::{Frames, Image};
+use crate::film::{Frames, ImageSpec};
 use crate::fog::Fog;
 use crate::groups::Group;
 use crate::job::priority;
@@ -39,7 +39,7 @@ pub(crate) struct JobDocument {
     /// The scene to render.
     pub scene: SceneDocument,
     /// The pictures' size and file format.
-    pub image: Image,
+    pub image: ImageSpec,
     /// Number and rate of the pictures.
     #[serde(default)]
     pub frames: Frames,

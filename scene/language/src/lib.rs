@@ -13,7 +13,7 @@
 //!     "image": { "width": 64, "height": 48 }
 //! }"#;
 //! let parsed = language::parse(job.as_bytes())?;
-//! assert_eq!((parsed.nodes(), parsed.image.pixels()), (1, 3072));
+//! assert_eq!((parsed.nodes(), parsed.image.film().pixels()), (1, 3072));
 //!
 //! // Every fault has a place and a cure.
 //! let Err(ParseError::Invalid(faults)) = language::parse(job.replace("radius", "radios").as_bytes()) else { panic!() };

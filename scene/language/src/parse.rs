@@ -212,7 +212,7 @@ fn validate(mut document: JobDocument) -> Result<(Job, Vec<f64>), SemanticErrors
     document.scene.camera.link();
     let mut faults = faults_of_document(&document);
     let (lights, groups) = groups::flatten(&mut document.scene, &mut faults);
-    if let Err(message) = document.image.apply_region() {
+    if let Some(message) = document.image.region_error() {
         faults.push(("/image/region".to_owned(), message));
     }
     let result = validate_flat(document, lights, &groups, faults);
@@ -316,14 +316,14 @@ fn faults_of_document(document: &JobDocument) -> SemanticErrors {
 
 fn image(document: &JobDocument, fault: &mut impl FnMut(&str, String)) {
     let image = &document.image;
-    if image.pixels() > MAX_PIXELS {
-        let pixels = image.pixels();
+    let pixels = u64::from(image.width) * u64::from(image.height);
+    if pixels > MAX_PIXELS {
         fault(
             "/image",
             format!("has {pixels} pixels: a frame may have at most {MAX_PIXELS}; make width or height smaller"),
         );
     }
-    let rays = u128::from(image.rays()) * u128::from(document.frames.count);
+    let rays = u128::from(pixels * u64::from(image.samples.max())) * u128::from(document.frames.count);
     if rays > u128::from(MAX_RAYS) {
         fault(
             "/image",

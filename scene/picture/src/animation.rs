@@ -7,7 +7,7 @@ use std::borrow::Cow;
 use std::collections::BTreeSet;
 use std::ops::Range;
 
-use crate::film::{Frames, Image, Layer};
+use crate::film::{Frames, ImageSpec, Layer};
 use crate::job::Job;
 use crate::limits::{MAX_FULL_CHECK_BYTES, MAX_INSTANTS, MIN_SAMPLED_FRAMES};
 use crate::scene::{LightGroups, Scene};
@@ -18,7 +18,7 @@ use crate::seek::{FrameTime, Seek, SeekError};
 pub struct JobAtFrame<'a> {
     job: &'a Job,
     scene: Cow<'a, Scene>,
-    image: Cow<'a, Image>,
+    image: Cow<'a, ImageSpec>,
     frame: u32,
     /// The scene one frame later, if the picture shows motion.
     next: Option<Box<Scene>>,
@@ -32,7 +32,7 @@ pub struct Exposure<'a> {
 }
 
 impl Exposure<'_> {
-    /// The samples of a pixel in each round ([`Image::rounds`]), and of them those that are taken at each
+    /// The samples of a pixel in each round ([`ImageSpec::rounds`]), and of them those that are taken at each
     /// instant, in the order of the instants.
     pub fn samples(&self) -> Vec<Vec<Range<u32>>> {
         let count = self.instants.len() as u64;
@@ -73,14 +73,14 @@ impl JobAtFrame<'_> {
     /// The same frame of a picture whose light is summed as a whole alone: not by light groups, nor by brightness.
     pub fn without_parts_of_light(&self) -> Self {
         let mut at_frame = self.clone();
-        if at_frame.image.has_parts_of_light() {
+        if at_frame.image.film().has_parts_of_light() {
             at_frame.image.to_mut().clear_parts_of_light();
         }
         at_frame
     }
 
     /// The picture's size and file format, with every number evaluated at this frame.
-    pub fn image(&self) -> &Image {
+    pub fn image(&self) -> &ImageSpec {
         &self.image
     }
 

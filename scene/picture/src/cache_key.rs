@@ -3,7 +3,7 @@
 use serde::Serialize;
 
 use crate::animation::{Exposure, JobAtFrame};
-use crate::film::{Bits, Crop, Format, Image, Layer, Precision, ToneMap};
+use crate::film::{Bits, Format, ImageSpec, Layer, Precision, Region, ToneMap};
 use crate::job::Job;
 use crate::mattes::Matte;
 use crate::sample_count::SampleCount;
@@ -38,6 +38,14 @@ struct CanonicalPixels<'a> {
     light_groups: Option<LightGroups>,
     #[serde(skip_serializing_if = "std::ops::Not::not")]
     reweight_fireflies: bool,
+}
+
+/// A region, and the size of the whole picture that it is a part of.
+#[derive(Serialize)]
+struct Crop {
+    region: Region,
+    full_width: u32,
+    full_height: u32,
 }
 
 /// Everything that decides the bytes of a frame's picture.
@@ -109,7 +117,7 @@ impl JobAtFrame<'_> {
     /// Hash of a frame without a shutter, under a version of the picture's bits.
     pub fn instant_key_of_version(&self, version: u32) -> blake3::Hash {
         // Without `..`, so that a new field does not compile until it is handled here and in `cache_key`.
-        let Image {
+        let ImageSpec {
             width,
             height,
             samples,
@@ -118,25 +126,25 @@ impl JobAtFrame<'_> {
             layers,
             light_groups: _,
             reweight_fireflies,
-            crop,
-            region: _,
+            region,
             format: _,
             bits: _,
             precision: _,
             exposure: _,
             tone_map: _,
         } = self.image();
+        let film = self.image().film();
         hash(&CanonicalPixels {
             version,
             scene: self.scene(),
-            width: *width,
-            height: *height,
+            width: film.width,
+            height: film.height,
             samples,
             denoise: *denoise,
             seed: *seed,
             frame: self.frame(),
             layers,
-            crop: *crop,
+            crop: region.map(|region| Crop { region, full_width: *width, full_height: *height }),
             next: self.next_scene(),
             mattes: self.mattes(),
             light_groups: self.light_groups(),
@@ -158,7 +166,7 @@ impl JobAtFrame<'_> {
     /// Hash of everything that decides the bytes of the frame's picture.
     pub fn cache_key(&self) -> blake3::Hash {
         let image = self.image();
-        let Image {
+        let ImageSpec {
             format,
             bits,
             precision,
@@ -173,7 +181,6 @@ impl JobAtFrame<'_> {
             light_groups: _,
             reweight_fireflies: _,
             region: _,
-            crop: _,
         } = image;
         let (bits, precision, fps) = match format {
             Format::Png => (Some(*bits), None, None),

@@ -1,124 +1,39 @@
 //! The pictures of a job: their size, format, channels and layers, and the frames.
+//!
+//! An [`ImageSpec`] is what a job asks for; its [`Film`] is the layout of the rendered picture.
 
 mod display;
 mod region;
+mod spec;
 
 use std::borrow::Cow;
-use std::ops::Range;
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Deserializer, Serialize};
 
 use crate::light_groups::{LightGroup, REST};
-use crate::limits::{MAX_EDGE_PX, MAX_FRAMES, MAX_LIGHT_GROUPS, MIN_REWEIGHTED_SAMPLES};
-use crate::sample_count::SampleCount;
+use crate::limits::MAX_FRAMES;
 use crate::seek::Seek;
-use crate::values::{ExposureStops, FrameRate, Shutter, integer_in_range};
+use crate::values::{FrameRate, Shutter, integer_in_range};
 
 pub use display::DisplayTransform;
-pub use region::{Crop, Region};
+pub use region::Region;
+pub use spec::{Bits, Format, ImageSpec, Precision, ToneMap};
 
-/// A picture's size and file format.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
-#[serde(deny_unknown_fields)]
-pub struct Image {
+/// Layout of a rendered picture: its part of the whole one, and the channels of its pixels.
+#[derive(Clone, Copy, Debug)]
+pub struct Film<'a> {
     /// Width, in pixels.
-    #[serde(deserialize_with = "image_edge")]
-    #[schemars(range(min = 1, max = MAX_EDGE_PX))]
     pub width: u32,
     /// Height, in pixels.
-    #[serde(deserialize_with = "image_edge")]
-    #[schemars(range(min = 1, max = MAX_EDGE_PX))]
     pub height: u32,
-    /// Rays per pixel.
-    #[serde(default = "default_samples")]
-    pub samples: SampleCount,
-    /// Seed of the sampler: another seed gives other noise.
-    #[serde(default, deserialize_with = "seed")]
-    #[schemars(range(min = 0, max = u32::MAX))]
-    pub seed: u32,
-    /// Whether the denoiser averages the light of neighboring pixels that see the same surface, as far as noise explains
-    /// the difference between them.
-    #[serde(default)]
-    pub denoise: bool,
-    /// Whether light of the few samples that are much brighter than others around them counts less, as fireflies are: a
-    /// biased picture with less noise, which approaches the unbiased one with more samples. False when absent.
-    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
-    pub reweight_fireflies: bool,
-    /// File format.
-    #[serde(default)]
-    pub format: Format,
-    /// Bits per channel of a PNG.
-    #[serde(default)]
-    pub bits: Bits,
-    /// Precision of the color channels of an EXR.
-    #[serde(default)]
-    pub precision: Precision,
-    /// Layers that an EXR stores in addition to the colors.
-    #[serde(default)]
-    #[schemars(extend("uniqueItems" = true))]
-    pub layers: Vec<Layer>,
-    /// Light groups whose light an EXR stores in addition to the colors: `light.NAME.R`, `.G` and `.B` of each, and
-    /// `light.rest` of all other light. They sum to the colors. None when absent.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    #[schemars(length(max = MAX_LIGHT_GROUPS), extend("uniqueItems" = true))]
-    pub light_groups: Vec<LightGroup>,
-    /// Exposure of a PNG, in stops above the scene's light.
-    #[serde(default = "default_exposure")]
-    pub exposure: ExposureStops,
-    /// Tone map of a PNG, for light that is too bright for it.
-    #[serde(default)]
-    pub tone_map: ToneMap,
-    /// Part of the picture that is rendered; all of it when absent. A job that has been parsed has `crop` instead.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub region: Option<Region>,
-    /// The region and the whole picture's size, if only a region is rendered: width and height are the region's.
-    #[serde(skip_deserializing, skip_serializing_if = "Option::is_none")]
-    #[schemars(skip)]
-    pub crop: Option<Crop>,
-}
-
-/// A file format.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema, Seek)]
-#[serde(rename_all = "snake_case")]
-pub enum Format {
-    /// PNG in sRGB.
-    #[default]
-    Png,
-    /// OpenEXR in linear light.
-    Exr,
-}
-
-/// Bits per channel of a PNG.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Seek)]
-pub enum Bits {
-    /// 8 bits.
-    #[default]
-    Eight,
-    /// 16 bits.
-    Sixteen,
-}
-
-/// Precision of the color channels of an EXR.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema, Seek)]
-#[serde(rename_all = "snake_case")]
-pub enum Precision {
-    /// 16-bit floating point.
-    #[default]
-    Half,
-    /// 32-bit floating point.
-    Float,
-}
-
-/// Tone map from linear light to displayable light, channel by channel.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema, Seek)]
-#[serde(rename_all = "snake_case")]
-pub enum ToneMap {
-    /// Clamps light above 1 to 1.
-    #[default]
-    None,
-    /// A filmic curve: slightly deeper shadows, highlights that fade to white.
-    Filmic,
+    /// Column and row of the top left in the whole picture, in pixels.
+    pub origin: [u32; 2],
+    light_groups: &'a [LightGroup],
+    layers: &'a [Layer],
+    /// Whether light is also summed by its brightness.
+    has_levels: bool,
+    has_guides: bool,
 }
 
 /// A layer (AOV) of an EXR, sampled at the pixel's center.
@@ -244,7 +159,23 @@ impl Layer {
     }
 }
 
-impl Image {
+impl ImageSpec {
+    /// The layout of its rendered picture.
+    pub fn film(&self) -> Film<'_> {
+        let Region { x, y, width, height } = self.rendered();
+        Film {
+            width,
+            height,
+            origin: [x, y],
+            light_groups: &self.light_groups,
+            layers: &self.layers,
+            has_levels: self.is_reweighted(),
+            has_guides: self.is_denoised(),
+        }
+    }
+}
+
+impl Film<'_> {
     /// The channels of a finished pixel: red, green, blue, alpha, then the light groups', then the layers'.
     pub fn channels(&self) -> Vec<Cow<'static, str>> {
         let mut channels = ["R", "G", "B", "A"].map(Cow::Borrowed).to_vec();
@@ -262,13 +193,13 @@ impl Image {
     pub fn rendered_channels(&self) -> Vec<Cow<'static, str>> {
         let mut channels = self.channels();
         let layers = channels.split_off(self.light_channels());
-        if self.is_reweighted() {
+        if self.has_levels {
             let of_level = |level| ["R", "G", "B"].map(|channel| Cow::Owned(format!("levels.{level}.{channel}")));
             channels.extend((1..=BRIGHTNESS_LEVELS).flat_map(of_level));
         }
         channels.extend(layers);
-        channels.extend(self.is_reweighted().then_some(Cow::Borrowed(COUNT_CHANNEL)));
-        let guides = self.is_denoised().then_some(GUIDE_CHANNELS);
+        channels.extend(self.has_levels.then_some(Cow::Borrowed(COUNT_CHANNEL)));
+        let guides = self.has_guides.then_some(GUIDE_CHANNELS);
         channels.extend(guides.into_iter().flatten().map(Cow::Borrowed));
         channels
     }
@@ -282,13 +213,7 @@ impl Image {
     /// Number of the first channels of a rendered pixel, which are means of light over its samples: the channels of a finished
     /// one, and the channels of the light by its brightness.
     pub fn sum_channels(&self) -> usize {
-        self.light_channels() + if self.is_reweighted() { 3 * BRIGHTNESS_LEVELS } else { 0 }
-    }
-
-    /// Leaves out all layers and light groups, and leaves fireflies as they are.
-    pub fn clear_layers(&mut self) {
-        self.layers.clear();
-        self.clear_parts_of_light();
+        self.light_channels() + if self.has_levels { 3 * BRIGHTNESS_LEVELS } else { 0 }
     }
 
     /// Whether light is summed by light groups or by brightness, too.
@@ -296,39 +221,14 @@ impl Image {
         self.sum_channels() > 4
     }
 
-    /// Leaves out light groups, and leaves fireflies as they are.
-    pub fn clear_parts_of_light(&mut self) {
-        self.light_groups.clear();
-        self.reweight_fireflies = false;
-    }
-
-    /// Whether its fireflies are reweighted: a preview may have too few samples for that.
-    pub fn is_reweighted(&self) -> bool {
-        self.reweight_fireflies && self.samples.min() >= MIN_REWEIGHTED_SAMPLES
-    }
-
-    /// Whether it is denoised: a preview may have too few samples for that.
-    pub fn is_denoised(&self) -> bool {
-        self.denoise && self.samples.max() > 1
-    }
-
     /// Whether a rendered pixel has more channels than light.
     pub fn has_layers(&self) -> bool {
         self.rendered_channels().len() > self.sum_channels()
     }
 
-    /// The samples of each round. All pixels have the first two rounds.
-    pub fn rounds(&self) -> Vec<Range<u32>> {
-        match self.samples {
-            // The difference of its halves tells a pixel's noise.
-            SampleCount::Fixed(count) if self.is_denoised() => vec![0..count / 2, count / 2..count],
-            _ => self.samples.rounds(),
-        }
-    }
-
     /// Index among the rendered channels of the standard error of the brightness, if the picture is denoised.
     pub fn error_plane(&self) -> Option<usize> {
-        self.is_denoised().then(|| self.rendered_channels().len() - 1)
+        self.has_guides.then(|| self.rendered_channels().len() - 1)
     }
 
     /// Indices among the rendered channels of the number of samples.
@@ -342,65 +242,10 @@ impl Image {
         4 * self.rendered_channels().len() as u32
     }
 
-    /// Whether a display transform is applied to the scene's light.
-    pub fn has_display_transform(&self) -> bool {
-        !self.exposure.is_zero() || self.tone_map != ToneMap::None
-    }
-
-    /// Camera rays of a picture: with adaptive samples, as many as it may have.
-    pub fn rays(&self) -> u64 {
-        self.pixels() * u64::from(self.samples.max())
-    }
-
     /// Number of pixels.
     pub fn pixels(&self) -> u64 {
         u64::from(self.width) * u64::from(self.height)
     }
-}
-
-impl Serialize for Bits {
-    fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        serializer.serialize_u32(match self {
-            Self::Eight => 8,
-            Self::Sixteen => 16,
-        })
-    }
-}
-
-impl<'de> Deserialize<'de> for Bits {
-    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        match integer_in_range(deserializer, 8, 16, "bits")? {
-            8 => Ok(Self::Eight),
-            16 => Ok(Self::Sixteen),
-            other => Err(serde::de::Error::custom(format_args!("must be 8 or 16 bits, not {other}"))),
-        }
-    }
-}
-
-impl JsonSchema for Bits {
-    fn schema_name() -> Cow<'static, str> {
-        "Bits".into()
-    }
-
-    fn json_schema(_: &mut schemars::SchemaGenerator) -> schemars::Schema {
-        schemars::json_schema!({ "type": "integer", "enum": [8, 16], "description": "Bits per channel of a PNG." })
-    }
-}
-
-fn default_exposure() -> ExposureStops {
-    ExposureStops::new(0.0).expect("0 is in range")
-}
-
-fn default_samples() -> SampleCount {
-    SampleCount::Fixed(4)
-}
-
-fn image_edge<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u32, D::Error> {
-    integer_in_range(deserializer, 1, MAX_EDGE_PX, "pixels")
-}
-
-fn seed<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u32, D::Error> {
-    integer_in_range(deserializer, 0, u32::MAX, "as a seed")
 }
 
 fn frame_count<'de, D: Deserializer<'de>>(deserializer: D) -> Result<u32, D::Error> {

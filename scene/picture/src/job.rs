@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use serde::{Deserializer, de};
 
-use crate::film::{Frames, Image};
+use crate::film::{Frames, ImageSpec};
 use crate::json_text;
 use crate::scene::Scene;
 use crate::values::integer;
@@ -18,7 +18,7 @@ pub struct Job {
     /// The scene, evaluated at the first frame; [`Job::at`] evaluates it at another.
     pub scene: Scene,
     /// The pictures' size and file format.
-    pub image: Image,
+    pub image: ImageSpec,
     /// Number and rate of the pictures.
     pub frames: Frames,
     /// Jobs with higher priority start first.
@@ -37,7 +37,7 @@ pub struct Job {
 
 impl Job {
     /// The same job with another image.
-    pub fn with_image(self, image: Image) -> Self {
+    pub fn with_image(self, image: ImageSpec) -> Self {
         Self { image, ..self }
     }
 

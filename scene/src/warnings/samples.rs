@@ -2,7 +2,7 @@
 
 use serde_json::Value;
 
-use picture::film::{Bits, Format, Image};
+use picture::film::{Bits, Format, ImageSpec};
 use picture::job::Job;
 use picture::lights::Light;
 use picture::sample_count::SampleCount;
@@ -12,7 +12,7 @@ use picture::scene::Scene;
 const MIN_SAMPLES: u32 = 256;
 
 /// More samples than a picture without noise can show.
-pub(super) fn too_many(scene: &Scene, image: &Image) -> Option<String> {
+pub(super) fn too_many(scene: &Scene, image: &ImageSpec) -> Option<String> {
     let is_coarse = image.format == Format::Png && image.bits == Bits::Eight;
     let SampleCount::Fixed(samples) = image.samples else { return None };
     if samples <= MIN_SAMPLES || !is_coarse || has_noise(scene) {

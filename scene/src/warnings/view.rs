@@ -4,7 +4,7 @@ use super::{Warning, WarningKind, objects};
 use math::real::Vec3;
 use picture::animation::JobAtFrame;
 use picture::camera::View;
-use picture::film::Image;
+use picture::film::{Film, ImageSpec};
 use picture::materials::MaterialRef;
 use picture::nodes::Node;
 use picture::scene::Scene;
@@ -18,7 +18,7 @@ const MAX_COST: f32 = 200_000.0;
 /// Warning about the view. If nothing is in view, only that is reported.
 pub(super) fn of(at_frame: &JobAtFrame<'_>) -> Option<Warning> {
     let (scene, image) = (at_frame.scene(), at_frame.image());
-    let [width, height] = image.full_size();
+    let &ImageSpec { width, height, .. } = image;
     let view = scene.camera.view(width, height);
     if let Some(text) = nothing_in_view(scene, &view) {
         return Some(Warning { kind: WarningKind::NothingInView, text });
@@ -27,7 +27,7 @@ pub(super) fn of(at_frame: &JobAtFrame<'_>) -> Option<Warning> {
     if work > MAX_COST {
         return None;
     }
-    if let Some(text) = inside(scene, image, &view) {
+    if let Some(text) = inside(scene, image.film(), &view) {
         return Some(Warning { kind: WarningKind::CameraInside, text });
     }
     let program = Integrator::new(at_frame);
@@ -59,8 +59,8 @@ fn nothing_in_view(scene: &Scene, view: &View) -> Option<String> {
 }
 
 /// Objects that contain the camera, or part of an orthographic picture's plane, or part of the lens.
-fn inside(scene: &Scene, image: &Image, view: &View) -> Option<String> {
-    let origins = scene.camera.projection.ray_origins(view, image);
+fn inside(scene: &Scene, film: Film<'_>, view: &View) -> Option<String> {
+    let origins = scene.camera.projection.ray_origins(view, film);
     if let Some(around) = solid_around(scene, &origins) {
         let (what, cure) = scene.camera.projection.inside_warning();
         return Some(format!("{what} {around}, so that only its inside is visible: {cure}, or cut a room into it"));

@@ -1,7 +1,7 @@
 //! Cache keys: what changes a picture changes its key.
 
 use scene::values::FrameRate;
-use scene::{Bits, Format, Image, Job, Layer, PICTURE_VERSION, Precision, ToneMap};
+use scene::{Bits, Format, ImageSpec, Job, Layer, PICTURE_VERSION, Precision, ToneMap};
 
 fn job(materials: &str, name: &str, radius: f32, samples: u32) -> Job {
     let text = format!(
@@ -22,7 +22,7 @@ fn names_and_unused_materials_do_not_change_the_cache_key() {
 
 #[test]
 fn each_setting_of_the_image_changes_the_cache_key() {
-    type Change = fn(&mut Image);
+    type Change = fn(&mut ImageSpec);
     let png = job(r#""a": { "flat": { "color": [1, 0, 0] } }"#, "a", 1.0, 4);
     let mut exr = png.clone();
     exr.image.format = Format::Exr;

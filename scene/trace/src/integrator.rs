@@ -31,7 +31,7 @@ use crate::animation::JobAtFrame;
 use crate::bounds::Bounds;
 use crate::camera::View;
 use crate::cells::Cells;
-use crate::film::BRIGHTNESS_LEVELS;
+use crate::film::{BRIGHTNESS_LEVELS, ImageSpec};
 use crate::limits::MAX_SAMPLES;
 use crate::march::{MAX_PAST, MAX_PAST_FRACTALS};
 use crate::materials::{Material, ShadingPoint};
@@ -173,7 +173,7 @@ struct Hit<R: Real> {
 bundle!(Radiance { color, alpha, groups, levels, evaluations });
 
 impl<R: Real> Radiance<R> {
-    /// Its channels, see `Image::sum_channels`.
+    /// Its channels, see `Film::sum_channels`.
     pub fn channels(self) -> Vec<R> {
         let Self { color, alpha, groups, levels, evaluations: _ } = self;
         [color.x, color.y, color.z, alpha].into_iter().chain(groups.numbers()).chain(levels.numbers()).collect()
@@ -225,8 +225,8 @@ impl<'a> Integrator<'a> {
     /// Prepares the integrator for one frame and the objects that rays of a kind see.
     fn seen_by(at_frame: &'a JobAtFrame<'_>, rays: RayKind) -> Self {
         let (scene, image, moves) = (at_frame.scene(), at_frame.image(), at_frame.is_animated());
-        let [full_width, full_height] = image.full_size();
-        let view = scene.camera.view(full_width, full_height);
+        let &ImageSpec { width, height, .. } = image;
+        let view = scene.camera.view(width, height);
         let table = MaterialTable::new(scene);
         let is_any = |of: fn(&Material) -> bool| table.slots().any(|slot| of(&scene.used_materials()[slot]));
         let (sends_on, lets_through) = (is_any(Material::is_specular), is_any(Material::is_transmissive));
@@ -269,7 +269,7 @@ impl<'a> Integrator<'a> {
             normal_epsilon: view.normal_epsilon(),
             seen: view.footprint().scaled(1.0 / Real::sqrt(image.samples.min() as f32)),
             view,
-            origin: image.origin(),
+            origin: image.film().origin,
             samples: image.samples.max(),
             frame_key: frame_key(image.seed, at_frame.frame()),
         }
@@ -292,7 +292,7 @@ impl<'a> Integrator<'a> {
         Radiance { color, alpha: zero, groups, levels: self.leveled(color), evaluations: zero }
     }
 
-    /// The sum with these channels (`Image::sum_channels`), without counted evaluations.
+    /// The sum with these channels (`Film::sum_channels`), without counted evaluations.
     pub fn sum_of_channels<R: Real>(&self, channels: &[R]) -> Radiance<R> {
         let &[red, green, blue, alpha, ref parts @ ..] = channels else { panic!("a sum has its channels") };
         let (groups, levels) = parts.split_at(3 * self.group_count());

@@ -32,7 +32,7 @@ pub(crate) fn text_of(picture: &[u8]) -> String {
 
 /// Blob of a tile: zeros, except for a text.
 pub(crate) fn blob(job: &Job, rect: Rect, text: &[u8]) -> Vec<u8> {
-    let planes = job.image.channels().len() as u32;
+    let planes = job.image.film().channels().len() as u32;
     let mut bytes = b"sdfb".to_vec();
     let fields = [1, rect.x, rect.y, rect.width, rect.height, planes];
     bytes.extend(fields.iter().flat_map(|field| field.to_le_bytes()));
@@ -72,7 +72,7 @@ fn exr_head(job: &Job, frame: u32) -> Vec<u8> {
         .channels()
         .into_iter()
         .enumerate()
-        .map(|(plane, name)| (name.into_owned(), if plane < job.image.light_channels() { color } else { 2 }))
+        .map(|(plane, name)| (name.into_owned(), if plane < job.image.film().light_channels() { color } else { 2 }))
         .collect();
     channels.sort_unstable();
     let mut list: Vec<u8> = channels

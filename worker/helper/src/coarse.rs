@@ -58,7 +58,7 @@ fn render(job: &Job, frame: u32, limit: Duration) -> anyhow::Result<Option<TileP
     let renderer = CpuRenderer::new(Some(cores.min(MAX_THREADS)), Simd::Auto)?;
     let cancel = CancelFlag::new();
     let (done, over) = mpsc::channel::<()>();
-    let last = job.image.width.min(LAST_PX);
+    let last = job.image.film().width.min(LAST_PX);
     std::thread::scope(|scope| {
         let flag = cancel.clone();
         scope.spawn(move || {
@@ -71,7 +71,7 @@ fn render(job: &Job, frame: u32, limit: Duration) -> anyhow::Result<Option<TileP
         loop {
             let begun = Instant::now();
             let small = with_width(job, width);
-            let rect = Rect::full(small.image.width, small.image.height);
+            let rect = Rect::full(small.image.film().width, small.image.film().height);
             match renderer.render(&TileRequest { job: &small, frame, rect }, &cancel, &|_| ()) {
                 Ok(pixels) => best = Some(pixels),
                 Err(worker::RenderError::Cancelled) => break,
@@ -94,7 +94,7 @@ fn render(job: &Job, frame: u32, limit: Duration) -> anyhow::Result<Option<TileP
 /// Scales a job to this width.
 fn with_width(job: &Job, width: u32) -> Job {
     let mut small = job.clone();
-    let height = u64::from(job.image.height) * u64::from(width) / u64::from(job.image.width);
+    let height = u64::from(job.image.film().height) * u64::from(width) / u64::from(job.image.film().width);
     small.image.resize(width, u32::try_from(height).unwrap_or(1).clamp(1, 4 * LAST_PX));
     small.image.samples = 1.into();
     small.image.clear_layers();

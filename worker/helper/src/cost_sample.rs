@@ -45,7 +45,8 @@ pub fn sample(job: &Job, threads: usize, render_ms: u64) -> anyhow::Result<CostS
     }
     let frames = f64::from(count);
     ensure!(sum.rays > 0, "its pixels take too long to render a sample of them");
-    let frame_bytes = job.image.pixels() * u64::from(job.image.pixel_bytes());
+    let film = job.image.film();
+    let frame_bytes = film.pixels() * u64::from(film.pixel_bytes());
     Ok(CostSample {
         rays: sum.rays,
         thread_seconds_per_ray: sum.seconds_per_ray / frames,
@@ -95,7 +96,7 @@ fn measure(job: &Job, frame: u32, renderers: &[CpuRenderer], limit: Duration) ->
     let moved = job.at(frame)?;
     std::hint::black_box(Integrator::new(&moved));
     let program_seconds = program_start.elapsed().as_secs_f64();
-    let rects = blocks(job.image.width, job.image.height);
+    let rects = blocks(job.image.film().width, job.image.film().height);
     let first = renderers.first().context("there is a renderer")?;
     let (all, shared_seconds) = if first.has_cells(&job, frame)? {
         // Cells are made by one ray a pixel nearly as much as by several, so that this reaches more of them.
@@ -115,7 +116,7 @@ fn measure(job: &Job, frame: u32, renderers: &[CpuRenderer], limit: Duration) ->
         let passes = [again()?, again()?].into_iter().filter(|pass| pass.rays > 0);
         match passes.min_by(|a, b| a.seconds_per_ray(0.0).total_cmp(&b.seconds_per_ray(0.0))) {
             Some(pass) => {
-                let frame_blocks = job.image.pixels() as f64 / f64::from(BLOCK_PX * BLOCK_PX);
+                let frame_blocks = job.image.film().pixels() as f64 / f64::from(BLOCK_PX * BLOCK_PX);
                 let shared_seconds = making.shared_seconds(made.seconds_per_ray(0.0), frame_blocks);
                 (pass, shared_seconds)
             }

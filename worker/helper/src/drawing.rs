@@ -10,7 +10,7 @@ use anyhow::{Context, bail, ensure};
 use proto::Rect;
 use proto::preview_helper::{AboutPicture, Drawing, HelperPicture, PictureLayer};
 use scene::film::DisplayTransform;
-use scene::{Format, Image, Job, Layer};
+use scene::{Film, Format, ImageSpec, Job, Layer};
 use worker::image::{Encoders, PictureSpec};
 use worker::stitch::TileRows;
 use worker::{CancelFlag, CpuRenderer, RenderError, Renderer, Simd, TilePixels, TileRequest};
@@ -43,6 +43,7 @@ pub(super) fn draw(mut job: Job, frame: u32, drawing: &Drawing) -> anyhow::Resul
     let renderer = CpuRenderer::new(Some(cores.min(MAX_THREADS)), Simd::Auto)?;
     let limit = Duration::from_millis(drawing.limit_ms);
     let whole = resized(&written, drawing, drawing.width_px);
+    let whole = whole.film();
     let mut width_px = whole.width;
     loop {
         job.image = resized(&written, drawing, width_px);
@@ -57,7 +58,7 @@ pub(super) fn draw(mut job: Job, frame: u32, drawing: &Drawing) -> anyhow::Resul
                 return if width_px == whole.width {
                     pictured.exactly(renderer.threads())
                 } else {
-                    pictured.scaled_up(&whole)
+                    pictured.scaled_up(whole)
                 };
             }
             Outcome::TooSlow(fraction) if !is_last => width_px = smaller(width_px, fraction),
@@ -73,9 +74,10 @@ fn smaller(width_px: u32, fraction: f64) -> u32 {
 }
 
 /// The image of a drawing, in this width.
-fn resized(written: &Image, drawing: &Drawing, width_px: u32) -> Image {
+fn resized(written: &ImageSpec, drawing: &Drawing, width_px: u32) -> ImageSpec {
     let mut image = written.clone();
-    let [width, height] = [written.width, written.height].map(u64::from);
+    let film = written.film();
+    let [width, height] = [film.width, film.height].map(u64::from);
     let columns = u64::from(width_px).min((MAX_HEIGHT_PX * width / height).max(1));
     let rows = ((height * columns * 2 + width) / (width * 2)).clamp(1, MAX_HEIGHT_PX);
     image.resize(columns as u32, rows as u32);
@@ -116,7 +118,7 @@ impl Attempt {
             done * (self.limit.as_secs_f64() / start.elapsed().as_secs_f64())
         };
         let (done, over) = mpsc::channel::<()>();
-        let rect = Rect::full(job.image.width, job.image.height);
+        let rect = Rect::full(job.image.film().width, job.image.film().height);
         let count = |more: u64| {
             finished.fetch_add(more, Ordering::Relaxed);
         };
@@ -173,7 +175,7 @@ impl Pictured<'_> {
     }
 
     /// The picture, scaled up smoothly.
-    fn scaled_up(&self, whole: &Image) -> anyhow::Result<HelperPicture> {
+    fn scaled_up(&self, whole: Film<'_>) -> anyhow::Result<HelperPicture> {
         let rendered_px = self.pixels.rect.width;
         if let Some(picture) = self.layer()? {
             return picture.scaled_up(whole.width, whole.height).encode(rendered_px, self.job.image.samples.max());
@@ -202,7 +204,7 @@ impl Pictured<'_> {
 mod tests {
     use super::*;
 
-    fn image(width: u32, height: u32) -> Image {
+    fn image(width: u32, height: u32) -> ImageSpec {
         serde_json::from_value(serde_json::json!({ "width": width, "height": height })).expect("an image")
     }
 

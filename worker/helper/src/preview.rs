@@ -22,7 +22,8 @@ pub(super) fn draw(
 ) -> anyhow::Result<Vec<u8>> {
     let at_frame = job.at(frame)?;
     let (grade, opaque) = (DisplayTransform::new(at_frame.image()), !at_frame.scene().is_transparent());
-    let mut canvas = Canvas::new(at_frame.image().width, at_frame.image().height, width_px);
+    let film = at_frame.image().film();
+    let mut canvas = Canvas::new(film.width, film.height, width_px);
     for tile in tiles {
         // The blob was deleted meanwhile or is damaged: the coarse pass is shown there.
         drop(add(&mut canvas, tile, grade, opaque));

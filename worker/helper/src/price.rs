@@ -16,12 +16,12 @@ use crate::cost_sample::sample;
 /// Measures a job that was parsed from this text, on `threads` threads.
 pub fn price(text: &str, job: &Job, threads: usize, plan: PricePlan) -> anyhow::Result<PriceSample> {
     let cost = sample(job, threads, plan.sample_ms)?;
-    let image = &job.image;
-    let (width, height, samples) = (image.width, image.height, image.samples.max());
-    let tiling = Tiling { width, height, samples, pixel_bytes: image.pixel_bytes(), tile_edge: None };
+    let (image, film) = (&job.image, job.image.film());
+    let (width, height, samples) = (film.width, film.height, image.samples.max());
+    let tiling = Tiling { width, height, samples, pixel_bytes: film.pixel_bytes(), tile_edge: None };
     let frames = u64::from(job.frames.count);
     let (rays, tiles) = (job.rays_per_frame() * frames, tiling.tiles().len() as u64 * frames);
-    let core_seconds = cost.core_seconds(rays, tiles, frames, image.pixels() * frames);
+    let core_seconds = cost.core_seconds(rays, tiles, frames, film.pixels() * frames);
     let renderers = renderers(threads)?;
     let map = match plan.map_ms {
         0 => None,

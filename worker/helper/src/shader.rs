@@ -2,7 +2,7 @@
 
 use proto::preview_helper::ShaderView;
 use scene::limits::MAX_EDGE_PX;
-use scene::{Bits, Format, Job};
+use scene::{Bits, Film, Format, Job};
 use worker::wgsl::{Shader, ShaderError};
 
 /// Program and inputs of a frame at this width, with a height in proportion. The text is left out if the client has it.
@@ -14,12 +14,13 @@ pub(super) fn of(
     known: Option<&str>,
 ) -> anyhow::Result<ShaderView> {
     let image = &mut job.image;
-    let width = width_px.unwrap_or(image.width);
-    let height = (u64::from(image.height) * u64::from(width) + u64::from(image.width) / 2) / u64::from(image.width);
+    let Film { width: full_width, height, .. } = image.film();
+    let width = width_px.unwrap_or(full_width);
+    let height = (u64::from(height) * u64::from(width) + u64::from(full_width) / 2) / u64::from(full_width);
     image.resize(width, height.clamp(1, MAX_EDGE_PX.into()) as u32);
     (image.format, image.bits, image.samples) = (Format::Png, Bits::Eight, samples.into());
     image.clear_layers();
-    let (width, height) = (image.width, image.height);
+    let Film { width, height, .. } = image.film();
     let at_frame = job.at(frame)?;
     let none = ShaderView {
         program: String::new(),

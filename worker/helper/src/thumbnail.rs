@@ -9,7 +9,7 @@ use exr::meta::{BlockDescription, MetaData};
 use exr::prelude::{ReadChannels, ReadLayers, ReadSpecificChannel, Vec2, read};
 use png::{BitDepth, ColorType, Decoder, Limits, Reader};
 use proto::preview_helper::StoredLayer;
-use scene::Image;
+use scene::ImageSpec;
 use scene::color::linear_from_srgb;
 use scene::film::DisplayTransform;
 use scene::limits::{MAX_EDGE_PX, MAX_PIXELS};
@@ -148,6 +148,6 @@ fn of_exr(mut input: BufReader<File>, layer: &StoredLayer, width_px: u32, exposu
 /// An EXR is linear: its values are displayed with this exposure, in stops, and without a tone map.
 fn linear_transform(exposure: f32) -> anyhow::Result<DisplayTransform> {
     let image = json!({ "width": 1, "height": 1, "exposure": exposure });
-    let image: Image = serde_json::from_value(image).context("the exposure is out of range")?;
+    let image: ImageSpec = serde_json::from_value(image).context("the exposure is out of range")?;
     Ok(DisplayTransform::new(&image))
 }

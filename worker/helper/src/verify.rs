@@ -142,9 +142,9 @@ impl<'a> Original<'a> {
 
     /// Tiles as a farm renders them: they cover the picture, and are large, so that little is prepared again.
     fn render_tiles(&self) -> Vec<Rect> {
-        let image = &self.job.image;
-        let (width, height, samples) = (image.width, image.height, image.samples.max());
-        Tiling { width, height, samples, pixel_bytes: image.pixel_bytes(), tile_edge: None }.tiles()
+        let (image, film) = (&self.job.image, self.job.image.film());
+        let (width, height, samples) = (film.width, film.height, image.samples.max());
+        Tiling { width, height, samples, pixel_bytes: film.pixel_bytes(), tile_edge: None }.tiles()
     }
 
     /// Faults of a provenance, in words.

@@ -134,7 +134,7 @@ impl BatchExecutor {
 
     /// The pixels of an earlier tile.
     async fn pixels_of(&self, frame: &FrameTask, EarlierTile { pixels, .. }: &EarlierTile) -> Option<TilePixels> {
-        let planes = frame.job.image.rendered_channels().len();
+        let planes = frame.job.image.film().rendered_channels().len();
         let bytes = self.store.blob(&pixels.hash, pixels.size_bytes).await.ok().flatten()?;
         is_intact(&bytes, pixels, planes).then(|| blob::decode(&bytes).ok()).flatten()
     }

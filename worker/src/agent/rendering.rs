@@ -136,7 +136,7 @@ impl BatchExecutor {
     /// Waits until there is memory for a batch's pixels.
     async fn reserve(&self, job: &Job, places: &[TileTask]) -> SemaphorePermit<'_> {
         let pixels: u64 = places.iter().map(|place| place.rect.pixels()).sum();
-        let kib = (pixels * u64::from(job.image.pixel_bytes())).div_ceil(1 << 10).min(MAX_BATCH_KIB);
+        let kib = (pixels * u64::from(job.image.film().pixel_bytes())).div_ceil(1 << 10).min(MAX_BATCH_KIB);
         let kib = u32::try_from(kib).expect("it is at most that").min(MEMORY_KIB);
         self.memory.acquire_many(kib).await.expect("the semaphore is never closed")
     }

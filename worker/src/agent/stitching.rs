@@ -66,7 +66,7 @@ impl BatchExecutor {
             tracing::warn!(%error, "could not write blobs to the scratch folder");
             LeaseOutcome::Released
         };
-        let planes = job.image.rendered_channels().len();
+        let planes = job.image.film().rendered_channels().len();
         let mut file = tempfile::tempfile_in(&self.scratch).map_err(full)?;
         let (mut places, mut bad, mut end) = (Vec::new(), Vec::new(), 0);
         let fetches: Vec<_> = parts.iter().map(|part| self.fetch_part(part, planes)).collect();

@@ -67,7 +67,7 @@ pub fn frames(job: &Job, ways: &[(Simd, Option<usize>)], runs: usize) -> Vec<Res
 }
 
 fn whole_frame(job: &Job) -> TileRequest<'_> {
-    TileRequest { job, frame: 0, rect: Rect::full(job.image.width, job.image.height) }
+    TileRequest { job, frame: 0, rect: Rect::full(job.image.film().width, job.image.film().height) }
 }
 
 impl Row {

@@ -48,7 +48,7 @@ pub struct GpuReport {
 
 /// Renders a frame of `job` several times on a GPU; `cpu` counts the evaluations.
 pub fn render_on_gpu(job: &Job, gpu: &CudaRenderer, cpu: &CpuRenderer, runs: usize) -> Result<GpuReport, RenderError> {
-    let run = TileRequest { job, frame: 0, rect: Rect::full(job.image.width, job.image.height) };
+    let run = TileRequest { job, frame: 0, rect: Rect::full(job.image.film().width, job.image.film().height) };
     let source_time = Instant::now();
     let source = KernelSource::new(&job.at(0)?)?;
     let source_time = source_time.elapsed();

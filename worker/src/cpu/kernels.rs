@@ -6,7 +6,7 @@ use std::sync::atomic::AtomicBool;
 
 use scene::real::Table;
 use scene::visits::Visits;
-use scene::{Exposure, Image, Integrator, JobAtFrame};
+use scene::{Exposure, ImageSpec, Integrator, JobAtFrame};
 
 use crate::cells::{FastBuilder, KnownCells};
 use crate::evaluator::{Evaluator, Frame, Inputs};
@@ -130,14 +130,14 @@ impl KernelCache {
 #[derive(Debug)]
 pub(super) enum Kernel<'a> {
     /// The scalar reference, a pixel at a time.
-    Reference(Vec<Integrator<'a>>, &'a Image),
+    Reference(Vec<Integrator<'a>>, &'a ImageSpec),
     /// A tape's evaluator.
     Prepared(Arc<Vec<Prepared>>),
 }
 
 /// A thread's use of a [`Kernel`].
 pub(super) enum Thread<'a> {
-    Reference(&'a [Integrator<'a>], &'a Image),
+    Reference(&'a [Integrator<'a>], &'a ImageSpec),
     /// With the memory for the evaluator that was used last: in general, all instants have the same one.
     Prepared(&'a [Prepared], Option<(&'a Arc<Evaluator>, Frame)>),
 }
@@ -195,7 +195,7 @@ impl Thread<'_> {
 }
 
 /// The same entries without a tape.
-fn reference(program: &Integrator<'_>, image: &Image, entry: &str, arguments: &[f32]) -> Vec<f32> {
+fn reference(program: &Integrator<'_>, image: &ImageSpec, entry: &str, arguments: &[f32]) -> Vec<f32> {
     match (entry, arguments) {
         (ACCUMULATE, &[x, y, first, end, ref sum @ ..]) => {
             program.accumulate(x, y, first, end, program.sum_of_channels(sum)).channels()

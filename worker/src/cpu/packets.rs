@@ -36,7 +36,7 @@ pub(super) struct Band<'a, 'b> {
     pub(super) top: u32,
     pub(super) width: usize,
     pub(super) planes: Vec<&'b mut [f32]>,
-    /// Number of planes of light, see [`scene::Image::sum_channels`].
+    /// Number of planes of light, see [`scene::Film::sum_channels`].
     pub(super) sum_channels: usize,
     pub(super) progress: Progress<'a>,
     pub(super) cancel: &'a AtomicBool,

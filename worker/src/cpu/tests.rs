@@ -8,7 +8,7 @@ use super::*;
 use crate::evaluator::tests::cells::many;
 
 fn render(renderer: &CpuRenderer, job: &Job) -> Result<(TilePixels, u64), RenderError> {
-    let run = TileRequest { job, frame: 0, rect: Rect::full(job.image.width, job.image.height) };
+    let run = TileRequest { job, frame: 0, rect: Rect::full(job.image.film().width, job.image.film().height) };
     let rays = AtomicU64::new(0);
     let count = |newly| {
         rays.fetch_add(newly, Ordering::Relaxed);
@@ -20,7 +20,7 @@ fn render(renderer: &CpuRenderer, job: &Job) -> Result<(TilePixels, u64), Render
 #[test]
 fn cells_that_do_not_fit_are_made_again() {
     let job = scene::parse(many(3000).as_bytes()).expect("a valid job");
-    let job = job.clone().with_image(scene::Image { width: 32, height: 160, samples: 1.into(), ..job.image });
+    let job = job.clone().with_image(scene::ImageSpec { width: 32, height: 160, samples: 1.into(), ..job.image });
     for simd in [Simd::Auto, Simd::Portable] {
         let renderer = CpuRenderer::new(Some(2), simd).expect("threads");
         let (pixels, rays) = render(&renderer, &job).expect("it has room");

@@ -153,7 +153,7 @@ fn add(sums: &mut [f32], others: &[f32]) {
 
 #[cfg(test)]
 mod tests {
-    use scene::Image;
+    use scene::ImageSpec;
 
     use super::*;
 
@@ -181,8 +181,8 @@ mod tests {
     fn only_noisy_blocks_go_on() {
         let image = serde_json::json!({ "width": 200, "height": 100, "format": "exr", "layers": ["samples"], "denoise": true,
             "samples": { "adaptive": { "min": 4, "max": 8 } } });
-        let image: Image = serde_json::from_value(image).expect("an image");
-        let channels = image.rendered_channels().len();
+        let image: ImageSpec = serde_json::from_value(image).expect("an image");
+        let channels = image.film().rendered_channels().len();
         let rules = Rounds::of(&image).expect("it has rounds");
         let mut blocks = ActiveBlocks::new(rules, &[TILE], channels, None);
         let pixels = TILE.pixels() as usize;
@@ -203,12 +203,12 @@ mod tests {
         let mut planes = vec![vec![8.0; pixels]; channels];
         finished.finish(&mut planes);
         let last = pixels - 1;
-        let [samples, _] = image.samples_planes();
+        let [samples, _] = image.film().samples_planes();
         let samples = samples.expect("it has the layer");
         assert_eq!((planes[0][0], planes[samples][0]), (1.0, 8.0));
         assert_eq!((planes[3][last], planes[samples][last]), (2.0, 4.0));
         // The means of the first pixel's halves are (2 + 2 + 2)/3/4 and (7 + 2 + 2)/3/4.
-        let errors = &planes[image.error_plane().expect("it is denoised")];
+        let errors = &planes[image.film().error_plane().expect("it is denoised")];
         assert!((errors[0] - 5.0 / 3.0 / 4.0 / 2.0).abs() < 1e-6 && errors[last] == 0.0, "{}", errors[0]);
     }
 }

@@ -6,7 +6,7 @@ use std::sync::TryLockError;
 
 use proto::Rect;
 use rayon::prelude::*;
-use scene::Image;
+use scene::ImageSpec;
 use scene::real::Table;
 
 use super::active_blocks::{ActiveBlocks, FinishedTile};
@@ -220,11 +220,11 @@ impl CudaRenderer {
     fn collect(
         &self,
         underway: InFlight,
-        image: &Image,
+        image: &ImageSpec,
         progress: &(dyn Fn(u64) + Sync),
     ) -> Result<Vec<TilePixels>, CudaError> {
         let InFlight { rects, buffer, finished } = underway;
-        let (planes, rendered) = (device_planes(image), image.rendered_channels().len());
+        let (planes, rendered) = (device_planes(image), image.film().rendered_channels().len());
         let mut rest = Device::wait_copy(&buffer)?;
         let mut additions = finished.map(Vec::into_iter);
         let parts: Vec<(Rect, &[f32], Option<FinishedTile>)> = rects

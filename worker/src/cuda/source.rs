@@ -9,7 +9,7 @@ use scene::real::list::{IS_LAST, IS_UNARY, NO_LEAF, ROW_BITS, ROW_MASK};
 use scene::real::{INDEX_BITS, Table};
 use scene::sample_count::BATCH;
 use scene::transport::Transport;
-use scene::{Exposure, Image, Integrator, JobAtFrame};
+use scene::{Exposure, ImageSpec, Integrator, JobAtFrame};
 
 use super::launches::BLOCK_GROUP;
 use super::paths::{self, PathSource};
@@ -92,7 +92,7 @@ impl KernelSource {
         let integrator = Integrator::of_picture(at_frame, &builder);
         let mut of_paths = None;
         let tape = record(|recording| {
-            of_paths = paths::record_steps(recording, &integrator, image.sum_channels());
+            of_paths = paths::record_steps(recording, &integrator, image.film().sum_channels());
             if of_paths.is_none() {
                 accumulate(recording, &integrator, image);
             }
@@ -175,8 +175,8 @@ fn cell_constants() -> String {
 }
 
 /// The number of planes of light, and what its parts, by light groups and by brightness, add to lists of a sum's numbers.
-fn parts_of_light(image: &Image) -> String {
-    let planes = image.sum_channels();
+fn parts_of_light(image: &ImageSpec) -> String {
+    let planes = image.film().sum_channels();
     if planes == 4 {
         return format!("#define LIGHT_PLANES {planes}\n#define PARTS_OF(sum)\n#define PARTS_FROM(result, after)\n");
     }
@@ -194,25 +194,25 @@ fn parts_of_light(image: &Image) -> String {
 }
 
 /// The samples of a batch, and the first plane of the sums of those that have ended, if a picture has several.
-fn batches(image: &Image) -> String {
+fn batches(image: &ImageSpec) -> String {
     let plane = batches_plane(image).map(|plane| format!("#define BATCHES_PLANE {plane}u\n"));
     format!("#define BATCH {BATCH}u\n{}", plane.unwrap_or_default())
 }
 
 /// Index of the first plane of the sums of ended batches, which follow the rendered channels; `None` if there is one batch.
-pub(super) fn batches_plane(image: &Image) -> Option<usize> {
-    (image.samples.max() > BATCH).then(|| image.rendered_channels().len())
+pub(super) fn batches_plane(image: &ImageSpec) -> Option<usize> {
+    (image.samples.max() > BATCH).then(|| image.film().rendered_channels().len())
 }
 
 /// Number of planes of a picture's tiles on a GPU.
-pub(super) fn device_planes(image: &Image) -> usize {
-    image.rendered_channels().len() + batches_plane(image).map_or(0, |_| image.sum_channels())
+pub(super) fn device_planes(image: &ImageSpec) -> usize {
+    image.film().rendered_channels().len() + batches_plane(image).map_or(0, |_| image.film().sum_channels())
 }
 
 /// Source before and after the steps if the job requests layers: the define that enables them, and the function
 /// that writes them.
-fn layers(image: &Image) -> (String, String) {
-    let count = image.rendered_channels().len() - image.sum_channels();
+fn layers(image: &ImageSpec) -> (String, String) {
+    let count = image.film().rendered_channels().len() - image.film().sum_channels();
     if count == 0 {
         return (String::new(), String::new());
     }

@@ -31,7 +31,8 @@ impl CudaRenderer {
             let (x, y) = (run.rect.x + (run.rect.width - width) / 2, run.rect.y + (run.rect.height - height) / 2);
             let piece = Rect { x, y, width, height };
             // A launch that is the first and the last stores no sums of batches.
-            let mut buffer = self.device.buffer(piece.pixels() as usize * run.job.image.rendered_channels().len())?;
+            let mut buffer =
+                self.device.buffer(piece.pixels() as usize * run.job.image.film().rendered_channels().len())?;
             // The first run warms up, and shows whether the part is large enough.
             let mut ms = self.time_block_dim(loaded, BLOCK_DIMS[0], piece, run, &mut buffer)?;
             while let Some(cells) = &mut table
@@ -75,7 +76,8 @@ impl CudaRenderer {
         buffer: &mut Buffer,
     ) -> Result<f64, CudaError> {
         let layout =
-            launches::lay_out(&launches::whole(&[piece], run.job.image.rendered_channels().len()), block).row_major();
+            launches::lay_out(&launches::whole(&[piece], run.job.image.film().rendered_channels().len()), block)
+                .row_major();
         let laid_out = self.device.lay_out(&layout)?;
         let end_sample = run.job.image.samples.max().min(MAX_SAMPLES_TOGETHER);
         let part = device::LaunchRange {

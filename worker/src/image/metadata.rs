@@ -3,7 +3,7 @@
 //! A picture's cache key covers all of them: the camera as a part of the scene, the frame rate separately.
 
 use scene::camera::Matrix;
-use scene::{Crop, Image, JobAtFrame};
+use scene::{ImageSpec, JobAtFrame};
 
 /// OpenEXR's standard attributes about the camera and the time.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -20,8 +20,7 @@ impl Metadata {
     /// Attributes of a job at a frame.
     pub fn new(at_frame: &JobAtFrame<'_>) -> Self {
         let image = at_frame.image();
-        let [width, height] = image.full_size();
-        let view = at_frame.scene().camera.view(width, height);
+        let view = at_frame.scene().camera.view(image.width, image.height);
         Self {
             world_to_camera: view.world_to_camera(),
             world_to_ndc: view.world_to_ndc().map(|matrix| in_region(&matrix, image)),
@@ -31,9 +30,9 @@ impl Metadata {
 }
 
 /// A matrix to the whole picture as one to its region: the first two columns are scaled and moved.
-fn in_region(matrix: &Matrix, image: &Image) -> Matrix {
-    let Some(Crop { region, full_width, full_height }) = image.crop else { return *matrix };
-    let axes = [(full_width, region.x, region.width), (full_height, region.y, region.height)];
+fn in_region(matrix: &Matrix, image: &ImageSpec) -> Matrix {
+    let Some(region) = image.region else { return *matrix };
+    let axes = [(image.width, region.x, region.width), (image.height, region.y, region.height)];
     let mut moved = *matrix;
     for row in moved.chunks_exact_mut(4) {
         for (axis, (full, start, length)) in axes.into_iter().enumerate() {

@@ -36,13 +36,14 @@ struct Shot {
 fn shot(renderer: &CpuRenderer, job: &Value) -> Option<Shot> {
     let job = scene::parse(job.to_string().as_bytes()).ok()?;
     let at_frame = job.at(FRAME).ok()?;
-    let run = TileRequest { job: &job, frame: FRAME, rect: Rect::full(job.image.width, job.image.height) };
+    let run =
+        TileRequest { job: &job, frame: FRAME, rect: Rect::full(job.image.film().width, job.image.film().height) };
     let pixels = renderer.render(&run, &CancelFlag::new(), &|_| ()).unwrap();
     let bits = pixels.planes.iter().flatten().map(|value| value.to_bits()).collect();
     let mut file = Cursor::new(Vec::new());
     PictureSpec::new(&at_frame).write(&mut TileRows(&[pixels]), &mut file, &CancelFlag::new()).unwrap();
     Some(Shot {
-        pixels: (job.image.channels(), bits),
+        pixels: (job.image.film().channels(), bits),
         bytes: file.into_inner(),
         key: job.cache_key(FRAME).to_hex().to_string(),
         pixels_key: at_frame.pixels_cache_key().to_hex().to_string(),

@@ -3,7 +3,7 @@
 use proto::Rect;
 use scene::integrator::Radiance;
 use scene::sample_count::BATCH;
-use scene::{Image, Integrator, Job};
+use scene::{ImageSpec, Integrator, Job};
 use serde_json::{Value, json};
 use worker::{CpuRenderer, Simd};
 
@@ -18,7 +18,7 @@ const HEIGHT: u32 = 5;
 pub(crate) fn job(integrator: &Value, shutter: f64, samples: Value) -> Job {
     let mut job = adaptive::job(integrator, shutter);
     let samples = serde_json::from_value(samples).expect("a valid number");
-    job.image = Image { width: WIDTH, height: HEIGHT, samples, layers: Vec::new(), ..job.image };
+    job.image = ImageSpec { width: WIDTH, height: HEIGHT, samples, layers: Vec::new(), ..job.image };
     job
 }
 

@@ -14,7 +14,7 @@ use scene::lights::Light;
 use scene::real::Real;
 use scene::real::Table;
 use scene::sample_count::BATCH;
-use scene::{Image, Job, effects};
+use scene::{ImageSpec, Job, effects};
 use serde_json::{Value, json};
 use worker::cuda::{Compiler, KernelSource};
 use worker::tape::{Expr, record};
@@ -113,7 +113,7 @@ template <typename Thread> static void run_block(Thread thread) {
 /// The job in a small size, with every layer.
 fn small(shipped: &Shipped) -> Job {
     let job = shipped.job();
-    let image = Image { width: 60, height: 40, samples: 3.into(), layers: LAYERS.to_vec(), ..job.image.clone() };
+    let image = ImageSpec { width: 60, height: 40, samples: 3.into(), layers: LAYERS.to_vec(), ..job.image.clone() };
     job.with_image(image)
 }
 
@@ -150,8 +150,8 @@ fn in_warps(text: &str) -> String {
 fn render_on_host(job: &Job, folder: &Path, program_of: fn(&str) -> String) -> TilePixels {
     let source = KernelSource::new(&job.at(0).expect("a shipped scene is valid")).expect("a recorded tape is valid");
     let program = compile_text(&program_of(&source.text), folder);
-    let planes = job.image.rendered_channels().len();
-    let Image { width, height, ref samples, .. } = job.image;
+    let planes = job.image.film().rendered_channels().len();
+    let ImageSpec { width, height, ref samples, .. } = job.image;
     let mut input: Vec<u8> = source.parameters.iter().flat_map(|bits| bits.to_ne_bytes()).collect();
     let words = |table: &Table| {
         table.make_all();
@@ -187,9 +187,9 @@ fn assert_same_on_host(jobs: &[(String, Job)], program_of: fn(&str) -> String) {
         let folder = tempfile::tempdir().expect("a scratch folder");
         let (got, want) = (render_on_host(job, folder.path(), program_of), render_on_cpu(job));
         assert_eq!(got.planes.len(), want.planes.len());
-        let channels = job.image.rendered_channels();
+        let channels = job.image.film().rendered_channels();
         // The error follows from two rounds of samples, which the host program does not take.
-        let error = job.image.error_plane();
+        let error = job.image.film().error_plane();
         let planes = channels.iter().zip(got.planes.iter().zip(&want.planes)).enumerate();
         let counts = planes.filter(|(plane, _)| Some(*plane) != error).map(|(_, (channel, (got, want)))| {
             let differing = got.iter().zip(want).filter(|(got, want)| got.to_bits() != want.to_bits()).count();
@@ -298,7 +298,7 @@ fn source_compiled_by_the_host_is_bit_identical() {
 #[test]
 fn samples_that_a_warp_renders_together_are_bit_identical() {
     let jobs = in_small(&few()[..2]).into_iter().map(|(name, job)| {
-        let image = Image { samples: 8.into(), ..job.image.clone() };
+        let image = ImageSpec { samples: 8.into(), ..job.image.clone() };
         (name, job.with_image(image))
     });
     let lens = jobs_with_lenses().into_iter().take(1).map(|job| ("a lens".to_owned(), job));
@@ -313,7 +313,7 @@ fn paths_whose_marches_a_warp_pauses_are_bit_identical() {
     let jobs: Vec<(String, Job)> = in_small(&scenes)
         .into_iter()
         .map(|(name, job)| {
-            let image = Image { width: 24, height: 16, ..job.image.clone() };
+            let image = ImageSpec { width: 24, height: 16, ..job.image.clone() };
             (name, job.with_image(image))
         })
         .collect();

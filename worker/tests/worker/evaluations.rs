@@ -7,7 +7,7 @@ use std::ops::{Add, Div, Mul, Neg, Sub};
 use proto::Rect;
 use rayon::prelude::*;
 use scene::real::{Bundle, FunctionKey, Real, Table};
-use scene::{Image, Integrator, Job};
+use scene::{ImageSpec, Integrator, Job};
 use worker::{CpuRenderer, Simd, TileRequest};
 
 use crate::lanes::levels;
@@ -133,7 +133,7 @@ impl Real for Counting {
 /// Calls of the scene's distance for all pixels of a job.
 fn calls(job: &Job) -> u64 {
     let at_frame = job.at(0).expect("the job is valid");
-    let (program, &Image { width, height, .. }) = (Integrator::new(&at_frame), &job.image);
+    let (program, &ImageSpec { width, height, .. }) = (Integrator::new(&at_frame), &job.image);
     CALLS.set(0);
     for y in 0..height {
         for x in 0..width {
@@ -202,7 +202,7 @@ fn counts_are_the_calls_where_everything_meets() {
 #[test]
 fn counts_of_many_samples_are_exact() {
     let few = scene::parse(EVERYTHING.as_bytes()).expect("a valid job");
-    let image = Image { width: 2, height: 1, samples: 130.into(), ..few.image.clone() };
+    let image = ImageSpec { width: 2, height: 1, samples: 130.into(), ..few.image.clone() };
     let job = few.with_image(image);
     assert_eq!(counted(&job), calls(&job));
 }

@@ -43,7 +43,7 @@ fn is_hit(x: u32, y: u32) -> bool {
 }
 
 pub(crate) fn pixels(job: &Job, frame: u32, rect: Rect) -> TilePixels {
-    let channels = job.image.channels();
+    let channels = job.image.film().channels();
     let mut pixels = TilePixels::zeroed(rect, channels.len());
     for (plane, (name, samples)) in channels.iter().zip(&mut pixels.planes).enumerate() {
         for (index, value) in samples.iter_mut().enumerate() {

@@ -11,7 +11,7 @@ use scene::lights::Light;
 use scene::materials::{Material, Texture};
 use scene::nodes::Node;
 use scene::transport::{PathSettings, Transport};
-use scene::{Image, Integrator, Job, Layer, effects};
+use scene::{ImageSpec, Integrator, Job, Layer, effects};
 use serde_json::{Value, json};
 use worker::{CancelFlag, CpuRenderer, Renderer, Simd, TileRequest};
 
@@ -51,7 +51,7 @@ fn job_of(object: &str) -> Job {
 }
 
 /// The pixel computed with plain `f32`, channel by channel.
-fn reference(program: &Integrator<'_>, image: &Image, x: u32, y: u32) -> Vec<f32> {
+fn reference(program: &Integrator<'_>, image: &ImageSpec, x: u32, y: u32) -> Vec<f32> {
     let seen = program.pixel(x as f32, y as f32);
     let met = program.layer_values(x as f32, y as f32);
     let coverage = program.coverage(x as f32, y as f32);

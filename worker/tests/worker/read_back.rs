@@ -6,7 +6,7 @@ use std::process::{Command, Stdio};
 use half::f16;
 use proto::Rect;
 use scene::values::ExposureStops;
-use scene::{Bits, Image, Job, Precision, ToneMap};
+use scene::{Bits, ImageSpec, Job, Precision, ToneMap};
 use worker::TilePixels;
 use worker::stitch::TileRows;
 
@@ -52,15 +52,15 @@ fn srgb(linear: f64) -> f64 {
 fn graded() -> impl Iterator<Item = Job> {
     pngs().flat_map(|job| {
         let filmic =
-            Image { exposure: ExposureStops::new(2.0).unwrap(), tone_map: ToneMap::Filmic, ..job.image.clone() };
-        let darker = Image { exposure: ExposureStops::new(-0.5).unwrap(), ..job.image.clone() };
+            ImageSpec { exposure: ExposureStops::new(2.0).unwrap(), tone_map: ToneMap::Filmic, ..job.image.clone() };
+        let darker = ImageSpec { exposure: ExposureStops::new(-0.5).unwrap(), ..job.image.clone() };
         [filmic, darker].map(|image| job.clone().with_image(image))
     })
 }
 
 /// Displayed value of linear light, in double precision.
 #[expect(clippy::disallowed_methods, reason = "the reference must not use the code under test")]
-fn shown(image: &Image, linear: f64) -> f64 {
+fn shown(image: &ImageSpec, linear: f64) -> f64 {
     let x = linear * f64::from(image.exposure.in_frame()).exp2();
     match image.tone_map {
         ToneMap::None => x,
@@ -171,9 +171,9 @@ fn an_exr_has_exactly_its_pixels() {
         let channels = &layer.channel_data.list;
         assert!(channels.is_sorted_by_key(|channel| channel.name.to_string()));
         assert_eq!(channels.len(), pixels.planes.len());
-        for (index, (name, plane)) in job.image.channels().iter().zip(&pixels.planes).enumerate() {
+        for (index, (name, plane)) in job.image.film().channels().iter().zip(&pixels.planes).enumerate() {
             let channel = channels.iter().find(|channel| channel.name.to_string() == *name).unwrap();
-            let half = index < job.image.light_channels() && job.image.precision == Precision::Half;
+            let half = index < job.image.film().light_channels() && job.image.precision == Precision::Half;
             match &channel.sample_data {
                 exr::image::FlatSamples::F16(samples) => {
                     assert!(half);
@@ -226,7 +226,7 @@ fn an_exr_has_the_same_bytes_each_time() {
 fn an_exr_has_no_negative_zero_and_no_nan() {
     let layers = format!(r#""format": "exr", "precision": "float", "layers": {ALL_LAYERS}"#);
     for job in [transparent_job(4, 1, &layers), transparent_job(4, 1, r#""format": "exr""#)] {
-        let planes = vec![vec![-0.0, f32::NAN, -1e-12, 1e9]; job.image.channels().len()];
+        let planes = vec![vec![-0.0, f32::NAN, -1e-12, 1e9]; job.image.film().channels().len()];
         let image = decode_exr(&file(&job, &TilePixels { rect: Rect::full(4, 1), planes }));
         for channel in &image.layer_data[0].channel_data.list {
             let bits: Vec<u32> = channel.sample_data.values_as_f32().map(f32::to_bits).collect();

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use scene::{Bits, Format, Image, Job, Layer, Precision};
+use scene::{Bits, Format, ImageSpec, Job, Layer, Precision};
 
 /// Every layer an EXR may have.
 pub(crate) const LAYERS: [Layer; 10] = [
@@ -34,7 +34,7 @@ impl Shipped {
     /// The job as a PNG of 8 bits, in this size.
     pub(crate) fn png(&self, width: u32, samples: u32) -> Job {
         let job = self.job();
-        let mut image = Image { format: Format::Png, bits: Bits::Eight, ..job.image.clone() };
+        let mut image = ImageSpec { format: Format::Png, bits: Bits::Eight, ..job.image.clone() };
         image.clear_layers();
         sized(job.with_image(image), width, samples)
     }
@@ -42,8 +42,12 @@ impl Shipped {
     /// The job as a float EXR with every layer, in this size.
     pub(crate) fn exr(&self, width: u32, samples: u32) -> Job {
         let job = self.job();
-        let image =
-            Image { format: Format::Exr, precision: Precision::Float, layers: LAYERS.to_vec(), ..job.image.clone() };
+        let image = ImageSpec {
+            format: Format::Exr,
+            precision: Precision::Float,
+            layers: LAYERS.to_vec(),
+            ..job.image.clone()
+        };
         sized(job.with_image(image), width, samples)
     }
 }
@@ -51,7 +55,7 @@ impl Shipped {
 /// The job in another size, with the same aspect ratio.
 fn sized(job: Job, width: u32, samples: u32) -> Job {
     let height = (job.image.height * width / job.image.width).max(1);
-    let image = Image { width, height, samples: samples.into(), ..job.image.clone() };
+    let image = ImageSpec { width, height, samples: samples.into(), ..job.image.clone() };
     job.with_image(image)
 }
 

@@ -2,7 +2,7 @@
 
 use proto::preview_helper::CostSample;
 use proto::tile::Tiling;
-use scene::{Bits, Format, Image, Job, Precision, SampleCount};
+use scene::{Bits, Film, Format, ImageSpec, Job, Precision, SampleCount};
 use serde_json::{Value, json};
 
 /// Number of server cores that render as fast as one H200: it takes 0.40 ms for `five-spheres`, and 16 cores take
@@ -19,7 +19,7 @@ pub(super) struct Outlook {
     objects: usize,
     materials: usize,
     lights: usize,
-    image: Image,
+    image: ImageSpec,
     frames: u32,
     rays: u64,
     tiles: u64,
@@ -42,13 +42,13 @@ struct Judged {
 impl Outlook {
     /// Outlook of a job on `threads` threads; without a sample its time is unknown.
     pub(super) fn new(job: &Job, threads: usize, sample: Option<&CostSample>) -> Self {
-        let image = job.image.clone();
-        let (width, height, samples) = (image.width, image.height, image.samples.max());
+        let film = job.image.film();
+        let (width, height, samples) = (film.width, film.height, job.image.samples.max());
         let frames = u64::from(job.frames.count);
-        let tiling = Tiling { width, height, samples, pixel_bytes: image.pixel_bytes(), tile_edge: None };
+        let tiling = Tiling { width, height, samples, pixel_bytes: film.pixel_bytes(), tile_edge: None };
         let (rays, tiles) = (job.rays_per_frame() * frames, tiling.tiles().len() as u64 * frames);
         let judge = |sample: &CostSample| Judged {
-            core_seconds: sample.core_seconds(rays, tiles, frames, image.pixels() * frames),
+            core_seconds: sample.core_seconds(rays, tiles, frames, film.pixels() * frames),
             memory_bytes: sample.memory_bytes,
             sample_rays: sample.rays,
         };
@@ -60,18 +60,18 @@ impl Outlook {
             frames: job.frames.count,
             rays,
             tiles,
-            frame_bytes: image.pixels() * u64::from(image.pixel_bytes()),
-            file_bytes: image.pixels() * file_pixel_bytes(&image) + u64::from(height) * 16 + FILE_HEAD_BYTES,
+            frame_bytes: film.pixels() * u64::from(film.pixel_bytes()),
+            file_bytes: film.pixels() * file_pixel_bytes(&job.image) + u64::from(height) * 16 + FILE_HEAD_BYTES,
             threads,
             judged: sample.map(judge),
-            image,
+            image: job.image.clone(),
         }
     }
 
     /// Formats the outlook as lines for users.
     pub(super) fn lines(&self) -> Vec<String> {
-        let Image { width, height, ref samples, .. } = self.image;
-        let (samples, most) = match samples {
+        let Film { width, height, .. } = self.image.film();
+        let (samples, most) = match &self.image.samples {
             SampleCount::Fixed(samples) => (count(u64::from(*samples), "sample"), ""),
             SampleCount::Adaptive(adaptive) => (format!("{} to {} samples", adaptive.min, adaptive.max), "at most "),
         };
@@ -125,8 +125,8 @@ impl Outlook {
             "objects": self.objects,
             "materials": self.materials,
             "lights": self.lights,
-            "width": self.image.width,
-            "height": self.image.height,
+            "width": self.image.film().width,
+            "height": self.image.film().height,
             "samples": self.image.samples,
             "frames": self.frames,
             "rays": self.rays,
@@ -143,8 +143,8 @@ impl Outlook {
 }
 
 /// Bytes of a pixel in its file without compression.
-fn file_pixel_bytes(image: &Image) -> u64 {
-    let channels = image.channels().len() as u64;
+fn file_pixel_bytes(image: &ImageSpec) -> u64 {
+    let channels = image.film().channels().len() as u64;
     match (image.format, image.bits, image.precision) {
         (Format::Png, Bits::Eight, _) => 4,
         (Format::Png, Bits::Sixteen, _) => 8,

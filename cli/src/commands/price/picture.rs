@@ -6,9 +6,9 @@ use image::codecs::png::PngEncoder;
 use image::{ExtendedColorType, ImageEncoder};
 use proto::Rect;
 use proto::price::PriceMap;
-use scene::Job;
 use scene::color::srgb_from_linear;
 use scene::film::DisplayTransform;
+use scene::{Film, Job};
 use worker::{CancelFlag, CpuRenderer, Renderer, Simd, TilePixels, TileRequest};
 
 /// Width of each of the two parts, and their maximum height, in pixels.
@@ -32,7 +32,7 @@ const COLOR_SHARE: f32 = 0.72;
 
 /// Draws the map as a PNG.
 pub(super) fn draw(job: &Job, map: &PriceMap) -> anyhow::Result<Vec<u8>> {
-    let (width, height) = (job.image.width, job.image.height);
+    let (width, height) = (job.image.film().width, job.image.film().height);
     let scaled = |length: u32, to: u32, from: u32| (u64::from(length) * u64::from(to) / u64::from(from)) as u32;
     let part_height = scaled(height, PART_PX, width).clamp(1, MAX_HEIGHT_PX);
     let frame = gray_frame(job)?;
@@ -86,7 +86,7 @@ impl Frame {
 
 fn gray_frame(job: &Job) -> anyhow::Result<Frame> {
     let mut small = job.clone();
-    let [width, height] = [small.image.width, small.image.height];
+    let Film { width, height, .. } = small.image.film();
     let to_width = FRAME_PX.min(width);
     let to_height = (u64::from(height) * u64::from(to_width) / u64::from(width)).clamp(1, FRAME_PX.into()) as u32;
     small.image.resize(to_width, to_height);

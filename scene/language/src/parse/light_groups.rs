@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 
 use super::SemanticErrors;
-use crate::film::{Format, Image};
+use crate::film::{Format, ImageSpec};
 use crate::light_groups::LightGroup;
 use crate::limits::{MAX_LIGHT_GROUP_RUNS, MAX_LIGHT_GROUPS};
 use crate::scene::{LightGroups, Scene};
@@ -12,7 +12,7 @@ use crate::scene::{LightGroups, Scene};
 const LISTED: &str = "/image/light_groups";
 
 /// Errors in the light groups of a picture of a scene.
-pub(super) fn errors(image: &Image, scene: &Scene) -> SemanticErrors {
+pub(super) fn errors(image: &ImageSpec, scene: &Scene) -> SemanticErrors {
     let mut faults = SemanticErrors::new();
     let Some(groups) = LightGroups::of(&image.light_groups, scene) else { return faults };
     let mut fault = |pointer: String, message: String| faults.push((pointer, message));

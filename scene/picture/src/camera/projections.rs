@@ -17,7 +17,7 @@ pub use perspective::Perspective;
 
 use super::{Matrix, View};
 use crate::bounds::Bounds;
-use crate::film::Image;
+use crate::film::Film;
 use crate::kinds::family;
 use crate::ray::{Ray, Tolerance};
 use crate::real::{Real, Vec3};
@@ -97,7 +97,7 @@ family! {
             = view.is_out_of_reach(bounds, distance);
 
         /// Origins of the picture's rays, or a sample of them.
-        fn ray_origins(&self, view: &View, image: &Image) -> Vec<Vec3<f32>> = vec![view.origin()];
+        fn ray_origins(&self, view: &View, film: Film<'_>) -> Vec<Vec3<f32>> = vec![view.origin()];
 
         /// Words of the warning about a ray origin inside an object: the subject, and the fix.
         fn inside_warning(&self) -> (&'static str, &'static str)
@@ -107,7 +107,7 @@ family! {
         fn world_to_ndc(&self, view: &View) -> Option<Matrix> = None;
 
         /// Warning about a picture of this size, if there is one.
-        fn warning(&self, image: &Image) -> Option<String> = None;
+        fn warning(&self, film: Film<'_>) -> Option<String> = None;
     }
 }
 

@@ -1,6 +1,6 @@
 //! Display transform of linear light: exposure and tone map.
 
-use super::{Image, ToneMap};
+use super::{ImageSpec, ToneMap};
 use crate::color::filmic;
 use crate::real::Real;
 
@@ -14,7 +14,7 @@ pub struct DisplayTransform {
 
 impl DisplayTransform {
     /// Display transform of an image.
-    pub fn new(image: &Image) -> Self {
+    pub fn new(image: &ImageSpec) -> Self {
         Self { exposure: power_of_two(image.exposure.in_frame()), tone_map: image.tone_map }
     }
 

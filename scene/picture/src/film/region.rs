@@ -6,7 +6,7 @@ use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::de::Error;
 use serde::{Deserialize, Deserializer, Serialize};
 
-use super::Image;
+use super::ImageSpec;
 use crate::limits::MAX_EDGE_PX;
 use crate::seek::{FrameTime, Seek, SeekError};
 use crate::values::integer_in_range;
@@ -24,58 +24,41 @@ pub struct Region {
     pub height: u32,
 }
 
-/// A region, and the size of the whole picture that it is a part of.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-pub struct Crop {
-    /// The region.
-    pub region: Region,
-    /// Width of the whole picture, in pixels.
-    pub full_width: u32,
-    /// Height of the whole picture, in pixels.
-    pub full_height: u32,
-}
+impl ImageSpec {
+    /// The part of the picture that is rendered.
+    pub fn rendered(&self) -> Region {
+        self.region.unwrap_or(Region { x: 0, y: 0, width: self.width, height: self.height })
+    }
 
-impl Image {
-    /// Renders only the region, if there is one: width and height become the region's.
-    pub fn apply_region(&mut self) -> Result<(), String> {
-        let Some(region) = self.region.take() else { return Ok(()) };
-        let (full_width, full_height) = (self.width, self.height);
+    /// The message about a region that is not within the picture.
+    pub fn region_error(&self) -> Option<String> {
+        let Region { x, y, width, height } = self.rendered();
         let is_inside =
             |start: u32, length: u32, full: u32| length > 0 && u64::from(start) + u64::from(length) <= full.into();
-        if !is_inside(region.x, region.width, full_width) || !is_inside(region.y, region.height, full_height) {
-            return Err(format!(
-                "is not within the picture of {full_width}×{full_height} pixels: write [x, y, width, height], counted from its top left"
-            ));
-        }
-        (self.width, self.height) = (region.width, region.height);
-        self.crop = Some(Crop { region, full_width, full_height });
-        Ok(())
+        let is_valid = is_inside(x, width, self.width) && is_inside(y, height, self.height);
+        (!is_valid).then(|| {
+            format!(
+                "is not within the picture of {}×{} pixels: write [x, y, width, height], counted from its top left",
+                self.width, self.height
+            )
+        })
     }
 
-    /// Width and height of the whole picture, in pixels; the picture's own if it has no region.
-    pub fn full_size(&self) -> [u32; 2] {
-        self.crop.map_or([self.width, self.height], |crop| [crop.full_width, crop.full_height])
-    }
-
-    /// Column and row of the picture's top left in the whole picture, in pixels.
-    pub fn origin(&self) -> [u32; 2] {
-        self.crop.map_or([0, 0], |crop| [crop.region.x, crop.region.y])
-    }
-
-    /// Scales the picture, and with it the whole picture, to this width and height.
+    /// Scales the picture, so that its rendered part has this width and height.
     pub fn resize(&mut self, width: u32, height: u32) {
-        if let Some(Crop { region, full_width, full_height }) = &mut self.crop {
-            let scale = |length: u32, to: u32, from: u32| {
-                u32::try_from(u64::from(length) * u64::from(to) / u64::from(from)).unwrap_or(MAX_EDGE_PX).max(1)
-            };
-            let start = |start: u32, to: u32, from: u32| (u64::from(start) * u64::from(to) / u64::from(from)) as u32;
-            *full_width = scale(*full_width, width, region.width);
-            *full_height = scale(*full_height, height, region.height);
-            region.x = start(region.x, width, region.width);
-            region.y = start(region.y, height, region.height);
-            (region.width, region.height) = (width, height);
-        }
-        (self.width, self.height) = (width, height);
+        let Some(region) = &mut self.region else {
+            (self.width, self.height) = (width, height);
+            return;
+        };
+        let scale = |length: u32, to: u32, from: u32| {
+            u32::try_from(u64::from(length) * u64::from(to) / u64::from(from)).unwrap_or(MAX_EDGE_PX).max(1)
+        };
+        let start = |start: u32, to: u32, from: u32| (u64::from(start) * u64::from(to) / u64::from(from)) as u32;
+        self.width = scale(self.width, width, region.width);
+        self.height = scale(self.height, height, region.height);
+        region.x = start(region.x, width, region.width);
+        region.y = start(region.y, height, region.height);
+        (region.width, region.height) = (width, height);
     }
 }
 
@@ -112,15 +95,8 @@ impl JsonSchema for Region {
     }
 }
 
-macro_rules! constant {
-    ($Type:ty) => {
-        impl Seek for $Type {
-            fn seek(&mut self, _: &mut FrameTime<'_>) -> Result<bool, Box<SeekError>> {
-                Ok(false)
-            }
-        }
-    };
+impl Seek for Region {
+    fn seek(&mut self, _: &mut FrameTime<'_>) -> Result<bool, Box<SeekError>> {
+        Ok(false)
+    }
 }
-
-constant!(Region);
-constant!(Crop);

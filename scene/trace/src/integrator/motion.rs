@@ -3,6 +3,7 @@
 use super::{Hit, Integrator};
 use crate::animation::JobAtFrame;
 use crate::camera::View;
+use crate::film::ImageSpec;
 use crate::ray::Ray;
 use crate::real::{Real, Vec3};
 use crate::scene::Scene;
@@ -18,7 +19,7 @@ impl<'a> NextFrame<'a> {
     /// The next frame of a job whose pictures show motion; `None` of others, and if nothing in the job is animated.
     pub(super) fn of(at_frame: &'a JobAtFrame<'_>) -> Option<Self> {
         let scene = at_frame.next_scene()?;
-        let [width, height] = at_frame.image().full_size();
+        let &ImageSpec { width, height, .. } = at_frame.image();
         Some(Self { scene, view: scene.camera.view(width, height) })
     }
 }

@@ -230,7 +230,7 @@ fn into_utf8(text: bytes::Bytes) -> Result<String, ApiError> {
 }
 
 /// The media type of a job's pictures.
-fn media_type(image: &scene::Image) -> &'static str {
+fn media_type(image: &scene::ImageSpec) -> &'static str {
     match image.format {
         scene::Format::Png => "image/png",
         scene::Format::Exr => "image/x-exr",

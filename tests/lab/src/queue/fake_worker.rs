@@ -131,5 +131,5 @@ impl FakeWorker {
 
 fn black(job: &Job, rect: Rect) -> TilePixels {
     let plane = vec![0.0; rect.pixels() as usize];
-    TilePixels { rect, planes: vec![plane; job.image.rendered_channels().len()] }
+    TilePixels { rect, planes: vec![plane; job.image.film().rendered_channels().len()] }
 }

@@ -26,11 +26,11 @@ pub(super) fn measure(
     limit: Duration,
     frame_seconds: f64,
 ) -> anyhow::Result<PriceMap> {
-    let [columns, rows] = grid(job.image.width, job.image.height);
+    let [columns, rows] = grid(job.image.film().width, job.image.film().height);
     let steps = steps(job, renderers, limit / 2, [columns, rows])?;
     let mut single = job.clone();
     single.image.samples = 1.into();
-    let rects = blocks(job.image.width, job.image.height, [columns, rows]);
+    let rects = blocks(job.image.film().width, job.image.film().height, [columns, rows]);
     // Whatever is prepared once is prepared before.
     Pass::render(&single, 0, renderers, limit, &rects[..1])?;
     let pass = Pass::render(&single, 0, renderers, limit / 2, &rects)?;
@@ -82,7 +82,7 @@ fn blocks(width: u32, height: u32, [columns, rows]: [u32; 2]) -> Vec<Rect> {
 /// Seconds of each cell up to a common factor: measured, or where the time was up, as long for each step as in the nearest
 /// cell that was measured.
 fn fill(blocks: &[Block], job: &Job, [columns, rows]: [u32; 2], steps: &[f64]) -> Vec<f64> {
-    let (width, height) = (job.image.width, job.image.height);
+    let (width, height) = (job.image.film().width, job.image.film().height);
     let mut known: Vec<Option<f64>> = vec![None; steps.len()];
     for Block { pixels, seconds } in blocks {
         let middle = |start: u32, length: u32, cells: u32, all: u32| {

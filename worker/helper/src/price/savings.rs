@@ -92,7 +92,7 @@ pub(super) fn find(
     }
     savings.sort_by(|left, right| right.saves_share.total_cmp(&left.saves_share));
     savings.truncate(MAX_SAVINGS);
-    if savings.len() < MAX_SAVINGS && job.image.crop.is_none() {
+    if savings.len() < MAX_SAVINGS && job.image.region.is_none() {
         savings.push(smaller(job, core_seconds));
         savings.sort_by(|left, right| right.saves_share.total_cmp(&left.saves_share));
     }
@@ -101,7 +101,7 @@ pub(super) fn find(
 
 /// Blocks all over the picture that one pass renders in its time.
 fn chosen_blocks(job: &Job, pixel_seconds: f64, threads: usize) -> Vec<Rect> {
-    let mut rects = blocks(job.image.width, job.image.height);
+    let mut rects = blocks(job.image.film().width, job.image.film().height);
     let block_seconds = pixel_seconds * rects.first().map_or(1.0, |rect| rect.pixels() as f64);
     let fitting = PASS_SECONDS * threads as f64 / block_seconds.max(1e-9);
     rects.truncate((fitting as usize).clamp(MIN_BLOCKS, MAX_BLOCKS));
@@ -209,7 +209,7 @@ fn saving(candidate: &Candidate, share: f64, core_seconds: f64, change: Option<f
 
 /// A smaller picture: its rays are counted.
 fn smaller(job: &Job, core_seconds: f64) -> Saving {
-    let [width, height] = [job.image.width, job.image.height].map(f64::from);
+    let [width, height] = [job.image.film().width, job.image.film().height].map(f64::from);
     let [to_width, to_height] = [width, height].map(|edge| (edge * SMALLER).round().max(1.0));
     let candidate =
         Candidate { path: "image.width".to_owned(), from: Some(width), to: Some(to_width), noun: "pixels of width" };
@@ -241,7 +241,7 @@ impl Trial {
     }
 
     /// Root of the mean square of the difference of two renders as they are displayed, in levels of 255.
-    fn change_from(&self, other: &Self, image: &scene::Image, is_transparent: bool) -> f64 {
+    fn change_from(&self, other: &Self, image: &scene::ImageSpec, is_transparent: bool) -> f64 {
         let grade = DisplayTransform::new(image);
         let shown = |tile: &TilePixels, plane: usize, index: usize| {
             let alpha = if is_transparent { tile.planes[3][index].max(1e-6) } else { 1.0 };

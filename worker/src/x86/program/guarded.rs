@@ -129,7 +129,7 @@ mod tests {
     use std::path::PathBuf;
     use std::sync::atomic::AtomicBool;
 
-    use scene::{Image, Layer};
+    use scene::{ImageSpec, Layer};
 
     use super::{Edge, Pages};
     use crate::cells::FastBuilder;
@@ -192,13 +192,13 @@ mod tests {
         assert!(paths.len() > 30, "{} scenes", paths.len());
         for path in paths {
             let job = scene::parse(&std::fs::read(&path).expect("a job file")).expect("a valid job");
-            let image = Image { samples: 2.into(), layers: ALL_LAYERS.to_vec(), ..job.image.clone() };
+            let image = ImageSpec { samples: 2.into(), layers: ALL_LAYERS.to_vec(), ..job.image.clone() };
             let (x, y) = (image.width as f32 / 2.0, image.height as f32 / 2.0);
             let job = job.with_image(image);
             let tape = record_picture(&job.at(0).expect("a valid frame"), FastBuilder::UNLIMITED);
             let name = path.display().to_string();
             assert_inside(&name, &tape, ACCUMULATE, &[x, y, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0]);
-            let sums = [0.5, 0.25, 2.0, 1.0].into_iter().cycle().take(job.image.sum_channels());
+            let sums = [0.5, 0.25, 2.0, 1.0].into_iter().cycle().take(job.image.film().sum_channels());
             assert_inside(&name, &tape, MEAN, &sums.collect::<Vec<f32>>());
             assert_inside(&name, &tape, LAYERS, &[x, y]);
         }

@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
 use scene::transport::Transport;
-use scene::{Format, Image, Job};
+use scene::{Format, ImageSpec, Job};
 
 use super::{Page, Picture};
 
@@ -53,7 +53,8 @@ fn small(job: Job) -> Job {
     let height = (WIDTH * job.image.height).div_ceil(job.image.width);
     let is_of_paths = job.scene.integrator != Transport::Direct;
     let samples = job.image.samples.max().min(if is_of_paths { MAX_SAMPLES_OF_PATHS } else { MAX_SAMPLES });
-    let mut image = Image { width: WIDTH, height, samples: samples.into(), format: Format::Png, ..job.image.clone() };
+    let mut image =
+        ImageSpec { width: WIDTH, height, samples: samples.into(), format: Format::Png, ..job.image.clone() };
     image.clear_layers();
     job.with_image(image)
 }
@@ -65,7 +66,7 @@ pub(crate) fn page() -> Page {
         page.text += heading;
         for (name, job) in jobs(&root.join(folder)) {
             let file = format!("pictures/gallery/{pictures}{name}.webp");
-            let Image { width, height, ref samples, .. } = job.image;
+            let ImageSpec { width, height, ref samples, .. } = job.image;
             let samples = samples.max();
             let frames = if job.frames.count > 1 { format!(", {} frames", job.frames.count) } else { String::new() };
             write!(

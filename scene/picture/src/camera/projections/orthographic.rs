@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 use super::{CameraAxes, Extent, Project};
 use crate::bounds::Bounds;
 use crate::camera::{Matrix, View};
-use crate::film::Image;
+use crate::film::Film;
 use crate::ray::{Ray, Tolerance};
 use crate::real::{Real, Vec3};
 use crate::seek::Seek;
@@ -61,10 +61,10 @@ impl Project for Orthographic {
         view.to_view_space(bounds).min.z > distance
     }
 
-    fn ray_origins(&self, view: &View, image: &Image) -> Vec<Vec3<f32>> {
+    fn ray_origins(&self, view: &View, film: Film<'_>) -> Vec<Vec3<f32>> {
         let along = |place: u32, edge: u32| (place as f32 + 0.5) * edge as f32 / PLACES as f32;
         let places = (0..PLACES * PLACES).map(|place| (place % PLACES, place / PLACES));
-        places.map(|(x, y)| view.ray(along(x, image.width), along(y, image.height)).origin).collect()
+        places.map(|(x, y)| view.ray(along(x, film.width), along(y, film.height)).origin).collect()
     }
 
     fn world_to_ndc(&self, view: &View) -> Option<Matrix> {

@@ -3,7 +3,7 @@
 use super::{CameraAxes, Extent, Project};
 use crate::bounds::Bounds;
 use crate::camera::View;
-use crate::film::Image;
+use crate::film::Film;
 use crate::ray::{Ray, Tolerance};
 use crate::real::{Real, Vec3};
 use crate::values::FieldOfView;
@@ -51,8 +51,8 @@ impl Project for Panorama {
         false
     }
 
-    fn warning(&self, image: &Image) -> Option<String> {
-        let Image { width, height, .. } = image;
+    fn warning(&self, film: Film<'_>) -> Option<String> {
+        let Film { width, height, .. } = film;
         (*width != height.saturating_mul(2)).then(|| {
             format!("a panorama is 360 by 180 degrees, and {width}×{height} stretches it: make width twice height")
         })
