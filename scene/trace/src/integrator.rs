@@ -17,6 +17,7 @@ mod motion;
 mod path;
 mod pick;
 mod ray_boxes;
+mod ray_density;
 mod ray_kinds;
 mod regeneration;
 mod scene_distance;

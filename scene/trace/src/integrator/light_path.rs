@@ -7,6 +7,7 @@
 use super::emitters::{MetLight, NextEvent, ShadowRay, Vertex};
 use super::grouped_light::GroupedLight;
 use super::lighting::{OF_DIRECTION, OF_LOBE, OF_ROULETTE};
+use super::ray_density::RayDensity;
 use super::{Hit, Integrator, Radiance};
 use crate::lights::NEVER;
 use crate::march::MarchResult;
@@ -22,10 +23,6 @@ const FIRST_ROULETTE: f32 = 3.0;
 const SURVIVAL_PER_THROUGHPUT: f32 = 4.0;
 /// Least probability of going on.
 const MIN_SURVIVAL: f32 = 0.05;
-/// Density of rays that next-event estimation does not find: from the camera, and after a transmission.
-const UNRIVALED: f32 = -1.0;
-/// Density of rays whose light shadow rays find straight through glass: after a transmission that is not seen directly.
-const FOUND_STRAIGHT: f32 = -2.0;
 
 /// State of a path after some bounces.
 #[derive(Clone, Copy)]
@@ -44,8 +41,8 @@ pub(super) struct LightPath<R: Real> {
     pub(super) background_weight: R,
     pub(super) evaluations: R,
     pub(super) bounce: R,
-    /// Density of the ray's direction, or [`UNRIVALED`].
-    pub(super) density: R,
+    /// Density of the ray's direction.
+    pub(super) density: RayDensity<R>,
     /// Where the ray comes from.
     pub(super) from: Vertex<R>,
     /// Ray toward a light, from the same vertex.
@@ -145,7 +142,7 @@ impl Integrator<'_> {
             background_weight: one,
             evaluations: zero,
             bounce: zero,
-            density: zero.constant(UNRIVALED),
+            density: RayDensity::unrivaled(zero),
             from: Vertex { position: ray.origin, strength: zero },
             shadow: self.no_shadow_ray(zero),
             is_active: MaskValue(zero.below(1.0)),
@@ -175,13 +172,11 @@ impl Integrator<'_> {
 
     /// Weight of light that a path's ray meets, for the density with which next-event estimation would have found it.
     fn weight<R: Real>(&self, path: &LightPath<R>, rival: R) -> R {
-        let one = rival.constant(1.0);
-        let share = R::select(path.density.below(0.0), one, path.density / (path.density + rival).at_least(1e-30));
+        let weight = path.density.weight(rival);
         if !self.has_straight_shadows() {
-            return share;
+            return weight;
         }
-        let is_found = path.density.below(FOUND_STRAIGHT + 0.5) & rival.above(0.0);
-        R::select(is_found, rival.constant(0.0), share)
+        R::select(path.density.is_found_straight(rival), rival.constant(0.0), weight)
     }
 
     /// Samples the bounce where a path's ray has met something.
@@ -291,11 +286,11 @@ impl Integrator<'_> {
             let throughput = path.throughput.mul_elementwise(onward.weight);
             // Straight transmission leaves the background visible.
             let straight = is_transmitted & (bsdf.ior - 1.0).abs().below(1e-4);
-            let mut unrivaled = zero + UNRIVALED;
-            if self.has_straight_shadows() {
-                let is_seen = path.density.below(0.0) & path.density.above(FOUND_STRAIGHT + 0.5);
-                unrivaled = R::select(is_seen, unrivaled, zero + FOUND_STRAIGHT);
-            }
+            let transmitted = if self.has_straight_shadows() {
+                path.density.transmitted_straight()
+            } else {
+                RayDensity::unrivaled(zero)
+            };
             let see_through = R::select(straight, path.background_weight * onward.weight.mean(), zero);
             let (goes_on, throughput) = path.after_roulette(throughput, sampler);
             let next = LightPath {
@@ -308,7 +303,7 @@ impl Integrator<'_> {
                 background_weight: see_through + through,
                 evaluations: path.evaluations,
                 bounce: path.bounce + 1.0,
-                density: R::select(is_transmitted, unrivaled, onward.density),
+                density: RayDensity::select(is_transmitted, transmitted, RayDensity::new(onward.density)),
                 from: here,
                 shadow: path.shadow,
                 is_active: MaskValue(goes_on),

@@ -13,6 +13,7 @@ use super::emitters::NextEvent;
 use super::light_path::LightPath;
 use super::lighting::{IN_MEDIA, IN_SHADOWING_MEDIA, OF_DIRECTION, OF_LOBE};
 use super::media::Media;
+use super::ray_density::RayDensity;
 use crate::lights::{NEVER, direction_around};
 use crate::materials::MediumScattering;
 use crate::materials::microfacet::orthonormal_basis;
@@ -121,7 +122,7 @@ impl Integrator<'_> {
                 background_weight: zero,
                 evaluations: path.evaluations,
                 bounce: path.bounce + 1.0,
-                density: phase(scatterer.anisotropy, path.ray.direction.dot(direction)),
+                density: RayDensity::new(phase(scatterer.anisotropy, path.ray.direction.dot(direction))),
                 from: here,
                 shadow: path.shadow,
                 is_active: MaskValue(goes_on),
