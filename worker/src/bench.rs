@@ -5,13 +5,23 @@ mod frames;
 mod gpu;
 mod points;
 
+use scene::JobAtFrame;
 use serde::Serialize;
+use tape::Tape;
 
-pub use crate::picture_tape::{DISTANCE, record_distance};
+use crate::cells::FastBuilder;
+use crate::picture_tape;
+
+pub use crate::picture_tape::DISTANCE;
 pub use compile::{BackEndReport, CompileReport, compile};
 pub use frames::{RenderReport, frames, render};
 pub use gpu::{GpuReport, render_on_gpu};
 pub use points::{DistanceBench, POINTS, PointsReport, ROUNDS, points};
+
+/// Records the scene's distance at a point, as the entry [`DISTANCE`].
+pub fn record_distance(at_frame: &JobAtFrame<'_>) -> Tape {
+    picture_tape::record_distance(at_frame, &FastBuilder::UNLIMITED)
+}
 
 /// Median and range of a figure measured several times.
 #[derive(Clone, Copy, Debug, Serialize)]

@@ -9,10 +9,8 @@ use scene::cells::{
 };
 use scene::real::{Real, Table, Vec3, Words, vec3};
 
-use crate::evaluator::{Evaluator, Frame, Inputs};
-use crate::portable::Instructions;
 use crate::recent::{self, Recent};
-use crate::tape::{Expr, record};
+use tape::{Evaluator, Expr, Frame, Inputs, Instructions, record};
 
 /// Entry of the tape: the value of a list at a point, from the point and the bits of the list's index.
 const LIST: &str = "value_of_list";

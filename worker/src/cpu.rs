@@ -13,10 +13,10 @@ use scene::visits::Visited;
 use scene::{Exposure, Integrator, Job};
 
 use crate::cells::FastBuilder;
-use crate::evaluator::Evaluator;
+use tape::Evaluator;
 use crate::picture_tape::{EVALUATIONS, record_evaluations};
 use crate::rounds::Rounds;
-use crate::simd::Simd;
+use tape::Simd;
 use crate::{CancelFlag, RenderError, Renderer, TilePixels, TileRequest};
 use kernels::{Kernel, KernelCache};
 use packets::{Band, Progress, SAMPLES_PER_RUN, block};
@@ -71,7 +71,7 @@ impl CpuRenderer {
     /// Number of evaluations of the scene's distance for the pixels of a tile, without its layers: only the evaluations of lanes
     /// that need them. Pixels are summed in runs of samples, because an `f32` counts to 2²⁴.
     pub fn evaluations(&self, run: &TileRequest<'_>) -> Result<u64, RenderError> {
-        let tape = record_evaluations(&run.job.at(run.frame)?);
+        let tape = record_evaluations(&run.job.at(run.frame)?, &FastBuilder::UNLIMITED);
         let evaluator = Evaluator::new(&tape, self.simd)?;
         let (inputs, lanes) = (evaluator.inputs(&tape), evaluator.lanes());
         let (cancel, samples) = (CancelFlag::new(), run.job.image.samples.max());

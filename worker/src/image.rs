@@ -28,7 +28,7 @@ pub const PROVENANCE_KEYWORD: &str = "sdfarm";
 use crate::finish::{Finish, FinishedRows};
 use crate::renderer::{CancelFlag, TilePixels};
 use crate::stitch::{RowSource, StitchError};
-use crate::tape::InvalidTape;
+use tape::InvalidTape;
 
 /// Everything about a picture except its pixels.
 #[derive(Clone, Debug)]

@@ -7,33 +7,32 @@ pub mod agent;
 pub mod bench;
 pub mod blob;
 #[cfg(test)]
+#[path = "../tape/src/c_program.rs"]
 mod c_program;
 pub mod cells;
 pub mod cpu;
 pub mod cuda;
 mod denoise;
-mod evaluator;
 mod finish;
+#[cfg(test)]
+mod evaluators;
 mod fireflies;
 pub mod frame;
 pub mod image;
 mod picture_tape;
-mod portable;
 #[cfg(test)]
+#[path = "../tape/src/random_formula.rs"]
 mod random_formula;
 mod recent;
 pub mod renderer;
 mod rounds;
-pub mod simd;
 #[cfg(test)]
 #[path = "../../tests/skip.rs"]
 mod skip;
 pub mod srgb;
 pub mod stitch;
-pub mod tape;
 pub mod wgsl;
-mod x86;
 
 pub use cpu::CpuRenderer;
 pub use renderer::{CancelFlag, RenderError, Renderer, TilePixels, TileRequest};
-pub use simd::Simd;
+pub use tape::{self, Simd};

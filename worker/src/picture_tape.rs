@@ -1,5 +1,6 @@
 //! Records the formulas of a picture, for every compiler.
 
+use scene::cells::CellBuilder;
 use scene::color::{level_of_256, srgb_from_linear};
 use scene::film::DisplayTransform;
 use scene::integrator::{Coverage, Guides, LayerValues, Rank, Ranks};
@@ -7,7 +8,6 @@ use scene::real::{Real, vec3};
 use scene::sampling::thresholds;
 use scene::{ImageSpec, Integrator, JobAtFrame, Layer};
 
-use crate::cells::FastBuilder;
 use crate::tape::{Recording, Tape, record};
 
 /// Adds samples to the sum of a pixel: column, row, first sample, end of the samples, and the sum: red, green, blue, alpha,
@@ -27,8 +27,8 @@ pub(crate) const EVALUATIONS: &str = "evaluations";
 pub const DISTANCE: &str = "distance_at_point";
 
 /// Records the entries [`ACCUMULATE`], [`MEAN`] and, if the job requests layers, [`LAYERS`].
-pub(crate) fn record_picture(at_frame: &JobAtFrame<'_>, cells: FastBuilder) -> Tape {
-    record_entries(&Integrator::of_picture(at_frame, &cells), at_frame)
+pub(crate) fn record_picture(at_frame: &JobAtFrame<'_>, cells: &dyn CellBuilder) -> Tape {
+    record_entries(&Integrator::of_picture(at_frame, cells), at_frame)
 }
 
 /// Records the entries of [`record_picture`] of an integrator.
@@ -56,9 +56,9 @@ pub(crate) fn accumulate(recording: &Recording, program: &Integrator<'_>, image:
 }
 
 /// Records the entries [`ACCUMULATE`] and [`LEVELS`].
-pub(crate) fn record_shown_picture(at_frame: &JobAtFrame<'_>, cells: FastBuilder) -> Tape {
+pub(crate) fn record_shown_picture(at_frame: &JobAtFrame<'_>, cells: &dyn CellBuilder) -> Tape {
     let at_frame = &at_frame.without_parts_of_light();
-    let program = Integrator::of_picture(at_frame, &cells);
+    let program = Integrator::of_picture(at_frame, cells);
     let transform = DisplayTransform::new(at_frame.image());
     record(|recording| {
         accumulate(recording, &program, at_frame.image());
@@ -71,8 +71,8 @@ pub(crate) fn record_shown_picture(at_frame: &JobAtFrame<'_>, cells: FastBuilder
 }
 
 /// Records the entry [`EVALUATIONS`].
-pub(crate) fn record_evaluations(at_frame: &JobAtFrame<'_>) -> Tape {
-    let program = Integrator::of_picture(at_frame, &FastBuilder::UNLIMITED);
+pub(crate) fn record_evaluations(at_frame: &JobAtFrame<'_>, cells: &dyn CellBuilder) -> Tape {
+    let program = Integrator::of_picture(at_frame, cells);
     record(|recording| {
         recording.entry(EVALUATIONS, |[x, y, first, end]| {
             vec![program.accumulate(x, y, first, end, program.no_light(x.constant(0.0))).evaluations]
@@ -81,8 +81,8 @@ pub(crate) fn record_evaluations(at_frame: &JobAtFrame<'_>) -> Tape {
 }
 
 /// Records the entry [`DISTANCE`].
-pub fn record_distance(at_frame: &JobAtFrame<'_>) -> Tape {
-    let program = Integrator::of_picture(at_frame, &FastBuilder::UNLIMITED);
+pub(crate) fn record_distance(at_frame: &JobAtFrame<'_>, cells: &dyn CellBuilder) -> Tape {
+    let program = Integrator::of_picture(at_frame, cells);
     record(|recording| recording.entry(DISTANCE, |[x, y, z]| vec![program.distance(vec3(x, y, z))]))
 }
 

@@ -10,7 +10,7 @@ use proto::Rect;
 use scene::real::Words;
 use scene::visits::Visited;
 
-use crate::tape::InvalidTape;
+use tape::{EvaluatorError, InvalidTape};
 
 /// Renders tiles on one device. Each render has exclusive use of it until it ends, or calls `on_device_free`.
 ///
@@ -216,6 +216,17 @@ pub enum RenderError {
         /// Message.
         reason: String,
     },
+}
+
+impl From<EvaluatorError> for RenderError {
+    fn from(error: EvaluatorError) -> Self {
+        match error {
+            EvaluatorError::Unavailable { simd, reason } => {
+                Self::Unavailable { requested: format!("--simd {simd}"), reason }
+            }
+            EvaluatorError::InvalidTape(invalid) => Self::InvalidTape(invalid),
+        }
+    }
 }
 
 impl RenderError {

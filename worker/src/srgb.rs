@@ -6,8 +6,8 @@ use scene::film::DisplayTransform;
 use scene::sampling::thresholds;
 
 use crate::CancelFlag;
-use crate::evaluator::{Evaluator, Frame, Inputs};
-use crate::tape::{InvalidTape, Tape, record};
+use tape::{Evaluator, Frame, Inputs};
+use tape::{InvalidTape, Tape, record};
 
 const ENCODE: &str = "encode";
 const DITHER: &str = "dither";

@@ -8,7 +8,7 @@ use scene::JobAtFrame;
 
 use crate::cells::FastBuilder;
 use crate::picture_tape::record_shown_picture;
-use crate::tape::InvalidTape;
+use tape::InvalidTape;
 
 const TEMPLATE: &str = include_str!("wgsl/picture.wgsl");
 const INSERTION_POINT: &str = "// ---- the picture ----\n";
@@ -46,7 +46,7 @@ pub enum ShaderError {
 impl Shader {
     /// Program of a job's frame.
     pub fn new(at_frame: &JobAtFrame<'_>) -> Result<Self, ShaderError> {
-        let tape = record_shown_picture(at_frame, FastBuilder::UNLIMITED);
+        let tape = record_shown_picture(at_frame, &FastBuilder::UNLIMITED);
         let words = match tape.table() {
             None => Vec::new(),
             Some(table) if table.used() > MAX_WORDS => return Err(ShaderError::ManyShapes(table.used())),

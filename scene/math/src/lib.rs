@@ -24,3 +24,15 @@ pub mod color;
 pub mod ray;
 pub mod real;
 pub mod sampling;
+
+/// Name of a type in JSON and in generated source: `InfiniteCylinder` becomes `infinite_cylinder`.
+pub fn snake_case(name: &str) -> String {
+    let mut snake = String::new();
+    for (index, letter) in name.char_indices() {
+        if letter.is_ascii_uppercase() && index > 0 {
+            snake.push('_');
+        }
+        snake.push(letter.to_ascii_lowercase());
+    }
+    snake
+}

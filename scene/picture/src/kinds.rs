@@ -4,6 +4,8 @@
 //! the list of kinds and the list of methods. The enum has the same methods, and each calls the kind's: the list is
 //! the dispatch, and no file outside the family branches on its kinds.
 
+pub use math::snake_case;
+
 /// A kind of a family.
 #[derive(Clone, Debug)]
 pub struct Kind {
@@ -256,16 +258,4 @@ impl NodeError {
         let separator = if self.pointer.is_empty() { "" } else { "/" };
         Self { pointer: format!("{key}{separator}{}", self.pointer), message: self.message }
     }
-}
-
-/// Name in JSON: `InfiniteCylinder` becomes `infinite_cylinder`.
-pub fn snake_case(name: &str) -> String {
-    let mut snake = String::new();
-    for (index, letter) in name.char_indices() {
-        if letter.is_ascii_uppercase() && index > 0 {
-            snake.push('_');
-        }
-        snake.push(letter.to_ascii_lowercase());
-    }
-    snake
 }

@@ -7,7 +7,7 @@ use serde::Serialize;
 
 use super::Spread;
 use crate::cells::FastBuilder;
-use crate::evaluator::Evaluator;
+use tape::Evaluator;
 use crate::picture_tape::record_picture;
 use crate::{RenderError, Simd};
 
@@ -39,8 +39,8 @@ const BACK_ENDS: [Simd; 3] = [Simd::Avx512, Simd::Avx2, Simd::Portable];
 /// Compiles a scene several times for each back end that this CPU has.
 pub fn compile(job: &Job, runs: usize) -> Result<CompileReport, RenderError> {
     let at_frame = job.at(0)?;
-    let tape = record_picture(&at_frame, FastBuilder::UNLIMITED);
-    let record_ms = repeated(runs, || drop(record_picture(&at_frame, FastBuilder::UNLIMITED)));
+    let tape = record_picture(&at_frame, &FastBuilder::UNLIMITED);
+    let record_ms = repeated(runs, || drop(record_picture(&at_frame, &FastBuilder::UNLIMITED)));
     let mut back_ends = Vec::new();
     for simd in BACK_ENDS.into_iter().filter(|simd| simd.is_available()) {
         let code_bytes = Evaluator::new(&tape, simd)?.code_bytes();

@@ -7,8 +7,9 @@ use scene::{Integrator, Job, JobAtFrame};
 use serde::Serialize;
 
 use super::Spread;
-use crate::evaluator::Evaluator;
-use crate::picture_tape::{DISTANCE, record_distance};
+use tape::Evaluator;
+use super::record_distance;
+use crate::picture_tape::DISTANCE;
 use crate::{CancelFlag, RenderError, Simd};
 
 /// Number of points that fit into the L1 cache together, a multiple of all lanes.

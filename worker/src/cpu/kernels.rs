@@ -9,10 +9,10 @@ use scene::visits::Visits;
 use scene::{Exposure, ImageSpec, Integrator, JobAtFrame};
 
 use crate::cells::{FastBuilder, KnownCells};
-use crate::evaluator::{Evaluator, Frame, Inputs};
+use tape::{Evaluator, Frame, Inputs};
 use crate::picture_tape::{ACCUMULATE, LAYERS, MEAN, layer_channels, record_entries, record_picture};
 use crate::recent::{self, Recent};
-use crate::tape::Tape;
+use tape::Tape;
 use crate::{RenderError, Simd};
 
 /// Maximum number of cached evaluators.
@@ -76,7 +76,7 @@ impl KernelCache {
         simd: Simd,
         cells: FastBuilder,
     ) -> Result<Prepared, RenderError> {
-        let tape = record_picture(at_frame, cells);
+        let tape = record_picture(at_frame, &cells);
         let table = tape.table().map(|table| self.cells.share(at_frame, table));
         let tape = match table {
             Some(table) => tape.with_table(table),

@@ -5,7 +5,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use proto::Rect;
 
 use super::*;
-use crate::evaluator::tests::cells::many;
+use crate::evaluators::cells::many;
 
 fn render(renderer: &CpuRenderer, job: &Job) -> Result<(TilePixels, u64), RenderError> {
     let run = TileRequest { job, frame: 0, rect: Rect::full(job.image.film().width, job.image.film().height) };

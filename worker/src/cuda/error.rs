@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use cudarc::driver::DriverError;
 use cudarc::driver::sys::CUresult;
 
-use crate::tape::InvalidTape;
+use tape::InvalidTape;
 
 /// Error of a GPU operation.
 #[derive(Debug, thiserror::Error)]

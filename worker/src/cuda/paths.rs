@@ -7,7 +7,7 @@ use scene::Integrator;
 use scene::integrator::Lane;
 use scene::real::{Bundle, Merge, Real};
 
-use crate::tape::{BoolExpr, Expr, PAUSE, Recording};
+use tape::{BoolExpr, Expr, PAUSE, Recording};
 
 /// C source of lists of numbers, and of the functions that fill them.
 #[derive(Debug)]

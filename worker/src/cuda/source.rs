@@ -15,7 +15,7 @@ use super::launches::BLOCK_GROUP;
 use super::paths::{self, PathSource};
 use crate::cells::FastBuilder;
 use crate::picture_tape::{accumulate, finish};
-use crate::tape::{InvalidTape, record};
+use tape::{InvalidTape, record};
 
 const KERNEL_TEMPLATE: &str = include_str!("kernel.cu");
 /// The kernel that renders: sample by sample, or paths in loops of its own.
