@@ -2,7 +2,7 @@
 //! has for it. A form that the schema allows there is read, with the same picture if it has the same value; any other is
 //! refused where it is.
 
-#[path = "../../../worker/tests/keys/corpus.rs"]
+#[path = "../../../worker/tests/worker/keys/corpus.rs"]
 mod corpus;
 mod places;
 

@@ -69,6 +69,7 @@ fn exr_head(job: &Job, frame: u32) -> Vec<u8> {
     let color = if job.image.precision == Precision::Half { 1 } else { 2 };
     let mut channels: Vec<(String, i32)> = job
         .image
+        .film()
         .channels()
         .into_iter()
         .enumerate()

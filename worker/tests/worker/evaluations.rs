@@ -13,8 +13,15 @@ use worker::{CpuRenderer, Simd, TileRequest};
 use crate::lanes::levels;
 use crate::shipped::shipped;
 
-/// Names of the steps that evaluate the scene's distance.
-const DISTANCES: [&str; 2] = ["distance", "nearest"];
+/// Names of the functions that evaluate the distance of the scene as each kind of ray sees it.
+const DISTANCES: [&str; 6] = [
+    "distance",
+    "distance_of_shadows",
+    "distance_of_reflections",
+    "nearest",
+    "nearest_of_shadows",
+    "nearest_of_reflections",
+];
 
 thread_local! {
     static CALLS: Cell<u64> = const { Cell::new(0) };

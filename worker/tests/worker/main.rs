@@ -16,6 +16,7 @@ mod fake_renderer;
 mod fake_server;
 mod fireflies;
 mod frames;
+mod keys;
 mod lanes;
 mod light_groups;
 mod mattes;

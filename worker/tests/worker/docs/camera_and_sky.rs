@@ -74,7 +74,7 @@ fn columns(projection: &str) -> Job {
         "objects": [{COLUMNS}]"#
     );
     let job = stage(&scene, [240, 180]);
-    if projection_of.warning(&job.image).is_some() { stage(&scene, [320, 160]) } else { job }
+    if projection_of.warning(job.image.film()).is_some() { stage(&scene, [320, 160]) } else { job }
 }
 
 /// The ball and the columns behind it, with rows of lamps.

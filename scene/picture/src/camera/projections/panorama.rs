@@ -53,7 +53,7 @@ impl Project for Panorama {
 
     fn warning(&self, film: Film<'_>) -> Option<String> {
         let Film { width, height, .. } = film;
-        (*width != height.saturating_mul(2)).then(|| {
+        (width != height.saturating_mul(2)).then(|| {
             format!("a panorama is 360 by 180 degrees, and {width}×{height} stretches it: make width twice height")
         })
     }
