@@ -5,38 +5,52 @@
 //! fills its lines. A blank line between entries stays. The result depends only on the entries and their comments, so
 //! formatting it again changes nothing.
 
+mod entries;
 mod lexer;
+mod measure;
 #[cfg(test)]
 mod tests;
-mod tree;
-mod width;
 
-use self::tree::{Comment, Container, Entry, Value};
-use crate::error::ParseError;
+use std::ops::Range;
+
+use self::entries::{Comment, Entries, Start};
+use self::lexer::Kind;
+use self::measure::{Measures, measure};
+use crate::error::{Fault, ParseError};
+use crate::limits::MAX_BODY_BYTES;
 use crate::parse::formattable;
 
 /// Maximum length of a line, in characters, unless one number, string or comment is longer.
 const MAX_LINE_CHARS: usize = 100;
 const INDENT: &str = "  ";
-/// Maximum length of a list of numbers that shares its line with others of a longer list.
-const MAX_FILLED_CHARS: usize = 40;
 
 /// The text of a job, formatted. The job need not be valid, but must be JSON with comments and trailing commas.
 ///
 /// # Errors
-/// Fails at the position where the text is not JSON, nests too deep, or is not UTF-8.
+/// Fails at the position where the text is not JSON, nests too deep, or is not UTF-8, and if the result would be too
+/// large for a job.
 pub fn format(text: &[u8]) -> Result<String, ParseError> {
     // The nesting is bounded, so what follows may recurse.
     let tree = formattable(text)?;
-    let (file, text) = (tree::read(&tree), tree.text());
-    let mut printer = Printer { text, out: String::with_capacity(text.len()), column: 0, depth: 0 };
-    printer.file(&file);
-    Ok(printer.out)
+    let (text, measures) = (tree.text(), measure(&tree).into_iter());
+    let out = String::with_capacity(text.len());
+    let mut printer = Printer { text, entries: Entries::new(&tree), measures, out, column: 0, depth: 0 };
+    printer.file();
+    if printer.out.len() <= MAX_BODY_BYTES {
+        return Ok(printer.out);
+    }
+    let limit = MAX_BODY_BYTES >> 20;
+    let message = format!("would be larger than {limit} MiB when formatted, the limit of a job: leave it as it is");
+    Err(ParseError::Invalid(Fault::placed(text, vec![Fault { pointer: String::new(), message, at: Some(0) }])))
 }
 
 /// Formatted text so far.
 struct Printer<'a> {
     text: &'a str,
+    /// The rest of the tree, which is not printed yet.
+    entries: Entries<'a>,
+    /// Measures of the lists and objects that are not printed yet.
+    measures: std::vec::IntoIter<Measures>,
     out: String,
     /// Characters of the last line.
     column: usize,
@@ -45,27 +59,27 @@ struct Printer<'a> {
 }
 
 impl Printer<'_> {
-    fn file(&mut self, file: &Container) {
-        for (index, entry) in file.entries.iter().enumerate() {
-            self.line_of(entry, index == 0, "");
-        }
-        self.comment_lines(&file.end_comments, file.entries.is_empty());
+    fn file(&mut self) {
+        let leading = self.entries.comments();
+        let end_comments = self.line_of(leading, false, "", true);
+        self.comment_lines(&end_comments, false);
     }
 
-    /// Prints an entry that has its lines for itself, with the comments before and after it.
-    fn line_of(&mut self, entry: &Entry, is_first: bool, comma: &str) {
-        let leading = entry.comments().map_or(&[][..], |comments| &comments.leading);
-        self.comments_before(leading, is_first);
+    /// Prints an entry that has its lines for itself, with the comments before and after it. Returns the comments before
+    /// the next.
+    fn line_of(&mut self, leading: Vec<Comment>, has_key: bool, comma: &str, is_first: bool) -> Vec<Comment> {
+        let start = self.entries.start(leading, has_key);
+        self.comments_before(&start.leading, is_first);
         if self.column == 0 {
-            self.begin_line(entry.follows_blank && !(is_first && leading.is_empty()));
+            self.begin_line(start.follows_blank && !(is_first && start.leading.is_empty()));
         }
-        self.entry(entry, comma.len());
+        self.key(&start);
+        self.value(comma.len());
         self.put(comma);
-        for comment in entry.comments().map_or(&[][..], |comments| &comments.trailing) {
-            self.put(" ");
-            self.put_comment(comment);
-        }
+        let (trailing, pending) = self.entries.end();
+        self.comments_after(&trailing);
         self.end_line();
+        pending
     }
 
     fn comments_before(&mut self, comments: &[Comment], is_first: bool) {
@@ -82,6 +96,13 @@ impl Printer<'_> {
         }
     }
 
+    fn comments_after(&mut self, comments: &[Comment]) {
+        for comment in comments {
+            self.put(" ");
+            self.put_comment(comment);
+        }
+    }
+
     fn comment_lines(&mut self, comments: &[Comment], is_first: bool) {
         for (index, comment) in comments.iter().enumerate() {
             self.begin_line(comment.follows_blank && !(is_first && index == 0));
@@ -90,95 +111,80 @@ impl Printer<'_> {
         }
     }
 
-    /// Prints the key and the value of an entry.
-    fn entry(&mut self, entry: &Entry, comma_chars: usize) {
-        self.key(entry);
-        match &entry.value {
-            Value::Scalar(range) => self.put_text(range.clone()),
-            Value::Container(container) => match container.flat_chars {
-                Some(chars) if self.column + chars + comma_chars <= MAX_LINE_CHARS && !self.is_job() => {
-                    self.flat(container);
-                }
-                Some(_) if container.entries.is_empty() => self.flat(container),
-                _ => self.broken(container),
-            },
-        }
-    }
-
-    /// Whether the next value is the job: it is never on one line.
-    fn is_job(&self) -> bool {
-        self.depth == 0
-    }
-
-    fn key(&mut self, entry: &Entry) {
-        if let Some(key) = &entry.key {
+    fn key(&mut self, start: &Start) {
+        if let Some(key) = &start.key {
             self.put_text(key.clone());
             self.put(": ");
         }
-        for comment in entry.comments().map_or(&[][..], |comments| &comments.inside) {
+        for comment in &start.inside {
             self.put_comment(comment);
             self.put(" ");
         }
     }
 
-    /// Prints a list or an object on one line.
-    fn flat(&mut self, container: &Container) {
-        self.put(container.open());
-        let pad = if container.is_object && !container.is_bare() { " " } else { "" };
+    /// Prints a value, on one line if it fits there. The job is never on one line.
+    fn value(&mut self, comma_chars: usize) {
+        let Some(token) = self.entries.value() else { return };
+        let column = self.column;
+        self.put_text(token.range.clone());
+        let Some(measures) = (token.kind == Kind::Open).then(|| self.measures.next()).flatten() else { return };
+        let is_object = self.text[token.range].starts_with('{');
+        let fits = |chars: u32| self.depth > 0 && column + chars as usize + comma_chars <= MAX_LINE_CHARS;
+        if measures.flat_chars.is_some_and(|chars| measures.entries == 0 || fits(chars)) {
+            self.flat(is_object, measures.entries);
+        } else {
+            self.broken(is_object, measures);
+        }
+        self.entries.close();
+        self.put(if is_object { "}" } else { "]" });
+    }
+
+    /// Prints the entries of a list or an object on one line.
+    fn flat(&mut self, is_object: bool, count: u32) {
+        let (_, mut pending) = self.entries.open();
+        let pad = if is_object && (count > 0 || !pending.is_empty()) { " " } else { "" };
         self.put(pad);
-        for (index, comment) in container.end_comments.iter().enumerate() {
+        for index in 0..count {
+            self.put(if index == 0 { "" } else { ", " });
+            let start = self.entries.start(pending, is_object);
+            self.comments_before(&start.leading, true);
+            self.key(&start);
+            self.value(0);
+            let (trailing, after) = self.entries.end();
+            self.comments_after(&trailing);
+            pending = after;
+        }
+        for (index, comment) in pending.iter().enumerate() {
             self.put(if index == 0 { "" } else { " " });
             self.put_comment(comment);
         }
-        for (index, entry) in container.entries.iter().enumerate() {
-            self.put(if index == 0 { "" } else { ", " });
-            if let Some(comments) = entry.comments() {
-                self.comments_before(&comments.leading, true);
-            }
-            self.key(entry);
-            match &entry.value {
-                Value::Scalar(range) => self.put_text(range.clone()),
-                Value::Container(inside) => self.flat(inside),
-            }
-            for comment in entry.comments().map_or(&[][..], |comments| &comments.trailing) {
-                self.put(" ");
-                self.put_comment(comment);
-            }
-        }
         self.put(pad);
-        self.put(container.close());
     }
 
-    /// Prints a list or an object on several lines.
-    fn broken(&mut self, container: &Container) {
-        self.put(container.open());
-        for comment in &container.open_comments {
-            self.put(" ");
-            self.put_comment(comment);
-        }
+    /// Prints the entries of a list or an object on several lines.
+    fn broken(&mut self, is_object: bool, measures: Measures) {
+        let (open_comments, mut pending) = self.entries.open();
+        self.comments_after(&open_comments);
         self.end_line();
         self.depth += 1;
-        if container.is_filled(MAX_FILLED_CHARS) {
-            self.filled(container);
+        if measures.is_filled {
+            self.filled(measures.entries);
         } else {
-            let last = container.entries.len().saturating_sub(1);
-            for (index, entry) in container.entries.iter().enumerate() {
-                self.line_of(entry, index == 0, if index == last { "" } else { "," });
+            for index in 0..measures.entries {
+                let comma = if index + 1 == measures.entries { "" } else { "," };
+                pending = self.line_of(pending, is_object, comma, index == 0);
             }
-            self.comment_lines(&container.end_comments, container.entries.is_empty());
+            self.comment_lines(&pending, measures.entries == 0);
         }
         self.depth -= 1;
         self.begin_line(false);
-        self.put(container.close());
     }
 
     /// Prints the entries of a list with as many on a line as fit.
-    fn filled(&mut self, container: &Container) {
-        let last = container.entries.len().saturating_sub(1);
-        for (index, entry) in container.entries.iter().enumerate() {
-            let comma = if index == last { "" } else { "," };
-            let chars = width::of_value(self.text, &entry.value).unwrap_or(0) + comma.len();
-            if self.column > 0 && self.column + 1 + chars > MAX_LINE_CHARS {
+    fn filled(&mut self, count: u32) {
+        for index in 0..count {
+            let comma = if index + 1 == count { "" } else { "," };
+            if self.column > 0 && self.column + 1 + self.next_chars() + comma.len() > MAX_LINE_CHARS {
                 self.end_line();
             }
             if self.column == 0 {
@@ -186,10 +192,20 @@ impl Printer<'_> {
             } else {
                 self.put(" ");
             }
-            self.entry(entry, comma.len());
+            self.value(comma.len());
+            self.entries.end();
             self.put(comma);
         }
         self.end_line();
+    }
+
+    /// Length of the next value on one line.
+    fn next_chars(&self) -> usize {
+        match (self.entries.peek(), self.measures.as_slice()) {
+            (Some(token), [next, ..]) if token.kind == Kind::Open => next.flat_chars.unwrap_or(0) as usize,
+            (Some(token), _) => self.text[token.range.clone()].chars().count(),
+            (None, _) => 0,
+        }
     }
 
     fn begin_line(&mut self, is_after_blank: bool) {
@@ -207,11 +223,14 @@ impl Printer<'_> {
     }
 
     fn put(&mut self, text: &str) {
-        self.out.push_str(text);
+        // Too large a text is refused, so the rest of it needs no memory.
+        if self.out.len() <= MAX_BODY_BYTES {
+            self.out.push_str(text);
+        }
         self.column += text.chars().count();
     }
 
-    fn put_text(&mut self, range: std::ops::Range<usize>) {
+    fn put_text(&mut self, range: Range<usize>) {
         let text = self.text;
         self.put(&text[range]);
     }

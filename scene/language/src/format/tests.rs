@@ -195,3 +195,15 @@ fn text_that_is_not_json_is_an_error_at_its_position() {
     let deepest = format!("{}{}", "[".repeat(256), "]".repeat(256));
     assert_kept(&deepest);
 }
+
+#[test]
+fn what_would_be_too_large_for_a_job_is_refused_without_being_made() {
+    let nested = |count: usize| {
+        let members = (0..count).map(|key| format!("\"{key}\":0,")).collect::<Vec<_>>().concat();
+        format!("{}{{{members}}}{}", "[".repeat(250), "]".repeat(250))
+    };
+    // Each of the lines is indented by 500 spaces.
+    assert_kept(&nested(300));
+    let error = format(nested(70_000).as_bytes()).expect_err("35 MB").to_string();
+    assert!(error.contains("would be larger than 32 MiB when formatted"), "{error}");
+}

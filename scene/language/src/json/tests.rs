@@ -206,6 +206,7 @@ fn what_is_no_json_is_refused() {
         "{",
         "\"abc",
         "]]",
+        "{]",
         "{\"a\\",
         "nul",
         "[1,,2]",
