@@ -139,7 +139,7 @@ impl<'a> Reader<'a> {
 
     /// The byte here; 0 at the end, which is no token.
     fn byte(&self) -> u8 {
-        self.bytes.get(self.at).copied().unwrap_or(0)
+        if self.at < self.bytes.len() { self.bytes[self.at] } else { 0 }
     }
 
     /// The closing bracket of what is open.

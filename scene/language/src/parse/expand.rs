@@ -78,7 +78,7 @@ struct Expander<'t> {
     /// Names in `instances` by shape and numbers.
     by_numbers: HashMap<String, String>,
     faults: BTreeSet<(usize, String)>,
-    /// Parsed formulas by their byte offsets.
+    /// Parsed formulas of copies and of shapes, by their byte offsets.
     parsed: HashMap<usize, Result<Arc<Syntax>, ()>>,
     is_too_large: bool,
 }
@@ -214,13 +214,17 @@ impl<'t> Expander<'t> {
 
     /// The value of the formula in a string.
     fn formula(&mut self, string: Value<'t>, scope: &mut Scope<'_>) -> Arc<Expr> {
-        let parsed = self.parsed.get(&string.start()).cloned();
+        // Other formulas are read once.
+        let is_repeated = scope.copy().is_some() || scope.is_in_shape;
+        let parsed = self.parsed.get(&string.start()).filter(|_| is_repeated).cloned();
         let parsed = parsed.unwrap_or_else(|| {
             let parsed = crate::values::formula::parse(&string.string()).map(Arc::new);
             let parsed = parsed.map_err(|error| {
                 self.fault(offset_in_string(string, error.at), error.message);
             });
-            self.parsed.insert(string.start(), parsed.clone());
+            if is_repeated {
+                self.parsed.insert(string.start(), parsed.clone());
+            }
             parsed
         });
         let Ok(syntax) = parsed else { return stand_in() };
