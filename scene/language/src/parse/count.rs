@@ -15,7 +15,12 @@ pub struct Expansion {
     pub formulas: u64,
     /// Placements that counted copies make.
     pub copies: u64,
+    /// Bytes of the job as text without formulas, spaces and comments.
+    pub bytes: u64,
 }
+
+/// Maximum number of bytes of a number in the name of a use with numbers.
+const MAX_NUMBER_BYTES: usize = 48;
 
 /// Counts what a tree becomes. A count of copies that is not known here, because it depends on other copies or on a
 /// shape's own numbers, is taken as the largest.
@@ -29,8 +34,11 @@ pub(super) fn count(tree: &Tree<'_>) -> Expansion {
         used: BTreeMap::new(),
     };
     counter.value(tree.root(), 1);
-    let shapes: BTreeMap<_, _> =
-        shapes.into_iter().flat_map(Value::members).map(|(name, shape)| (name.string(), shape)).collect();
+    let shapes = shapes.into_iter().flat_map(Value::members).enumerate().map(|(place, (name, shape))| {
+        counter.key(place, name, 1);
+        (name.string(), shape)
+    });
+    let shapes: BTreeMap<_, _> = shapes.collect();
     counter.is_in_shape = true;
     // Each shape is written once, and once more for each use with numbers.
     let mut used: BTreeMap<String, u64> = shapes.keys().map(|name| (name.to_string(), 1)).collect();
@@ -63,18 +71,21 @@ struct Counter<'t> {
 impl<'t> Counter<'t> {
     /// Counts a value that is made some times.
     fn value(&mut self, value: Value<'t>, times: u64) {
-        self.add(times);
         if self.shapes.is_some_and(|shapes| shapes.index() == value.index()) {
-            return;
+            return self.add(times, "{}".len());
         }
         if expand::formula(value).is_some() {
             self.total.formulas = self.total.formulas.saturating_add(times);
-            return;
+            return self.add(times, 0);
         }
-        for entry in value.entries() {
+        let brackets = if value.is_container() { "{}".len() } else { value.text().len() };
+        self.add(times, brackets);
+        for (place, entry) in value.entries().enumerate() {
+            self.add_bytes(times, usize::from(place > 0));
             self.value(entry, times);
         }
-        for (key, inside) in value.members() {
+        for (place, (key, inside)) in value.members().enumerate() {
+            self.key(place, key, times);
             match key.raw() {
                 "use" if inside.kind() == Kind::Object => self.used(inside, times),
                 "copies" => self.copies(inside, times),
@@ -83,16 +94,28 @@ impl<'t> Counter<'t> {
         }
     }
 
-    fn add(&mut self, times: u64) {
+    fn add(&mut self, times: u64, bytes: usize) {
         self.total.values = self.total.values.saturating_add(times);
+        self.add_bytes(times, bytes);
+    }
+
+    fn add_bytes(&mut self, times: u64, bytes: usize) {
+        self.total.bytes = self.total.bytes.saturating_add(times.saturating_mul(bytes as u64));
+    }
+
+    /// Counts a key with its colon, and the comma before it.
+    fn key(&mut self, place: usize, key: Value<'t>, times: u64) {
+        self.add_bytes(times, usize::from(place > 0) + key.text().len() + 1);
     }
 
     fn used(&mut self, value: Value<'t>, times: u64) {
         let (Some(shape), Some(with)) = (value.get("shape"), value.get("with")) else {
             return self.value(value, times);
         };
-        // It becomes the name of a shape.
-        self.add(times);
+        // It becomes the name of a shape, which is the key of that shape, too.
+        let numbers = with.members().map(|(key, _)| key.raw().len() + "=, ".len() + MAX_NUMBER_BYTES);
+        let name_bytes = shape.text().len() + "()".len() + numbers.sum::<usize>();
+        self.add(times, 2 * name_bytes + ":,".len());
         let formulas = with.members().filter(|(_, number)| expand::formula_or_string(*number).is_some()).count();
         self.total.formulas = self.total.formulas.saturating_add(times.saturating_mul(formulas as u64));
         let all = self.used.entry(shape.string().into_owned()).or_default();
@@ -100,8 +123,9 @@ impl<'t> Counter<'t> {
     }
 
     fn copies(&mut self, value: Value<'t>, times: u64) {
-        self.add(times);
-        for (key, inside) in value.members() {
+        self.add(times, if value.is_container() { "{}".len() } else { value.text().len() });
+        for (place, (key, inside)) in value.members().enumerate() {
+            self.key(place, key, times);
             match inside.get("count") {
                 Some(count) if key.raw() == "at" && expand::is_counted(inside) => {
                     let copies = times.saturating_mul(self.copy_count(count));
@@ -110,9 +134,11 @@ impl<'t> Counter<'t> {
                     }
                     self.total.copies = self.total.copies.saturating_add(copies);
                     // The list, and in it an object for each copy.
-                    self.add(times);
-                    self.add(copies);
-                    for (_, own) in inside.members().filter(|(key, _)| key.raw() != "count") {
+                    self.add(times, "[]".len());
+                    self.add(copies, "{},".len());
+                    let own = inside.members().filter(|(key, _)| key.raw() != "count");
+                    for (place, (key, own)) in own.enumerate() {
+                        self.key(place, key, copies);
                         self.value(own, copies);
                     }
                 }
@@ -141,10 +167,21 @@ mod tests {
 
     const VIEW: &str = r#""camera": { "position": [0, 0, 5], "look_at": [0, 0, 0] }"#;
 
-    /// Counted things, and the number of values that are made.
-    fn counted(text: &str) -> (Expansion, u64) {
+    /// Counted things, the number of values that are made, and their bytes.
+    fn counted(text: &str) -> (Expansion, u64, u64) {
         let tree = Tree::read(text).unwrap_or_else(|error| panic!("{error:?}"));
-        (count(&tree), expand(&tree).tree.value_count() as u64)
+        let made = expand(&tree).tree;
+        (count(&tree), made.value_count() as u64, bytes(made.root()))
+    }
+
+    /// Bytes of a value as text without spaces.
+    fn bytes(value: Value<'_>) -> u64 {
+        let entries = value.entries().map(|entry| bytes(entry) + 1);
+        let members = value.members().map(|(key, inside)| key.text().len() as u64 + bytes(inside) + 2);
+        match (value.is_container(), entries.chain(members).sum::<u64>()) {
+            (true, inside) => inside.saturating_sub(1) + 2,
+            (false, _) => value.text().len() as u64,
+        }
     }
 
     fn scene(rest: &str) -> String {
@@ -167,9 +204,12 @@ mod tests {
                 60,
             ),
         ] {
-            let (count, made) = counted(&scene(rest));
+            let (count, made, made_bytes) = counted(&scene(rest));
             assert_eq!((count.values, count.copies), (made, copies), "{rest}");
             assert_eq!(count.formulas, formulas, "{rest}");
+            // A number has up to four digits here, and one comma is counted too many for each counted list.
+            let bytes = count.bytes..=count.bytes + 4 * formulas;
+            assert!(bytes.contains(&(made_bytes + u64::from(copies > 0))), "{made_bytes} of {count:?}");
         }
     }
 
@@ -184,8 +224,9 @@ mod tests {
             r#""numbers": {{ "r": 1, "s": 1 }}, "shapes": {{ {leg} }}, "objects": [{{ "shape": {{ "union": {{ "of": [{}] }} }} }}]"#,
             uses.join(", ")
         ));
-        let (count, made) = counted(&text);
+        let (count, made, made_bytes) = counted(&text);
         assert!((made..2 * made).contains(&count.values), "{made} values are counted as {count:?}");
+        assert!((made_bytes..4 * made_bytes).contains(&count.bytes), "{made_bytes} bytes are counted as {count:?}");
     }
 
     #[test]
@@ -198,7 +239,9 @@ mod tests {
         }
         let text = scene(&format!(r#""objects": [{{ "shape": {shape} }}]"#));
         let tree = Tree::read(&text).unwrap_or_else(|error| panic!("{error:?}"));
-        assert_eq!(count(&tree).copies, 20_000_000);
+        let count = count(&tree);
+        assert_eq!(count.copies, 20_000_000);
+        assert!(count.bytes > 20_000_000 * r#"{"by":[,0,0]},"#.len() as u64, "{count:?}");
     }
 
     #[test]
@@ -209,11 +252,12 @@ mod tests {
             if path.extension().is_none_or(|extension| extension != "json") {
                 continue;
             }
-            let (count, made) = counted(&std::fs::read_to_string(&path).expect("a scene"));
+            let (count, made, made_bytes) = counted(&std::fs::read_to_string(&path).expect("a scene"));
             // A list of steps has up to three values for each.
             let most = count.values + count.formulas * 3 * u64::from(MAX_FORMULA_STEPS);
             assert!(made <= most, "{}: {made} of {count:?}", path.display());
-            assert!(count.formulas > 0 || made == count.values, "{}: {made} of {count:?}", path.display());
+            let is_exact = (made, made_bytes) == (count.values, count.bytes);
+            assert!(count.formulas > 0 || is_exact, "{}: {made}, {made_bytes} of {count:?}", path.display());
             files += 1;
         }
         assert!(files > 20, "{files} scenes");
