@@ -130,6 +130,8 @@ routes::table! {
         GET    "/v1/audit"                                  ADMIN      MINUTE Nothing audit::list;
         GET    "/v1/schema/job"                             PUBLIC     MINUTE Nothing openapi::job_schema;
         GET    "/v1/schema/nodes"                           PUBLIC     MINUTE Nothing editing::node_table;
+        POST   "/v1/format"                                 SUBMIT     MINUTE Nothing editing::format
+               [WrongJob];
         GET    "/v1/scenes"                                 PUBLIC     MINUTE Nothing editing::scenes;
         GET    "/v1/scenes/{name}"                          PUBLIC     MINUTE Nothing editing::scene
                [UnknownScene];

@@ -106,10 +106,18 @@ impl JobCache {
         text: bytes::Bytes,
         work: impl FnOnce(Result<scene::Job, scene::ParseError>) -> T + Send + 'static,
     ) -> Result<T, JobLoadError> {
-        let is_large = text.len() > LARGE_FILE_BYTES;
-        let work = move || work(scene::parse(&text));
+        self.read(reader, text.len(), move || work(scene::parse(&text))).await
+    }
+
+    /// Runs `work` on a job file of this size, when it is the reader's turn.
+    pub(crate) async fn read<T: Send + 'static>(
+        &self,
+        reader: ParseReason<'_>,
+        text_bytes: usize,
+        work: impl FnOnce() -> T + Send + 'static,
+    ) -> Result<T, JobLoadError> {
         match reader {
-            ParseReason::Submitter(name) if is_large => {
+            ParseReason::Submitter(name) if text_bytes > LARGE_FILE_BYTES => {
                 let place = enter(&self.large, name).await?;
                 run_on(place, work, |task| self.start_large(task)).await
             }

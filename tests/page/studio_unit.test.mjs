@@ -1,13 +1,11 @@
 // Tests the studio's modules that need no browser: `node --test tests/page/`.
 import assert from 'node:assert/strict';
-import { execFileSync } from 'node:child_process';
-import { existsSync, readFileSync, readdirSync } from 'node:fs';
+import { readFileSync, readdirSync } from 'node:fs';
 import { test } from 'node:test';
 import { dot, dolly, digits, length, look, lookAtPoint, move, orbit, pan, readCamera, subtract, unit, writeCamera, axes, isInGroup } from '../../web/studio/camera.js';
 import { colorOf, decode, encode, hexOf, linearOf, parseText, writtenLike } from '../../web/studio/color.js';
 import { objectOf, shownOf } from '../../web/studio/document.js';
 import { applied, compact, insertEntry, removeAt, setMember, setNumbers, setPath, written } from '../../web/studio/edits.js';
-import { format } from '../../web/studio/format.js';
 import { insertExample, pretty } from '../../web/studio/insert.js';
 import { find, nodeAt, parse, pathOf, pathOfPointer, placeAt, pointer, valueOf } from '../../web/studio/json.js';
 import { NodeTable } from '../../web/studio/nodes.js';
@@ -66,7 +64,6 @@ test('text that is cut, or has any character replaced, is read without an error'
       const tree = parse(text);
       nodeAt(tree, at);
       placeAt(tree, at);
-      format(text);
     }
   }
 });
@@ -78,7 +75,6 @@ test('text that is deeper than any job is read to its end', () => {
       const tree = parse(text);
       nodeAt(tree, text.length);
       placeAt(tree, text.length);
-      assert.equal(format(text), null);
     }
   }
 });
@@ -98,35 +94,6 @@ test('a place is a key or a value', () => {
   assert.deepEqual(place('{ "a": { "b": [1, |] } }'), ['value', '', '/a/b', '']);
   assert.deepEqual(place('{ "a": { "b": [1, 2|] } }'), ['value', '1', '/a/b/1', '2']);
   assert.deepEqual(place('{ "a": {} }|'), null);
-});
-
-test('formatting does what `sdfarm fmt` does', (context) => {
-  const cases = [
-    ['{}', '{}\n'],
-    ['[ ]', '[]\n'],
-    [' 7 ', '7\n'],
-    ['{"a":[0,1 ,\n5,],"b":{"sphere":{"radius":1.0e0}}}', '{\n  "a": [0, 1, 5],\n  "b": { "sphere": { "radius": 1.0e0 } }\n}\n'],
-    ['{"a":\n\n1,\n\n\n\n"b":{}\n\n}', '{\n  "a": 1,\n\n  "b": {}\n}\n'],
-    ['// a\n{}// b\n// c', '// a\n{} // b\n// c\n'],
-    ['{ // open\n"a": 1, // one\n\n// two\n"b": 2 }', '{ // open\n  "a": 1, // one\n\n  // two\n  "b": 2\n}\n'],
-    ['{"a" // key\n:/* value */1}', '{\n  // key\n  "a": /* value */ 1\n}\n'],
-    ['{"a": 1 // end\n,"b":2, /* last */}', '{\n  "a": 1, // end\n  "b": 2 /* last */\n}\n'],
-    ['{\n      /* a\n       * b\n       */\n"a":1}', '{\n  /* a\n   * b\n   */\n  "a": 1\n}\n'],
-    ['{"a":[1\n// none\n]}\r\n', '{\n  "a": [\n    1\n    // none\n  ]\n}\n'],
-  ];
-  for (const [text, wanted] of cases) {
-    assert.equal(format(text), wanted, text);
-    assert.equal(format(wanted), wanted, text);
-  }
-  for (const text of ['', '{', '[1,, 2]', '{} {}', "{'a': 1}", '{"a" 1}', '[1 2]', '{]', '01', '"\n"']) assert.equal(format(text), null, text);
-  for (const text of scenes) assert.equal(format(text), format(format(text)));
-  const program = process.env.SDFARM_PROGRAM ?? new URL('target/debug/sdfarm', root).pathname;
-  if (!existsSync(program)) return context.diagnostic('skipped: the comparison with `sdfarm fmt`, because it is not built');
-  for (const text of scenes) {
-    for (const each of [text, text.replace(/\s*\n\s*/g, text.includes('//') ? '\n' : ' ')]) {
-      assert.equal(format(each), execFileSync(program, ['fmt', '-'], { input: each, encoding: 'utf8' }));
-    }
-  }
 });
 
 test('edits change the least text', () => {
@@ -335,4 +302,6 @@ test('an example goes to the cursor, or to its place in the scene', () => {
   assert.deepEqual(insert('light', 'point', 0).scene.lights, [{ point: { position: [0, 1, 0] } }]);
   assert.match(insert('texture', 'checker', 0), /cursor/);
   assert.equal(pretty({ a: 'x'.repeat(100) }, '  '), `{\n    "a": "${'x'.repeat(100)}"\n  }`);
+  const points = Array.from({ length: 9 }, (_, at) => [at, 0.5, -1]);
+  assert.equal(pretty({ line: { points, width: 1 } }), `{\n  "line": {\n    "points": [\n      ${points.map(compact).join(',\n      ')}\n    ],\n    "width": 1\n  }\n}`);
 });

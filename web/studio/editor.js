@@ -43,9 +43,10 @@ import {
   undo,
   undoDepth,
 } from '/ui/vendor/codemirror.js';
-import { format } from './format.js';
+import { messageOf } from '/ui/api.js';
 import { removeAt, setPath } from './edits.js';
 import { nodeAt } from './json.js';
+import { format } from './server.js';
 import { textOf, treeOf } from './tree.js';
 
 /** @typedef {import('/ui/vendor/codemirror.js').Extension} Extension */
@@ -60,9 +61,6 @@ export const refreshed = StateEffect.define();
 
 /** Typing within this time is one step of undo. */
 const JOIN_MS = 500;
-
-/** Longest text that is formatted in the page, in characters: the page would not answer for seconds. */
-const MAX_FORMAT_CHARS = 8 << 20;
 
 /** Colors come from the style sheet, so that a theme needs no new editor. */
 const highlighting = HighlightStyle.define([
@@ -125,7 +123,7 @@ export class Editor extends EventTarget {
       EditorView.contentAttributes.of({ 'aria-label': 'Job file', spellcheck: 'false' }),
       ...more,
       keymap.of([
-        { key: 'Shift-Alt-f', run: () => this.format() },
+        { key: 'Shift-Alt-f', run: () => (void this.format(), true) },
         ...closeBracketsKeymap,
         ...defaultKeymap,
         ...searchKeymap,
@@ -275,24 +273,17 @@ export class Editor extends EventTarget {
     this.view.dispatch(setDiagnostics(this.view.state, marks));
   }
 
-  /** Formats the text; false if it is not JSON or too long. */
-  format() {
+  /** Formats the text, by the server, unless it is changed in the meantime. */
+  async format() {
     this.endGesture();
-    if (this.doc.length > MAX_FORMAT_CHARS) {
-      this.dispatchEvent(new CustomEvent('note', { detail: 'The file is too large to be formatted here: sdfarm fmt FILE does it.' }));
-      return true;
+    const { doc, text } = this;
+    try {
+      const formatted = await format(text);
+      if (this.doc !== doc || formatted === text) return;
+      this.change([difference(text, formatted)], { name: 'format', cursor: samePlace(text, this.cursor, formatted) });
+    } catch (error) {
+      this.dispatchEvent(new CustomEvent('note', { detail: messageOf(error) }));
     }
-    const { text } = this;
-    const formatted = format(text);
-    if (formatted === null) {
-      this.dispatchEvent(new CustomEvent('note', { detail: 'The text is not JSON yet: the marked place has the reason.' }));
-    } else if (formatted !== text) {
-      // The text before the cursor, without spaces, stays before it.
-      const passed = text.slice(0, this.cursor).replace(/\s+/g, '').length;
-      const changes = difference(text, formatted);
-      this.change([changes], { name: 'format', cursor: positionAfter(formatted, passed) });
-    }
-    return true;
   }
 
   /**
@@ -359,15 +350,16 @@ export function difference(before, after) {
 }
 
 /**
- * The position after a number of characters that are no spaces.
- * @param {string} text
- * @param {number} count
+ * The position in a formatted text of what is at a position before: what is no space stays before it.
+ * @param {string} before
+ * @param {number} position
+ * @param {string} after
  */
-function positionAfter(text, count) {
-  let left = count;
-  for (let at = 0; at < text.length; at += 1) {
+function samePlace(before, position, after) {
+  let left = before.slice(0, position).replace(/\s+/g, '').length;
+  for (let at = 0; at < after.length; at += 1) {
     if (left === 0) return at;
-    if (!/\s/.test(text.charAt(at))) left -= 1;
+    if (!/\s/.test(after.charAt(at))) left -= 1;
   }
-  return text.length;
+  return after.length;
 }

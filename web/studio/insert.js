@@ -1,7 +1,6 @@
 // Where an example goes: at the cursor if its family may stand there, else at the place of the scene that is made for it.
 
 import { compact, indentAt, insertEntry, setMember } from './edits.js';
-import { format } from './format.js';
 import { child, find, nodeAt } from './json.js';
 
 /** @typedef {import('./json.js').JsonNode} JsonNode */
@@ -9,17 +8,26 @@ import { child, find, nodeAt } from './json.js';
 /** @typedef {import('./nodes.js').NodeTable} NodeTable */
 /** @typedef {import('./nodes.js').Kind} Kind */
 
-const MAX_LINE_CHARS = 72;
+/** Longest line of a value alone, and of a part of one. */
+const [MAX_ALONE_CHARS, MAX_LINE_CHARS] = [72, 100];
 
 /**
- * A value as text: on one line if that is short, else as formatting breaks it, with an indent before each further line.
+ * A value as text: on one line if that is short, else with an entry on each line, behind an indent.
  * @param {unknown} value
  * @param {string} [indent]
+ * @param {number} [room] characters of a line
+ * @returns {string}
  */
-export function pretty(value, indent = '') {
+export function pretty(value, indent = '', room = MAX_ALONE_CHARS - indent.length) {
   const line = compact(value);
-  if (line.length + indent.length <= MAX_LINE_CHARS || typeof value !== 'object' || value === null) return line;
-  return (format(JSON.stringify(value)) ?? line).trimEnd().replaceAll('\n', `\n${indent}`);
+  if (line.length <= room || typeof value !== 'object' || value === null) return line;
+  const deeper = `${indent}  `;
+  const entries = Object.entries(value).map(([name, each]) => {
+    const key = Array.isArray(value) ? '' : `${JSON.stringify(name)}: `;
+    return key + pretty(each, deeper, MAX_LINE_CHARS - deeper.length - key.length - 1);
+  });
+  const [open, close] = Array.isArray(value) ? '[]' : '{}';
+  return `${open}\n${deeper}${entries.join(`,\n${deeper}`)}\n${indent}${close}`;
 }
 
 /**

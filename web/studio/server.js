@@ -1,4 +1,4 @@
-// Requests of the studio: checks, pictures, places, prices and jobs. Texts above a size are sent compressed.
+// Requests of the studio: checks, pictures, places, prices, formatted texts and jobs. Texts above a size are sent compressed.
 
 import { getJson, request, send } from '/ui/api.js';
 
@@ -103,6 +103,16 @@ export const shader = async (text, query, signal) => getJson('/v1/shader', await
  * @returns {Promise<Price>}
  */
 export const price = async (text, map, signal) => getJson('/v1/price', await posted(text, { map }, signal));
+
+/**
+ * The text, as `sdfarm fmt` formats it; what is not JSON is a `Problem`.
+ * @param {string} text
+ * @returns {Promise<string>}
+ */
+export async function format(text) {
+  const { body, headers } = await bodyOf(text);
+  return (await request('/v1/format', { method: 'POST', body, headers })).text();
+}
 
 /**
  * Submits a job once, whatever happens to the answer.

@@ -41,7 +41,7 @@ export class Toolbar {
     this.draftButton = h('button', { type: 'button', class: 'button draft', 'aria-haspopup': 'menu', 'aria-expanded': 'false', title: 'Drafts and files', on: { click: () => void this.#openDrafts() } }, icon('edit'), this.#name, drawn(CHEVRON));
     this.undoButton = tool(UNDO, 'Undo (Ctrl+Z)', () => void studio.editor.undo());
     this.redoButton = tool(REDO, 'Redo (Ctrl+Shift+Z)', () => void studio.editor.redo());
-    this.formatButton = h('button', { type: 'button', class: 'button', title: 'Format the text (Shift+Alt+F)', on: { click: () => studio.editor.format() } }, 'Format');
+    this.formatButton = h('button', { type: 'button', class: 'button', title: 'Format the text (Shift+Alt+F)', on: { click: () => void studio.editor.format() } }, 'Format');
     this.examplesButton = h('button', { type: 'button', class: 'button wide-only', 'aria-pressed': 'false', on: { click: () => (studio.examples.isOpen ? studio.examples.close() : studio.tab('examples')) } }, icon('plus'), 'Examples');
     this.priceButton = h('button', { type: 'button', class: 'button wide-only', 'aria-pressed': 'false', title: 'Its price before a render', on: { click: () => (studio.price.isOpen ? studio.price.close() : studio.tab('price')) } }, 'Price');
     this.renderButton = h('button', { type: 'button', class: 'button primary', title: 'Render (Ctrl+Enter)', on: { click: () => void studio.render() } }, icon('play'), 'Render');

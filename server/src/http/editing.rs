@@ -1,16 +1,19 @@
-//! Help for writing job files: the table of everything that one is written with, and the shipped scenes.
+//! Help for writing job files: the table of everything that one is written with, the shipped scenes, and formatting.
 
-use std::sync::LazyLock;
+use std::sync::{Arc, LazyLock};
 
 use axum::Json;
-use axum::extract::Path;
+use axum::extract::{Path, State};
 use axum::http::{HeaderMap, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use bytes::Bytes;
 use proto::shipped_scenes::SceneList;
 
+use crate::http::body::RequestBody;
 use crate::http::error::ApiError;
 use crate::http::frames::{images, range};
+use crate::http::jobs::job_body;
+use crate::job_cache::{JobCache, ParseReason};
 use crate::shipped_scenes;
 
 /// The table of nodes, as it is served, and its entity tag.
@@ -61,4 +64,31 @@ pub(in crate::http) async fn scenes() -> Json<SceneList> {
 pub(in crate::http) async fn scene(Path(name): Path<String>) -> Result<Response, ApiError> {
     let file = shipped_scenes::job_file(&name).ok_or(ApiError::UnknownScene(name))?;
     Ok(([(header::CONTENT_TYPE, "application/json")], file).into_response())
+}
+
+/// Format a job file.
+///
+/// Only line breaks, indentation and spaces change, as by `sdfarm fmt`: comments, the text of numbers and the order of keys
+/// stay. The job need not be valid, but must be JSON with comments and trailing commas.
+#[utoipa::path(
+    post, path = "", tag = "schemas", operation_id = "format_job",
+    params(
+        ("Content-Encoding" = Option<String>, Header, description = "`gzip` or `zstd` if the body is compressed; unpacked it has at most 32 MiB"),
+    ),
+    request_body(content = ref("#/components/schemas/Job"), content_type = "application/json"),
+    responses((status = 200, description = "The text, formatted", body = ref("#/components/schemas/Job")))
+)]
+pub(in crate::http) async fn format(
+    State(jobs): State<Arc<JobCache>>,
+    headers: HeaderMap,
+    request: RequestBody,
+) -> Result<Response, ApiError> {
+    let submitter = request.holder().name.clone();
+    let (text, room) = job_body::text(&headers, request).await?;
+    let (text_bytes, work) = (text.len(), move || scene::format(&text));
+    let formatted = jobs.read(ParseReason::Submitter(&submitter), text_bytes, work).await??;
+    drop(room);
+    let mut response = ([(header::CONTENT_TYPE, "application/json")], formatted).into_response();
+    images::set(&mut response, header::CACHE_CONTROL, "no-store");
+    Ok(response)
 }

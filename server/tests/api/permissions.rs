@@ -59,6 +59,7 @@ const ROWS: &[(&str, Row)] = &[
     ("GET /v1/jobs", ReadOrSubmit),
     ("POST /v1/jobs", Submit),
     ("POST /v1/price", Submit),
+    ("POST /v1/format", Submit),
     ("POST /v1/shader", Submit),
     ("GET /v1/jobs/{id}", ReadOrOwn),
     ("PATCH /v1/jobs/{id}", Own),

@@ -131,6 +131,40 @@ export async function formatting_keeps_short_vectors_on_a_line_and_one_undo_take
   assert.equal(await textOf(page), JSON.stringify(JSON.parse(csg)));
 }
 
+export async function formatting_keeps_comments_and_the_cursor_and_says_why_it_cannot() {
+  const page = await studio();
+  const format = async () => page.getByRole('button', { name: 'Format', exact: true }).click();
+  const beforeCursor = () => page.evaluate(() => {
+    const { editor } = document.querySelector('room-studio').studio;
+    return editor.text.slice(0, editor.cursor);
+  });
+  await setText(page, csg.replace('"camera":', '// what is seen\n\n\n"camera"  :').replaceAll('  ', ' '));
+  await cursorAfter(page, '58.1');
+  await format();
+  await page.waitForFunction(() => document.querySelector('room-studio').studio.editor.text.includes('    // what is seen\n\n    "camera": { "position": [0, 0.2, 3.5]'));
+  assert.match(await beforeCursor(), /"fov": 58\.1$/);
+  await setText(page, csg.replace('"fov": 58.1', '"fov" 58.1'));
+  await format();
+  await page.waitForSelector('.toast:has-text("colon is missing")');
+  assert.equal(await textOf(page), csg.replace('"fov": 58.1', '"fov" 58.1'));
+}
+
+export async function a_text_that_changes_while_it_is_formatted_stays_as_it_was_changed() {
+  const page = await studio();
+  const changed = `${JSON.stringify(JSON.parse(csg))} `;
+  await page.route('**/v1/format', async (route) => {
+    await setText(page, changed);
+    await route.continue();
+  });
+  const answer = page.waitForResponse('**/v1/format');
+  await page.locator('.cm-content').focus();
+  await setText(page, JSON.stringify(JSON.parse(csg)));
+  await page.keyboard.press('Shift+Alt+f');
+  await (await answer).finished();
+  await settled(page);
+  assert.equal(await textOf(page), changed);
+}
+
 export async function folding_search_and_brackets_work_by_keys() {
   const page = await studio();
   await cursorAfter(page, '"camera": {');

@@ -11,8 +11,8 @@ use serde::Deserialize;
 use crate::config::Config;
 use crate::estimate::{Estimator, PriceParts};
 use crate::http::body::{self, RequestBody};
-use crate::http::content_encoding::ContentEncoding;
 use crate::http::error::ApiError;
+use crate::http::jobs::job_body;
 use crate::http::state::handle_group;
 use crate::job_cache::{JobCache, ParseReason};
 use crate::tile_plan::TilePlan;
@@ -59,10 +59,8 @@ pub(in crate::http) async fn price(
     request: RequestBody,
 ) -> Result<Json<Price>, ApiError> {
     let PriceQuery { map, savings } = body::read_query(&uri)?;
-    body::expect_json(&headers)?;
-    let encoding = ContentEncoding::of(&headers)?;
     let submitter = request.holder().name.clone();
-    let (text, room) = body::read_encoded(request, encoding, scene::limits::MAX_BODY_BYTES).await?.into_parts();
+    let (text, room) = job_body::text(&headers, request).await?;
     let edge_px = prices.config.tile_edge_px;
     let plan = move |job: scene::Job| TilePlan::new(&job, edge_px);
     let parsed =

@@ -2,6 +2,7 @@
 //! accepted.
 
 use axum::http::HeaderMap;
+use bytes::Bytes;
 use scene::Job;
 
 use crate::http::body::{self, RequestBody, Room};
@@ -18,6 +19,13 @@ pub(in crate::http) struct JobBody {
     pub(in crate::http) _room: Room,
 }
 
+/// Reads the text of a request's job file, and the memory that it takes.
+pub(in crate::http) async fn text(headers: &HeaderMap, request: RequestBody) -> Result<(Bytes, Room), ApiError> {
+    body::expect_json(headers)?;
+    let encoding = ContentEncoding::of(headers)?;
+    Ok(body::read_encoded(request, encoding, scene::limits::MAX_BODY_BYTES).await?.into_parts())
+}
+
 /// Reads the job file of a request for one of its frames.
 pub(in crate::http) async fn read(
     jobs: &JobCache,
@@ -25,10 +33,8 @@ pub(in crate::http) async fn read(
     request: RequestBody,
     frame: u32,
 ) -> Result<JobBody, ApiError> {
-    body::expect_json(headers)?;
-    let encoding = ContentEncoding::of(headers)?;
     let submitter = request.holder().name.clone();
-    let (text, room) = body::read_encoded(request, encoding, scene::limits::MAX_BODY_BYTES).await?.into_parts();
+    let (text, room) = text(headers, request).await?;
     let checked = text.clone();
     let check = move |parsed: Result<Job, scene::ParseError>| check_frame(&checked, &parsed?, frame);
     jobs.parse(ParseReason::Submitter(&submitter), text.clone(), check).await??;
