@@ -2,6 +2,23 @@
 //! problems, and a typed client.
 //!
 //! Nothing here renders, stores or decides.
+//!
+//! ```
+//! use proto::tile::Tiling;
+//! use proto::{JobId, Rect};
+//!
+//! // Tiles cover a frame; those at its right and bottom edge may be smaller.
+//! let tiling = Tiling { width: 1920, height: 1080, samples: 64, pixel_bytes: 16, tile_edge: Some(500) };
+//! let tiles = tiling.tiles();
+//! assert_eq!(tiles.len(), 12);
+//! assert_eq!(tiles[0], Rect { x: 0, y: 0, width: 512, height: 512 });
+//! assert_eq!(tiles[11], Rect { x: 1536, y: 1024, width: 384, height: 56 });
+//! assert_eq!(tiles.iter().map(|tile| tile.pixels()).sum::<u64>(), 1920 * 1080);
+//!
+//! // Later ids sort after earlier ones.
+//! let (first, second) = (JobId::new(), JobId::new());
+//! assert!(first < second && first.to_string().parse() == Ok(first));
+//! ```
 
 pub mod alert;
 pub mod api_key;

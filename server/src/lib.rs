@@ -1,6 +1,32 @@
 //! The server of sdfarm: a queue in a database, an HTTP API, a pool of local workers.
 //!
 //! It plans, leases and stores; it touches no pixel.
+//!
+//! ```
+//! use server::{Config, Server};
+//! use tokio_util::sync::CancellationToken;
+//!
+//! # fn main() -> Result<(), Box<dyn std::error::Error>> {
+//! let folder = tempfile::tempdir()?;
+//! let config = Config {
+//!     listen: ([127, 0, 0, 1], 0).into(),
+//!     data: folder.path().to_owned(),
+//!     workers: Some(0),
+//!     ..Config::default()
+//! };
+//! tokio::runtime::Runtime::new()?.block_on(async {
+//!     let server = Server::start(config).await?;
+//!     assert!(server.url().starts_with("http://127.0.0.1:"));
+//!
+//!     // It serves until the token is cancelled, and leaves a database behind.
+//!     let shutdown = CancellationToken::new();
+//!     shutdown.cancel();
+//!     server.run(shutdown).await?;
+//!     assert!(folder.path().read_dir()?.count() > 0);
+//!     Ok(())
+//! })
+//! # }
+//! ```
 
 mod admission;
 mod alerts;

@@ -2,6 +2,28 @@
 //! the agent that works for a server.
 //!
 //! Stateless: everything it holds can be rendered again.
+//!
+//! ```
+//! use worker::{CancelFlag, CpuRenderer, Renderer, Simd, TileRequest};
+//!
+//! let job = scene::parse(br#"{
+//!     "scene": {
+//!         "camera": { "position": [0, 0, 4], "look_at": [0, 0, 0] },
+//!         "objects": [{ "shape": { "torus": { "radius": 1, "tube": 0.3 } } }]
+//!     },
+//!     "image": { "width": 32, "height": 32 }
+//! }"#)?;
+//! let tile = TileRequest { job: &job, frame: 0, rect: proto::Rect::full(32, 32) };
+//!
+//! // Machine code or the interpreter, and plain `f32`: the same bits.
+//! let [fast, reference] = [Simd::Auto, Simd::Scalar].map(|simd| {
+//!     let renderer = CpuRenderer::new(Some(1), simd).expect("every CPU has both");
+//!     renderer.render(&tile, &CancelFlag::new(), &|_| {}).expect("a small tile")
+//! });
+//! assert_eq!(fast.planes.len(), 4);
+//! assert_eq!(fast, reference);
+//! # Ok::<(), scene::ParseError>(())
+//! ```
 
 pub mod agent;
 pub mod bench;
