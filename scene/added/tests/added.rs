@@ -108,6 +108,13 @@ fn only_the_file_of_the_list_branches_on_kinds() {
 }
 
 #[test]
+fn an_alias_of_an_added_kind_suggests_it() {
+    let text = r#"{ "scene": { "objects": [{ "shape": { "extra_node": { "depth": 1 } } }] } }"#;
+    let error = added::parse(text.as_bytes()).expect_err("no kind has this name").to_string();
+    assert!(error.contains("there is no `extra_node`: did you mean `added_node`?"), "{error}");
+}
+
+#[test]
 fn a_job_may_have_one_of_each_added_kind() {
     let text = r#"{ "scene": {
         "camera": { "position": [0, 0, 4], "look_at": [0, 0, 0], "projection": { "added": { "shift": 0.1 } } },

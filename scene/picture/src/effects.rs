@@ -11,8 +11,8 @@ use crate::kinds::Kind;
 /// Each effect's examples: a JSON object with the scene's member name and the effect.
 pub fn examples() -> Vec<Example> {
     let effects = [
-        Kind::new("Fog", "Fog", Fog::examples),
-        Kind::new("AmbientOcclusion", "AmbientOcclusion", AmbientOcclusion::examples),
+        Kind::new("Fog", "Fog", &[], Fog::examples),
+        Kind::new("AmbientOcclusion", "AmbientOcclusion", &[], AmbientOcclusion::examples),
     ];
     effects.iter().flat_map(Kind::examples).collect()
 }

@@ -13,14 +13,21 @@ pub struct Kind {
     pub type_name: &'static str,
     /// Its name in JSON.
     pub name: String,
+    /// Its names in other tools and in common usage.
+    pub aliases: &'static [&'static str],
     /// Its examples, as a user would write them after its name.
     values: fn() -> Vec<String>,
 }
 
 impl Kind {
     /// The kind of a variant.
-    pub(crate) fn new(type_name: &'static str, variant: &str, values: fn() -> Vec<String>) -> Self {
-        Self { type_name, name: snake_case(variant), values }
+    pub(crate) fn new(
+        type_name: &'static str,
+        variant: &str,
+        aliases: &'static [&'static str],
+        values: fn() -> Vec<String>,
+    ) -> Self {
+        Self { type_name, name: snake_case(variant), aliases, values }
     }
 
     /// Its examples, as objects whose member is its name. A kind without fields is its name alone.
@@ -89,6 +96,7 @@ macro_rules! family {
                     $crate::kinds::Kind::new(
                         family!(@type_name $Kind $($Struct)?),
                         stringify!($Kind),
+                        <family!(@type $Kind $($Struct)?) as $Trait>::ALIASES,
                         <family!(@type $Kind $($Struct)?) as $Trait>::examples,
                     )
                 ),*].into()
@@ -179,6 +187,9 @@ macro_rules! family {
 
         $(#[$role])*
         pub trait $Trait {
+            /// Names that other tools and common usage give it, to suggest its own.
+            const ALIASES: &'static [&'static str] = &[];
+
             /// A small valid value, as a user would write it, for its picture in the docs and for the contract tests.
             const EXAMPLE: &'static str;
 

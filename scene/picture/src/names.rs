@@ -2,7 +2,7 @@
 
 use strsim::{damerau_levenshtein, jaro_winkler};
 
-use crate::kinds::snake_case;
+use crate::kinds::{Kind, snake_case};
 
 /// Maximum length of a name that is compared: longer names are not typing errors.
 pub const MAX_COMPARED_CHARS: usize = 64;
@@ -11,92 +11,44 @@ const MAX_COMPARED_NAMES: usize = 2_000;
 /// Minimum similarity (Jaro and Winkler's) of names with the same beginning.
 const MIN_SIMILARITY: f64 = 0.88;
 
-/// Names from other tools and common usage, each with this language's name.
+/// Keys and choices from other tools and common usage, each with this language's name; kinds have their aliases.
 const SYNONYMS: &[(&str, &str)] = &[
-    ("aluminum", "surface"),
     ("amplitude", "height"),
     ("angle", "degrees"),
     ("angles", "degrees"),
-    ("area", "sphere"),
-    ("ball", "sphere"),
     ("base", "base_color"),
     ("basecolor", "base_color"),
-    ("bevel", "round"),
     ("blend", "smooth"),
-    ("blinn", "diffuse"),
-    ("brick", "bricks"),
-    ("capped_cylinder", "cylinder"),
-    ("checkerboard", "checker"),
-    ("chequer", "checker"),
     ("children", "of"),
-    ("cloud", "clouds"),
     ("color", "base_color"),
     ("color", "kd"),
     ("color", "material"),
     ("color", "ramp"),
     ("colour", "color"),
-    ("combine", "union"),
-    ("constant", "flat"),
-    ("cube", "box"),
-    ("cuboid", "box"),
-    ("cut", "difference"),
     ("by", "degrees"),
-    ("dielectric", "surface"),
-    ("distant", "directional"),
-    ("donut", "torus"),
-    ("doughnut", "torus"),
     ("emissive", "emission"),
     ("exponent", "shininess"),
     ("factor", "by"),
     ("fbm", "perlin"),
     ("field_of_view", "fov"),
-    ("floor", "plane"),
     ("fov_y", "fov"),
     ("from", "position"),
-    ("glass", "surface"),
-    ("ground", "plane"),
-    ("hollow", "onion"),
     ("iblur", "smooth"),
     ("index_of_refraction", "ior"),
-    ("intersect", "intersection"),
-    ("join", "union"),
-    ("lambert", "diffuse"),
     ("location", "position"),
     ("lookat", "look_at"),
-    ("matte", "diffuse"),
-    ("merge", "union"),
-    ("metal", "surface"),
     ("metalness", "metallic"),
-    ("minus", "difference"),
-    ("move", "translate"),
-    ("ortho", "orthographic"),
-    ("equirectangular", "panorama"),
     ("offset", "by"),
     ("origin", "position"),
-    ("orient", "rotate"),
-    ("pbr", "surface"),
-    ("phong", "diffuse"),
-    ("pill", "capsule"),
-    ("principled", "surface"),
-    ("resize", "scale"),
-    ("rotation", "rotate"),
     ("rotation", "degrees"),
-    ("shell", "onion"),
     ("smoothness", "smooth"),
     ("specular", "ks"),
     ("spin", "turntable"),
     ("spp", "samples"),
-    ("standard", "surface"),
-    ("subtract", "difference"),
-    ("subtraction", "difference"),
     ("target", "look_at"),
-    ("transform", "translate"),
     ("translation", "by"),
-    ("tube", "infinite_cylinder"),
-    ("turn", "rotate"),
     ("voronoi", "cellular"),
     ("worley", "cellular"),
-    ("ring", "torus"),
     ("name", "shape"),
     ("around", "about"),
     ("target", "at"),
@@ -125,9 +77,6 @@ const SYNONYMS: &[(&str, &str)] = &[
     ("intensity", "strength"),
     ("intensity", "color"),
     ("power", "color"),
-    ("sunlight", "directional"),
-    ("rectangle", "box"),
-    ("square", "rectangle"),
     ("text", "string"),
     ("musgrave", "perlin"),
     ("jpg", "png"),
@@ -141,8 +90,8 @@ const SYNONYMS: &[(&str, &str)] = &[
     ("elastic_in", "bounce_in"),
 ];
 
-/// The known name that was probably meant.
-pub fn nearest_name<'a>(name: &str, known: &[&'a str]) -> Option<&'a str> {
+/// The known name that was probably meant. The names of these kinds have aliases.
+pub fn nearest_name<'a>(name: &str, known: &[&'a str], kinds: &[Kind]) -> Option<&'a str> {
     if name.is_empty() || name.chars().count() > MAX_COMPARED_CHARS {
         return None;
     }
@@ -151,8 +100,10 @@ pub fn nearest_name<'a>(name: &str, known: &[&'a str]) -> Option<&'a str> {
     if let Some(same) = known.iter().find(same) {
         return Some(same);
     }
-    let mut meant = SYNONYMS.iter().filter(|(theirs, _)| *theirs == plain || theirs.replace('_', "") == plain);
-    if let Some(ours) = meant.find_map(|(_, ours)| known.iter().find(|known| *known == ours)) {
+    let aliases = kinds.iter().flat_map(|kind| kind.aliases.iter().map(|alias| (*alias, kind.name.as_str())));
+    let synonyms = aliases.chain(SYNONYMS.iter().copied());
+    let mut meant = synonyms.filter(|(theirs, _)| *theirs == plain || theirs.replace('_', "") == plain);
+    if let Some(ours) = meant.find_map(|(_, ours)| known.iter().find(|known| **known == ours)) {
         return Some(ours);
     }
     if known.len() > MAX_COMPARED_NAMES {
@@ -185,6 +136,12 @@ mod tests {
         {
             assert_eq!(plain(name), "rounded_cylinder", "{name}");
         }
+    }
+
+    /// Kinds with aliases.
+    fn kinds() -> [Kind; 3] {
+        let kind = |name, aliases| Kind::new(name, name, aliases, Vec::new);
+        [kind("Box", &["cube", "cuboid"]), kind("Sphere", &["ball"]), kind("Difference", &["subtract"])]
     }
 
     const NODES: [&str; 11] = [
@@ -220,21 +177,21 @@ mod tests {
             ("boxx", "box"),
             ("trans", "translate"),
         ] {
-            assert_eq!(nearest_name(name, &NODES), Some(meant), "{name}");
+            assert_eq!(nearest_name(name, &NODES, &kinds()), Some(meant), "{name}");
         }
     }
 
     #[test]
     fn a_dissimilar_name_gets_no_suggestion() {
         for name in ["", "teapot", "x", "zzzzzz", &"sphere".repeat(1000)] {
-            assert_eq!(nearest_name(name, &NODES), None, "{name}");
+            assert_eq!(nearest_name(name, &NODES, &kinds()), None, "{name}");
         }
     }
 
     #[test]
     fn a_synonym_suggests_a_name_of_the_list() {
-        assert_eq!(nearest_name("color", &["material", "shape"]), Some("material"));
-        assert_eq!(nearest_name("color", &["base_color", "roughness"]), Some("base_color"));
-        assert_eq!(nearest_name("colour", &["color", "shadow"]), Some("color"));
+        assert_eq!(nearest_name("color", &["material", "shape"], &[]), Some("material"));
+        assert_eq!(nearest_name("color", &["base_color", "roughness"], &[]), Some("base_color"));
+        assert_eq!(nearest_name("colour", &["color", "shadow"], &[]), Some("color"));
     }
 }

@@ -15,9 +15,9 @@ pub(super) use self::expanded::Expanded;
 pub(super) use self::names::Numbers;
 use self::names::Scope;
 use super::MAX_ERRORS;
+use super::names::nearest_name;
 use crate::json::{Builder, Kind, Tree, Value};
 use crate::limits::{MAX_BODY_BYTES, MAX_NODE_DEPTH, MAX_NODES};
-use crate::names::nearest_name;
 use crate::values::formula::{Expr, Syntax};
 
 /// Maximum number of different uses of shapes with numbers.

@@ -5,11 +5,11 @@ use std::fmt::Write as _;
 use serde::de::DeserializeOwned;
 use serde_path_to_error::{Path, Segment};
 
+use super::names::nearest_name;
 use super::{messages, suggest};
 use crate::error::Fault;
 use crate::json::Tree;
 use crate::json_text;
-use crate::names::nearest_name;
 
 /// An error of the form of a text.
 #[derive(Clone, Debug, PartialEq, Eq)]

@@ -1,9 +1,9 @@
 //! Sets values in the text of a job from outside, so that a job is a template. The rest of the text, comments too, keeps
 //! its bytes.
 
+use super::names::nearest_name;
 use super::syntax;
 use crate::json::{Kind, Tree, Value};
-use crate::names::nearest_name;
 
 /// Maximum length of a value that is set.
 const MAX_VALUE_BYTES: usize = 4_096;

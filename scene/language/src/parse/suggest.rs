@@ -3,9 +3,10 @@
 use serde::de::DeserializeOwned;
 
 use super::form::{self, FormErrorKind};
+use super::names::nearest_name;
 use crate::json::Tree;
 use crate::materials::Material;
-use crate::names::{MAX_COMPARED_CHARS, nearest_name};
+use crate::names::MAX_COMPARED_CHARS;
 use crate::nodes::Node;
 
 /// Maximum length of a list of names in a message.

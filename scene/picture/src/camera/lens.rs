@@ -72,7 +72,7 @@ impl Lens {
 
     /// Examples of lenses, as a user would write them.
     pub fn examples() -> Vec<Example> {
-        Kind::new("Lens", "Lens", Self::values).plain_examples().collect()
+        Kind::new("Lens", "Lens", &[], Self::values).plain_examples().collect()
     }
 
     /// The lens without what has no effect; `None` if it is a pinhole in all frames.

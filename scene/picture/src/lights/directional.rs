@@ -31,6 +31,7 @@ pub struct Directional {
 }
 
 impl LightSource for Directional {
+    const ALIASES: &'static [&'static str] = &["distant", "sunlight"];
     const EXAMPLE: &'static str = r#"{ "direction": [-0.5, 0.8, 0.6] }"#;
     const MORE_EXAMPLES: &'static [&'static str] =
         &[r#"{ "direction": [-0.9, 0.5, 0.3], "color": [1, 0.72, 0.42], "angle": 12 }"#];

@@ -112,6 +112,7 @@ impl LightSource for SpotLight {
 }
 
 impl LightSource for SphereLight {
+    const ALIASES: &'static [&'static str] = &["area"];
     const EXAMPLE: &'static str = r#"{ "position": [-1.3, 1.5, 1.5], "radius": 0.5, "color": [4.6, 4.2, 3.6] }"#;
     const MORE_EXAMPLES: &'static [&'static str] =
         &[r#"{ "position": [-1.3, 1.5, 1.5], "radius": 0.5, "color": [4.6, 4.2, 3.6], "visible": true }"#];

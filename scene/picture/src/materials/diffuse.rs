@@ -50,6 +50,7 @@ impl Diffuse {
 }
 
 impl Shade for Diffuse {
+    const ALIASES: &'static [&'static str] = &["blinn", "lambert", "matte", "phong"];
     const EXAMPLE: &'static str = r##"{ "kd": "#4f7fb8", "ks": [0.3, 0.3, 0.3], "shininess": 40 }"##;
     const MORE_EXAMPLES: &'static [&'static str] = &[
         r##"{ "kd": { "checker": { "cell": 0.4, "colors": ["#b5432f", "#e8dcc0"] } }, "ka": [0.5, 0.5, 0.6],

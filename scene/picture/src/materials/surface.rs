@@ -235,6 +235,8 @@ impl<R: Real> SurfaceTerms<R> {
 }
 
 impl Shade for Surface {
+    const ALIASES: &'static [&'static str] =
+        &["aluminum", "dielectric", "glass", "metal", "pbr", "principled", "standard"];
     const EXAMPLE: &'static str = r##"{ "base_color": "#c8452d", "roughness": 0.35 }"##;
     const MORE_EXAMPLES: &'static [&'static str] = &[
         r#"{ "base_color": [1.0, 0.71, 0.29], "metallic": 1, "roughness": 0.25 }"#,

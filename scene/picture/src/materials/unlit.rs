@@ -18,6 +18,7 @@ pub struct Flat {
 }
 
 impl Shade for Flat {
+    const ALIASES: &'static [&'static str] = &["constant"];
     const EXAMPLE: &'static str = r##"{ "color": "#e07a3c" }"##;
     const MORE_EXAMPLES: &'static [&'static str] = &[r##"{ "color": { "gradient": {
         "by": { "position": { "from": [0, -1, 0], "to": [0, 1, 0] } },

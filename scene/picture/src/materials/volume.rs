@@ -200,6 +200,7 @@ impl Clouds {
 }
 
 impl Shade for Clouds {
+    const ALIASES: &'static [&'static str] = &["cloud"];
     const EXAMPLE: &'static str =
         r#"{ "noise": { "perlin": { "scale": 2, "octaves": 4 } }, "density": 6, "threshold": 0.35 }"#;
     const MORE_EXAMPLES: &'static [&'static str] = &[

@@ -18,6 +18,7 @@ pub struct AddedNode {
 }
 
 impl Primitive for AddedNode {
+    const ALIASES: &[&str] = &["extra_node"];
     const EXAMPLE: &str = r#"{ "depth": 0.8 }"#;
 
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {

@@ -235,6 +235,7 @@ macro_rules! around_list {
 }
 
 impl Sdf for Union {
+    const ALIASES: &'static [&'static str] = &["combine", "join", "merge"];
     const EXAMPLE: &'static str = r#"{ "smooth": 0.3, "of": [
         { "sphere": { "radius": 0.7 } },
         { "translate": { "by": [0.8, 0.3, 0], "child": { "box": { "size": [0.9, 0.9, 0.9] } } } }
@@ -333,6 +334,7 @@ impl<R: Real, S, J> BvhUnion<'_, R, S, J> {
 }
 
 impl Sdf for Intersection {
+    const ALIASES: &'static [&'static str] = &["intersect"];
     const EXAMPLE: &'static str = r#"{ "smooth": 0.1, "of": [
         { "sphere": { "radius": 1 } },
         { "box": { "size": [1.5, 1.5, 1.5] } }
@@ -354,6 +356,7 @@ impl Node {
 }
 
 impl Sdf for Difference {
+    const ALIASES: &'static [&'static str] = &["cut", "minus", "subtract", "subtraction"];
     const EXAMPLE: &'static str = r#"{ "smooth": 0.05, "of": [
         { "box": { "size": [1.6, 1.6, 1.6] } },
         { "translate": { "by": [0.3, 0.4, 0.5], "child": { "sphere": { "radius": 0.9 } } } }

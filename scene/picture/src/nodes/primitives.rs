@@ -46,6 +46,7 @@ pub struct Sphere {
 }
 
 impl Primitive for Sphere {
+    const ALIASES: &'static [&'static str] = &["ball"];
     const EXAMPLE: &str = r#"{ "radius": 1 }"#;
 
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
@@ -72,6 +73,7 @@ pub struct Box {
 }
 
 impl Primitive for Box {
+    const ALIASES: &'static [&'static str] = &["cube", "cuboid", "rectangle"];
     const EXAMPLE: &str = r#"{ "size": [1.6, 1, 1.2], "round": 0.1 }"#;
 
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
@@ -116,6 +118,7 @@ pub struct Plane {
 }
 
 impl Primitive for Plane {
+    const ALIASES: &'static [&'static str] = &["floor", "ground"];
     const EXAMPLE: &str = r#"{ "normal": [0.2, 1, 0.1], "offset": -0.2 }"#;
 
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
@@ -143,6 +146,7 @@ pub struct Cylinder {
 }
 
 impl Primitive for Cylinder {
+    const ALIASES: &'static [&'static str] = &["capped_cylinder"];
     const EXAMPLE: &str = r#"{ "radius": 0.7, "height": 1.6 }"#;
 
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
@@ -167,6 +171,7 @@ pub struct InfiniteCylinder {
 }
 
 impl Primitive for InfiniteCylinder {
+    const ALIASES: &'static [&'static str] = &["tube"];
     const EXAMPLE: &str = r#"{ "radius": 0.6 }"#;
 
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
@@ -284,6 +289,7 @@ pub struct Torus {
 }
 
 impl Primitive for Torus {
+    const ALIASES: &'static [&'static str] = &["donut", "doughnut", "ring"];
     const EXAMPLE: &str = r#"{ "radius": 0.8, "tube": 0.3 }"#;
 
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {
@@ -316,6 +322,7 @@ pub struct Capsule {
 }
 
 impl Primitive for Capsule {
+    const ALIASES: &'static [&'static str] = &["pill"];
     const EXAMPLE: &str = r#"{ "a": [-0.7, -0.4, 0], "b": [0.7, 0.5, 0.2], "radius": 0.4 }"#;
 
     fn distance<R: Real>(&self, p: Vec3<R>) -> R {

@@ -133,6 +133,7 @@ impl Node {
 }
 
 impl Sdf for Rotate {
+    const ALIASES: &'static [&'static str] = &["orient", "rotation", "turn"];
     const EXAMPLE: &str = r#"{ "degrees": [30, 40, 0], "child": { "box": { "size": [1.2, 0.8, 1.6] } } }"#;
 
     const MORE_EXAMPLES: &'static [&'static str] = &[

@@ -12,6 +12,9 @@ pub(super) const FRACTAL_COST: f32 = 32.0;
 
 /// Node without children, described by its distance alone.
 pub trait Primitive {
+    /// Names that other tools and common usage give it, to suggest its own.
+    const ALIASES: &'static [&'static str] = &[];
+
     /// A small valid value, as a user would write it.
     const EXAMPLE: &'static str;
 
@@ -46,6 +49,7 @@ pub trait Primitive {
 }
 
 impl<P: Primitive> Sdf for P {
+    const ALIASES: &'static [&'static str] = <P as Primitive>::ALIASES;
     const EXAMPLE: &'static str = <P as Primitive>::EXAMPLE;
     const MORE_EXAMPLES: &'static [&'static str] = <P as Primitive>::MORE_EXAMPLES;
 

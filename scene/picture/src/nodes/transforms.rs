@@ -53,6 +53,7 @@ macro_rules! around_child {
 pub(super) use around_child;
 
 impl Sdf for Translate {
+    const ALIASES: &'static [&'static str] = &["move", "transform"];
     const EXAMPLE: &str = r#"{ "by": [0.6, 0.3, 0], "child": { "box": { "size": [1, 1, 1] } } }"#;
 
     fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>, sample: &impl Fn(usize, Vec3<R>) -> V) -> V {
@@ -97,6 +98,7 @@ impl Scale {
 }
 
 impl Sdf for Scale {
+    const ALIASES: &'static [&'static str] = &["resize"];
     const EXAMPLE: &str = r#"{ "by": 1.4, "child": { "torus": { "radius": 0.6, "tube": 0.2 } } }"#;
 
     fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>, sample: &impl Fn(usize, Vec3<R>) -> V) -> V {

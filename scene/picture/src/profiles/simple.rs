@@ -47,6 +47,7 @@ pub struct Rectangle {
 }
 
 impl ProfileSdf for Rectangle {
+    const ALIASES: &'static [&'static str] = &["square"];
     const EXAMPLE: &str = r#"{ "size": [1.8, 1.2], "round": 0.25 }"#;
     const MORE_EXAMPLES: &'static [&'static str] = &[r#"{ "size": [0.5, 1.1] }"#];
 

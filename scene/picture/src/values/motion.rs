@@ -141,7 +141,7 @@ const FORMS: [&str; 4] = ["expr", "keys", "ease", "loop"];
 
 /// Message for an object that begins with another key.
 fn of_no_form(key: Option<&str>) -> String {
-    let meant = key.and_then(|key| nearest_name(key, &FORMS)).map(|meant| format!("; did you mean \"{meant}\"?"));
+    let meant = key.and_then(|key| nearest_name(key, &FORMS, &[])).map(|meant| format!("; did you mean \"{meant}\"?"));
     let written = key.map_or_else(|| "an empty object".to_owned(), |key| format!("an object with the key \"{key}\""));
     format!(
         "must be a number, a track: {{\"keys\": [[seconds, number], …]}}, or a formula: {{\"expr\": text}}, not {written}{}",

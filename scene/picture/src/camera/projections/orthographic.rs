@@ -24,6 +24,7 @@ pub struct Orthographic {
 const PLACES: u32 = 5;
 
 impl Project for Orthographic {
+    const ALIASES: &'static [&'static str] = &["ortho"];
     const EXAMPLE: &'static str = r#"{ "height": 4.2 }"#;
 
     fn validate_fov(&self) -> Option<&'static str> {

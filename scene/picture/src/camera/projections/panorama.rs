@@ -14,6 +14,7 @@ use crate::values::FieldOfView;
 pub struct Panorama;
 
 impl Project for Panorama {
+    const ALIASES: &'static [&'static str] = &["equirectangular"];
     const EXAMPLE: &'static str = r#""panorama""#;
 
     fn validate_fov(&self) -> Option<&'static str> {

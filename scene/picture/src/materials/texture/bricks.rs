@@ -87,6 +87,7 @@ fn random<R: Real>(column: R, row: R, plane: u32) -> R {
 }
 
 impl Pattern for Bricks {
+    const ALIASES: &'static [&'static str] = &["brick"];
     const EXAMPLE: &'static str = r#"{ "size": [0.5, 0.2], "mortar": 0.03, "softness": 0.01 }"#;
     const MORE_EXAMPLES: &'static [&'static str] = &[r##"{ "size": [0.3, 0.3], "shift": 0, "mortar": 0.02,
         "colors": ["#2f6f8f", "#8cc7c1"], "mortar_color": "#f2f0e6" }"##];

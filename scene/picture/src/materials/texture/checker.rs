@@ -53,6 +53,7 @@ impl Checker {
 }
 
 impl Pattern for Checker {
+    const ALIASES: &'static [&'static str] = &["checkerboard", "chequer"];
     const EXAMPLE: &'static str = r##"{ "cell": 0.35, "colors": ["#2b3a55", "#e9e2d0"] }"##;
     const MORE_EXAMPLES: &'static [&'static str] = &[
         r##"{ "cell": 0.5, "softness": 0.2, "axes": "xz", "colors": ["#7a2330", "#f0c987"] }"##,

@@ -47,6 +47,7 @@ macro_rules! at_a_distance {
 }
 
 impl Sdf for Round {
+    const ALIASES: &'static [&'static str] = &["bevel"];
     const EXAMPLE: &'static str = r#"{ "radius": 0.2, "child": { "pyramid": { "height": 0.9 } } }"#;
 
     fn eval<R: Real, V: SdfValue<R>>(&self, p: Vec3<R>, sample: &impl Fn(usize, Vec3<R>) -> V) -> V {
@@ -59,6 +60,7 @@ impl Sdf for Round {
 }
 
 impl Sdf for Onion {
+    const ALIASES: &'static [&'static str] = &["hollow", "shell"];
     const EXAMPLE: &'static str = r#"{ "thickness": 0.12, "child": { "difference": { "of": [
         { "sphere": { "radius": 1 } },
         { "translate": { "by": [0.3, 1, 0.7], "child": { "box": { "size": [1.8, 1.4, 1.4] } } } }

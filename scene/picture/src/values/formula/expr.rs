@@ -147,5 +147,5 @@ fn unknown_function(name: &str, at: usize) -> FormulaError {
 /// The name that was probably meant.
 fn nearest<'n>(name: &str, known: impl Iterator<Item = &'n str>) -> Option<&'n str> {
     let known: Vec<&str> = known.take(2_000).collect();
-    crate::names::nearest_name(name, &known)
+    crate::names::nearest_name(name, &known, &[])
 }
