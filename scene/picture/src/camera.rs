@@ -24,6 +24,9 @@ use crate::real::{Real, Vec3, vec3};
 use crate::seek::Seek;
 use crate::values::{Direction, FieldOfView, Placement, Point, Revolutions, sin_cos_degrees};
 
+/// Ray origins along an edge of the picture that stand for all.
+const PLACES: u32 = 5;
+
 /// Position, direction and projection of the camera.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema, Seek)]
 #[serde(deny_unknown_fields)]
@@ -90,7 +93,7 @@ impl Camera {
         let mut errors = Vec::new();
         let view = self.view_error();
         errors.extend(view);
-        errors.extend(self.fov.as_ref().and(self.projection.validate_fov()).map(|message| ("fov", message)));
+        errors.extend(self.fov.as_ref().and(self.projection.default_fov().err()).map(|message| ("fov", message)));
         let Some(lens) = &self.lens else { return errors };
         if let Some(message) = self.projection.validate_lens() {
             errors.push(("lens", message));
@@ -147,7 +150,7 @@ impl Camera {
 
     /// Fills in defaults, so that cameras with the same view are equal.
     pub fn fill_defaults(&mut self) {
-        self.fov = self.fov.take().or_else(|| self.projection.default_fov());
+        self.fov = self.fov.take().or_else(|| self.projection.default_fov().ok());
         self.lens = self.lens.take().and_then(Lens::reduced);
     }
 
@@ -248,8 +251,22 @@ impl View {
     /// of `f32`.
     pub fn normal_epsilon(&self) -> Tolerance {
         let Tolerance { slope, floor } = self.footprint;
-        let least = if floor > 0.0 { 2e-5 } else { 3e-4 };
+        let least = if self.is_parallel() { 2e-5 } else { 3e-4 };
         Tolerance { slope: (0.5 * slope).max(least), floor: (0.5 * floor).max(100.0 * self.coordinate_error) }
+    }
+
+    /// Whether all rays through the center of the lens have one direction.
+    fn is_parallel(&self) -> bool {
+        self.footprint.slope == 0.0
+    }
+
+    /// Origins of rays at places all over a picture of this size in pixels: one if all rays have the same.
+    pub fn ray_origins(&self, width: u32, height: u32) -> Vec<Vec3<f32>> {
+        let along = |place: u32, edge: u32| (place as f32 + 0.5) * edge as f32 / PLACES as f32;
+        let places = (0..PLACES * PLACES).map(|place| (place % PLACES, place / PLACES));
+        let mut origins: Vec<_> = places.map(|(x, y)| self.ray(along(x, width), along(y, height)).origin).collect();
+        origins.dedup();
+        origins
     }
 
     /// Position of the camera: the center of its lens.

@@ -60,9 +60,12 @@ fn nothing_in_view(scene: &Scene, view: &View) -> Option<String> {
 
 /// Objects that contain the camera, or part of an orthographic picture's plane, or part of the lens.
 fn inside(scene: &Scene, film: Film<'_>, view: &View) -> Option<String> {
-    let origins = scene.camera.projection.ray_origins(view, film);
+    let origins = view.ray_origins(film.width, film.height);
     if let Some(around) = solid_around(scene, &origins) {
-        let (what, cure) = scene.camera.projection.inside_warning();
+        let (what, cure) = match origins.as_slice() {
+            [_] => ("the camera is inside", "move camera.position out of it"),
+            _ => ("part of the picture starts inside", "move camera.position back"),
+        };
         return Some(format!("{what} {around}, so that only its inside is visible: {cure}, or cut a room into it"));
     }
     let on_rim: Vec<Vec3<f32>> = origins.into_iter().flat_map(|origin| view.rim_of_lens(origin)).collect();

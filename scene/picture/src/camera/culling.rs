@@ -19,11 +19,10 @@ impl View {
             return false;
         }
         // A ray starts up to the lens' radius nearer.
-        self.projection.is_beyond(self, self.with_margin(bounds), distance + self.lens_radius())
-    }
-
-    /// Whether all of a box is farther from the camera than this.
-    pub(super) fn is_out_of_reach(&self, bounds: Bounds, distance: f32) -> bool {
+        let (bounds, distance) = (self.with_margin(bounds), distance + self.lens_radius());
+        if self.is_parallel() {
+            return self.to_view_space(bounds).min.z > distance;
+        }
         let Bounds { min: low, max: high } = bounds.translated(-self.origin);
         let away = |low: f32, high: f32| low.max(-high).max(0.0);
         vec3(away(low.x, high.x), away(low.y, high.y), away(low.z, high.z)).length() > distance

@@ -16,7 +16,13 @@ impl View {
 
     /// The way of the background in a direction.
     pub fn way_of_background<R: Real>(&self, next: &Self, direction: Vec3<R>) -> (R, R) {
-        let seen = |view: &Self| view.projection.background_point(&view.measuring_axes(direction.x), direction);
+        let seen = |view: &Self| {
+            if view.is_parallel() {
+                // The background is the same everywhere in the picture.
+                return (direction.x.constant(0.0), direction.x.constant(0.0));
+            }
+            view.projection.picture_point(&view.measuring_axes(direction.x), direction)
+        };
         self.way_in_pixels(seen(self), seen(next))
     }
 

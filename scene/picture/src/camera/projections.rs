@@ -30,7 +30,7 @@ pub struct Extent {
     pub half_width: f32,
     /// Half the picture's height, like `half_width`.
     pub half_height: f32,
-    /// Half a pixel's height at a distance along a ray.
+    /// Half a pixel's height at a distance along a ray: the same at all distances if, and only if, rays are parallel.
     pub footprint: Tolerance,
 }
 
@@ -62,11 +62,8 @@ family! {
 
     /// Behavior of a projection.
     pub trait Project {
-        /// Field of view to use if the camera has none; `None` if the projection does not use one.
-        fn default_fov(&self) -> Option<FieldOfView> = None;
-
-        /// Error message if a camera with this projection has a field of view and must not.
-        fn validate_fov(&self) -> Option<&'static str> = None;
+        /// Field of view of a camera that names none; or the error message if a camera must have none.
+        fn default_fov(&self) -> Result<FieldOfView, &'static str>;
 
         /// Error message if a camera with this projection has a lens and must not.
         fn validate_lens(&self) -> Option<&'static str> = None;
@@ -82,26 +79,11 @@ family! {
         /// the camera may be seen anywhere beside the picture.
         fn picture_point<R: Real>(&self, axes: &CameraAxes<R>, offset: Vec3<R>) -> (R, R);
 
-        /// Point of the picture, like `picture_point`, at which the background in a direction is seen.
-        fn background_point<R: Real>(&self, axes: &CameraAxes<R>, direction: Vec3<R>) -> (R, R)
-            = self.picture_point(axes, direction);
-
         /// The shorter way across the picture, if there are two.
         fn way_across<R: Real>(&self, way: R) -> R = way;
 
         /// Whether no ray of the picture hits the box at any distance. May be false although no ray does.
         fn is_beside(&self, view: &View, bounds: Bounds) -> bool;
-
-        /// Whether no ray of the picture reaches the box within this distance.
-        fn is_beyond(&self, view: &View, bounds: Bounds, distance: f32) -> bool
-            = view.is_out_of_reach(bounds, distance);
-
-        /// Origins of the picture's rays, or a sample of them.
-        fn ray_origins(&self, view: &View, film: Film<'_>) -> Vec<Vec3<f32>> = vec![view.origin()];
-
-        /// Words of the warning about a ray origin inside an object: the subject, and the fix.
-        fn inside_warning(&self) -> (&'static str, &'static str)
-            = ("the camera is inside", "move camera.position out of it");
 
         /// Matrix from the scene to the picture, see [`View::world_to_ndc`]; `None` if the projection is not linear.
         fn world_to_ndc(&self, view: &View) -> Option<Matrix> = None;

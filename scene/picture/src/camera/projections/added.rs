@@ -22,6 +22,10 @@ pub struct AddedProjection {
 impl Project for AddedProjection {
     const EXAMPLE: &str = r#"{ "shift": 0.25 }"#;
 
+    fn default_fov(&self) -> Result<FieldOfView, &'static str> {
+        Err("has no effect in an added picture: remove it")
+    }
+
     fn extent(&self, _: Option<&FieldOfView>, aspect: f32, height: f32) -> Extent {
         let footprint = Tolerance { slope: 0.5 / height, floor: 0.0 };
         Extent { half_width: 0.5 * aspect, half_height: 0.5, footprint }

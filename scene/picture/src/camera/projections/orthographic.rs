@@ -6,7 +6,6 @@ use serde::{Deserialize, Serialize};
 use super::{CameraAxes, Extent, Project};
 use crate::bounds::Bounds;
 use crate::camera::{Matrix, View};
-use crate::film::Film;
 use crate::ray::{Ray, Tolerance};
 use crate::real::{Real, Vec3};
 use crate::seek::Seek;
@@ -20,15 +19,12 @@ pub struct Orthographic {
     pub height: Length,
 }
 
-/// Ray origins tested along an edge of the picture for being inside an object.
-const PLACES: u32 = 5;
-
 impl Project for Orthographic {
     const ALIASES: &'static [&'static str] = &["ortho"];
     const EXAMPLE: &'static str = r#"{ "height": 4.2 }"#;
 
-    fn validate_fov(&self) -> Option<&'static str> {
-        Some("has no effect in an orthographic picture: remove it, and set the height")
+    fn default_fov(&self) -> Result<FieldOfView, &'static str> {
+        Err("has no effect in an orthographic picture: remove it, and set the height")
     }
 
     fn extent(&self, _: Option<&FieldOfView>, aspect: f32, height: f32) -> Extent {
@@ -46,11 +42,6 @@ impl Project for Orthographic {
         (offset.dot(axes.right), offset.dot(axes.up))
     }
 
-    // All rays have one direction, so the background is the same everywhere in the picture.
-    fn background_point<R: Real>(&self, _: &CameraAxes<R>, direction: Vec3<R>) -> (R, R) {
-        (direction.x.constant(0.0), direction.x.constant(0.0))
-    }
-
     fn is_beside(&self, view: &View, bounds: Bounds) -> bool {
         let seen = view.to_view_space(bounds);
         let (across, upwards) = view.blur_in_view_space(seen);
@@ -58,21 +49,7 @@ impl Project for Orthographic {
         is_off(seen.min.x, seen.max.x, across) || is_off(seen.min.y, seen.max.y, upwards) || seen.max.z < 0.0
     }
 
-    fn is_beyond(&self, view: &View, bounds: Bounds, distance: f32) -> bool {
-        view.to_view_space(bounds).min.z > distance
-    }
-
-    fn ray_origins(&self, view: &View, film: Film<'_>) -> Vec<Vec3<f32>> {
-        let along = |place: u32, edge: u32| (place as f32 + 0.5) * edge as f32 / PLACES as f32;
-        let places = (0..PLACES * PLACES).map(|place| (place % PLACES, place / PLACES));
-        places.map(|(x, y)| view.ray(along(x, film.width), along(y, film.height)).origin).collect()
-    }
-
     fn world_to_ndc(&self, view: &View) -> Option<Matrix> {
         Some(view.parallel_ndc())
-    }
-
-    fn inside_warning(&self) -> (&'static str, &'static str) {
-        ("part of the picture starts inside", "move camera.position back")
     }
 }

@@ -17,8 +17,8 @@ impl Project for Panorama {
     const ALIASES: &'static [&'static str] = &["equirectangular"];
     const EXAMPLE: &'static str = r#""panorama""#;
 
-    fn validate_fov(&self) -> Option<&'static str> {
-        Some("has no effect in a panorama, which shows all directions: remove it")
+    fn default_fov(&self) -> Result<FieldOfView, &'static str> {
+        Err("has no effect in a panorama, which shows all directions: remove it")
     }
 
     fn validate_lens(&self) -> Option<&'static str> {

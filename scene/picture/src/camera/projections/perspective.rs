@@ -20,8 +20,8 @@ pub struct Perspective;
 impl Project for Perspective {
     const EXAMPLE: &'static str = r#""perspective""#;
 
-    fn default_fov(&self) -> Option<FieldOfView> {
-        Some(default_fov())
+    fn default_fov(&self) -> Result<FieldOfView, &'static str> {
+        Ok(FieldOfView::new(DEFAULT_FOV_DEGREES).expect("40 is in range"))
     }
 
     fn extent(&self, fov: Option<&FieldOfView>, aspect: f32, height: f32) -> Extent {
@@ -50,8 +50,4 @@ impl Project for Perspective {
     fn is_beside(&self, view: &View, bounds: Bounds) -> bool {
         view.is_outside_pyramid(bounds.translated(-view.origin()))
     }
-}
-
-fn default_fov() -> FieldOfView {
-    FieldOfView::new(DEFAULT_FOV_DEGREES).expect("40 is in range")
 }
