@@ -43,6 +43,17 @@ pub struct AmbientLight<'a> {
     pub strength: f32,
 }
 
+/// Properties that all lights have.
+#[derive(Clone, Copy, Debug)]
+pub struct LightOptions<'a> {
+    /// Its light group, if it has one.
+    pub group: Option<&'a LightGroup>,
+    /// Whether objects cast shadows in this light.
+    pub casts_shadows: bool,
+    /// Whether the light is black in every frame. If all lights are, the scene gets a warning.
+    pub is_dark: bool,
+}
+
 family! {
     /// A light: an object whose member is the light's name.
     pub enum Light {
@@ -71,11 +82,8 @@ family! {
             pair: impl FnOnce() -> (R, R),
         ) -> Option<(LightSample<R>, R)>;
 
-        /// Its light group, if it has one.
-        fn group(&self) -> Option<&LightGroup>;
-
-        /// Whether objects cast shadows in this light.
-        fn casts_shadows(&self) -> bool;
+        /// The properties that all lights have.
+        fn options(&self) -> LightOptions<'_>;
 
         /// Center and radius of a ball around it, if it has a place.
         fn place(&self) -> Option<(Vec3<f32>, f32)> = None;
@@ -88,9 +96,6 @@ family! {
 
         /// Whether it is light of the environment, which has no place of its own.
         fn is_of_environment(&self) -> bool = false;
-
-        /// Whether the light is black in every frame. If all lights are, the scene gets a warning.
-        fn is_dark(&self) -> bool;
 
         /// Error in the light's parameters with this background, if there is one.
         fn validate(&self, background: &Background) -> Option<NodeError> = None;

@@ -81,7 +81,7 @@ pub(super) fn light(scene: &Scene) -> Option<String> {
                 .to_owned(),
         );
     }
-    let shines = scene.lights.iter().any(|light| !light.is_dark())
+    let shines = scene.lights.iter().any(|light| !light.options().is_dark)
         || (scene.integrator.is_path() && (shines_itself(scene) || is_sky_bright(scene)));
     if !shines && used.iter().any(Material::is_black_without_light) {
         let lack = if scene.lights.is_empty() { "there is no light" } else { "all lights are black" };
@@ -120,7 +120,8 @@ pub(super) fn enclosed_lights(scene: &Scene) -> Option<String> {
     /// Objects with a higher evaluation cost are not tested.
     const MAX_EVALUATIONS: f32 = 1e4;
     scene.lights.iter().enumerate().find_map(|(index, light)| {
-        let (center, radius) = light.place_in_scene().filter(|_| light.casts_shadows() && !light.is_dark())?;
+        let options = light.options();
+        let (center, radius) = light.place_in_scene().filter(|_| options.casts_shadows && !options.is_dark)?;
         let within = (0..scene.objects.len()).find(|&index| {
             let (material, object) = (scene.material_of(index), &scene.objects[index]);
             let enclosed = -radius - 1e-4 - 1e-3 * radius;

@@ -70,7 +70,7 @@ pub(super) fn errors(image: &ImageSpec, scene: &Scene) -> SemanticErrors {
 /// The light groups of a scene.
 fn names(scene: &Scene) -> BTreeSet<&LightGroup> {
     let of_objects = scene.objects.iter().filter_map(|object| object.light_group.as_ref());
-    scene.lights.iter().filter_map(|light| light.group()).chain(of_objects).collect()
+    scene.lights.iter().filter_map(|light| light.options().group).chain(of_objects).collect()
 }
 
 fn cure(named: &BTreeSet<&LightGroup>) -> String {

@@ -3,7 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{LightSample, LightSource};
+use super::{LightOptions, LightSample, LightSource};
 use crate::backgrounds::Day;
 use crate::light_groups::LightGroup;
 use crate::real::{Real, Vec3};
@@ -38,19 +38,11 @@ impl LightSource for AddedLight {
         Some((LightSample { direction: Vec3::uniform(p.x, self.direction.unit()), radiance }, farthest))
     }
 
-    fn group(&self) -> Option<&LightGroup> {
-        self.group.as_ref()
-    }
-
-    fn casts_shadows(&self) -> bool {
-        false
+    fn options(&self) -> LightOptions<'_> {
+        LightOptions { group: self.group.as_ref(), casts_shadows: false, is_dark: self.color.is_black() }
     }
 
     fn strength<R: Real>(&self, p: Vec3<R>, _: Option<&Day>) -> R {
         p.x.uniform(self.color.in_frame().mean()) / (p.y.square() + 1.0)
-    }
-
-    fn is_dark(&self) -> bool {
-        self.color.is_black()
     }
 }

@@ -3,7 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{LightSample, LightSource, default_angle, default_color, default_shadow, sample_cone};
+use super::{LightOptions, LightSample, LightSource, default_angle, default_color, default_shadow, sample_cone};
 use crate::backgrounds::Day;
 use crate::light_groups::LightGroup;
 use crate::real::{Real, Vec3};
@@ -48,19 +48,11 @@ impl LightSource for Directional {
         Some((LightSample { direction, radiance }, farthest))
     }
 
-    fn group(&self) -> Option<&LightGroup> {
-        self.group.as_ref()
-    }
-
-    fn casts_shadows(&self) -> bool {
-        self.shadow
+    fn options(&self) -> LightOptions<'_> {
+        LightOptions { group: self.group.as_ref(), casts_shadows: self.shadow, is_dark: self.color.is_black() }
     }
 
     fn strength<R: Real>(&self, p: Vec3<R>, _: Option<&Day>) -> R {
         p.x.uniform(self.color.in_frame().mean())
-    }
-
-    fn is_dark(&self) -> bool {
-        self.color.is_black()
     }
 }

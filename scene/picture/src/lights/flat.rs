@@ -4,7 +4,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::body::{LightBody, LightShape, Outline, PointOfLight};
-use super::{LightSample, LightSource, default_color, default_shadow, strength_of_point};
+use super::{LightOptions, LightSample, LightSource, default_color, default_shadow, strength_of_point};
 use crate::backgrounds::Day;
 use crate::light_groups::LightGroup;
 use crate::materials::microfacet::orthonormal_basis;
@@ -140,16 +140,8 @@ macro_rules! flat_light {
                 Some(self.flat().sample(p, pair()))
             }
 
-            fn group(&self) -> Option<&LightGroup> {
-                self.group.as_ref()
-            }
-
-            fn casts_shadows(&self) -> bool {
-                self.shadow
-            }
-
-            fn is_dark(&self) -> bool {
-                self.color.is_black()
+            fn options(&self) -> LightOptions<'_> {
+                LightOptions { group: self.group.as_ref(), casts_shadows: self.shadow, is_dark: self.color.is_black() }
             }
 
             fn place(&self) -> Option<(Vec3<f32>, f32)> {

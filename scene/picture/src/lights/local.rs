@@ -4,7 +4,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::body::{LightBody, LightShape, PointOfLight};
-use super::{LightSample, LightSource, default_color, default_shadow, strength_of_point};
+use super::{LightOptions, LightSample, LightSource, default_color, default_shadow, strength_of_point};
 use crate::backgrounds::Day;
 use crate::light_groups::LightGroup;
 use crate::real::{Real, Vec3};
@@ -98,16 +98,8 @@ impl LightSource for SpotLight {
         R::select(edge.lt(-toward.dot_uniform(self.direction.unit())), strength, p.x.constant(0.0))
     }
 
-    fn group(&self) -> Option<&LightGroup> {
-        self.group.as_ref()
-    }
-
-    fn casts_shadows(&self) -> bool {
-        self.shadow
-    }
-
-    fn is_dark(&self) -> bool {
-        self.color.is_black()
+    fn options(&self) -> LightOptions<'_> {
+        LightOptions { group: self.group.as_ref(), casts_shadows: self.shadow, is_dark: self.color.is_black() }
     }
 }
 
@@ -129,16 +121,8 @@ impl LightSource for SphereLight {
         Some((LightSample { direction, radiance: body.arriving(solid_angle) }, distance))
     }
 
-    fn group(&self) -> Option<&LightGroup> {
-        self.group.as_ref()
-    }
-
-    fn casts_shadows(&self) -> bool {
-        self.shadow
-    }
-
-    fn is_dark(&self) -> bool {
-        self.color.is_black()
+    fn options(&self) -> LightOptions<'_> {
+        LightOptions { group: self.group.as_ref(), casts_shadows: self.shadow, is_dark: self.color.is_black() }
     }
 
     fn body(&self) -> Option<LightBody> {

@@ -3,7 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{LightSample, LightSource, default_color, default_shadow, strength_of_point};
+use super::{LightOptions, LightSample, LightSource, default_color, default_shadow, strength_of_point};
 use crate::backgrounds::Day;
 use crate::light_groups::LightGroup;
 use crate::real::{Real, Vec3};
@@ -44,12 +44,8 @@ impl LightSource for PointLight {
         Some((LightSample { direction: toward * per_distance, radiance }, distance))
     }
 
-    fn group(&self) -> Option<&LightGroup> {
-        self.group.as_ref()
-    }
-
-    fn casts_shadows(&self) -> bool {
-        self.shadow
+    fn options(&self) -> LightOptions<'_> {
+        LightOptions { group: self.group.as_ref(), casts_shadows: self.shadow, is_dark: self.color.is_black() }
     }
 
     fn place(&self) -> Option<(Vec3<f32>, f32)> {
@@ -58,9 +54,5 @@ impl LightSource for PointLight {
 
     fn strength<R: Real>(&self, p: Vec3<R>, _: Option<&Day>) -> R {
         strength_of_point(p, &self.position, &self.color, 0.0)
-    }
-
-    fn is_dark(&self) -> bool {
-        self.color.is_black()
     }
 }

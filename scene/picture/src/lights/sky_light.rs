@@ -3,7 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{AmbientLight, Light, LightSample, LightSource, default_shadow, default_strength};
+use super::{AmbientLight, Light, LightOptions, LightSample, LightSource, default_shadow, default_strength};
 use crate::backgrounds::{Background, Day};
 use crate::kinds::NodeError;
 use crate::light_groups::LightGroup;
@@ -57,12 +57,8 @@ impl LightSource for SkyLight {
         None
     }
 
-    fn group(&self) -> Option<&LightGroup> {
-        self.group.as_ref()
-    }
-
-    fn casts_shadows(&self) -> bool {
-        self.shadow
+    fn options(&self) -> LightOptions<'_> {
+        LightOptions { group: self.group.as_ref(), casts_shadows: self.shadow, is_dark: self.strength.is_zero() }
     }
 
     fn is_of_environment(&self) -> bool {
@@ -72,10 +68,6 @@ impl LightSource for SkyLight {
     /// It is met by rays that meet nothing else.
     fn strength<R: Real>(&self, p: Vec3<R>, _: Option<&Day>) -> R {
         p.x.constant(0.0)
-    }
-
-    fn is_dark(&self) -> bool {
-        self.strength.is_zero()
     }
 
     fn validate(&self, background: &Background) -> Option<NodeError> {

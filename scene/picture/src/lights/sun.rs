@@ -3,7 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{LightSample, LightSource, default_shadow, default_strength, sample_cone};
+use super::{LightOptions, LightSample, LightSource, default_shadow, default_strength, sample_cone};
 use crate::backgrounds::{Background, Day};
 use crate::kinds::NodeError;
 use crate::light_groups::LightGroup;
@@ -47,12 +47,8 @@ impl LightSource for Sun {
         Some((LightSample { direction, radiance }, farthest))
     }
 
-    fn group(&self) -> Option<&LightGroup> {
-        self.group.as_ref()
-    }
-
-    fn casts_shadows(&self) -> bool {
-        self.shadow
+    fn options(&self) -> LightOptions<'_> {
+        LightOptions { group: self.group.as_ref(), casts_shadows: self.shadow, is_dark: self.strength.is_zero() }
     }
 
     fn is_of_environment(&self) -> bool {
@@ -61,10 +57,6 @@ impl LightSource for Sun {
 
     fn strength<R: Real>(&self, p: Vec3<R>, day: Option<&Day>) -> R {
         day.map_or(p.x.constant(0.0), |day| p.x.uniform(day.sun_color().mean() * self.strength.get()))
-    }
-
-    fn is_dark(&self) -> bool {
-        self.strength.is_zero()
     }
 
     fn validate(&self, background: &Background) -> Option<NodeError> {

@@ -27,7 +27,7 @@ impl LightGroups {
         let place = |group: Option<&LightGroup>| {
             group.and_then(|group| names.iter().position(|name| name == group)).unwrap_or(names.len())
         };
-        let lights: Vec<usize> = scene.lights.iter().map(|light| place(light.group())).collect();
+        let lights: Vec<usize> = scene.lights.iter().map(|light| place(light.options().group)).collect();
         let sky = scene.sky_lights().next().map_or(names.len(), |index| lights[index]);
         let objects = scene.objects.iter().map(|object| place(object.light_group.as_ref())).collect();
         Some(Self { names: names.to_vec(), lights, objects, sky })

@@ -134,7 +134,8 @@ impl Emitters {
         let day = scene.environment().day();
         let has_direction =
             |light: &PlacedLight| light.sample_at(vec3(0.0, 0.0, 0.0), 1.0, day, || (0.5, 0.5)).is_some();
-        let lights = scene.lights.iter().enumerate().filter(|(_, light)| !light.is_dark() && has_direction(light));
+        let lights =
+            scene.lights.iter().enumerate().filter(|(_, light)| !light.options().is_dark && has_direction(light));
         let lights = lights.map(|(index, light)| Emitter::Light { index, body: light.body_in_scene() });
         let emitting = |index: usize| {
             let object = &scene.objects[index];
@@ -401,7 +402,7 @@ impl Integrator<'_> {
                     unreachable!("emitters have a direction");
                 };
                 let density = body.map_or(zero, |body| body.shape.density(p, sample.direction, distance));
-                let casts_shadows = zero.constant(if light.casts_shadows() { 1.0 } else { 0.0 });
+                let casts_shadows = zero.constant(if light.options().casts_shadows { 1.0 } else { 0.0 });
                 LightRay {
                     direction: sample.direction,
                     distance,

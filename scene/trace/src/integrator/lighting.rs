@@ -69,7 +69,7 @@ impl Integrator<'_> {
             let environment = self.scene.environment();
             if let Some((mut incoming, distance)) = source.sample_at(hit.position, farthest, environment.day(), pair) {
                 let unoccluded = incoming.radiance;
-                if source.casts_shadows() {
+                if source.options().casts_shadows {
                     let (visible, of_shadow) = self.shadow_visibility(hit, incoming.direction, distance);
                     incoming.radiance = incoming.radiance * visible;
                     evaluations = evaluations + of_shadow;
@@ -79,7 +79,7 @@ impl Integrator<'_> {
                 light.lights.push(incoming);
             } else if let Some(sky) = source.ambient(environment) {
                 let (around, unoccluded, of_sky) =
-                    self.sky_light(sky, source.casts_shadows(), hit, light.ambient_visibility, pair);
+                    self.sky_light(sky, source.options().casts_shadows, hit, light.ambient_visibility, pair);
                 evaluations = evaluations + of_sky;
                 caught.add(unoccluded, around);
                 light.ambient = Some(light.ambient.map_or(around, |sum| sum + around));

@@ -218,7 +218,7 @@ impl Integrator<'_> {
     fn light_optical_depth<R: Real>(&self, source: &Light, p: Vec3<R>, direction: Vec3<R>, distance: R) -> (R, R) {
         const OPAQUE_DEPTH: f32 = 80.0;
         let zero = p.x.constant(0.0);
-        if !source.casts_shadows() {
+        if !source.options().casts_shadows {
             return (zero, zero);
         }
         let ray = Ray { origin: p, direction };
