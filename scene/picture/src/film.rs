@@ -83,7 +83,7 @@ pub struct Frames {
 pub const BRIGHTNESS_LEVELS: usize = 5;
 
 /// The channel of a rendered pixel with its number of samples, by which fireflies are reweighted.
-pub const COUNT_CHANNEL: &str = "levels.samples";
+pub(crate) const COUNT_CHANNEL: &str = "levels.samples";
 
 /// The channels of a rendered pixel that only the denoiser reads: albedo, normal and inverse depth
 /// (`Guides` of the integrator), and the standard error of the brightness.
@@ -189,7 +189,7 @@ impl Film<'_> {
     }
 
     /// The channels of a rendered pixel. After the light of a finished pixel come the light by its brightness, and at
-    /// the end [`COUNT_CHANNEL`], if fireflies are reweighted; and then [`GUIDE_CHANNELS`] if the picture is denoised.
+    /// the end `COUNT_CHANNEL`, if fireflies are reweighted; and then [`GUIDE_CHANNELS`] if the picture is denoised.
     pub fn rendered_channels(&self) -> Vec<Cow<'static, str>> {
         let mut channels = self.channels();
         let layers = channels.split_off(self.light_channels());

@@ -15,7 +15,7 @@ pub fn unescape(part: &str) -> String {
 }
 
 /// JSON in ASCII of strings and numbers.
-pub fn ascii_json(value: &impl Serialize) -> String {
+pub(crate) fn ascii_json(value: &impl Serialize) -> String {
     let json = serde_json::to_string(value).expect("strings and numbers are JSON");
     let mut ascii = String::with_capacity(json.len());
     for character in json.chars() {

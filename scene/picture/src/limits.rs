@@ -9,7 +9,7 @@ pub const MAX_KEY_BYTES: usize = 4_096;
 /// Maximum nesting of groups.
 pub const MAX_GROUP_DEPTH: usize = 8;
 /// Maximum number of points of a path.
-pub const MAX_PATH_POINTS: usize = 1_000;
+pub(crate) const MAX_PATH_POINTS: usize = 1_000;
 /// Maximum nesting of nodes.
 pub const MAX_NODE_DEPTH: usize = 64;
 /// Maximum number of nodes of a scene.
@@ -39,30 +39,30 @@ pub const MAX_RAYS: u64 = 1 << 44;
 /// Maximum number of characters of a name.
 pub const MAX_NAME_CHARS: usize = 200;
 /// Maximum number of steps of one ray.
-pub const MAX_STEPS: u32 = 65_536;
+pub(crate) const MAX_STEPS: u32 = 65_536;
 /// Maximum number of steps of a ray through a cloud or a volume.
 pub const MAX_MEDIUM_STEPS: u32 = 1_024;
 /// Maximum number of steps of a ray through a volume toward a light.
-pub const MAX_LIGHT_STEPS: u32 = 64;
+pub(crate) const MAX_LIGHT_STEPS: u32 = 64;
 /// Maximum number of reflections and refractions of a ray.
-pub const MAX_BOUNCES: u32 = 32;
+pub(crate) const MAX_BOUNCES: u32 = 32;
 /// Largest coordinate or length, in scene units.
-pub const MAX_LENGTH: f32 = 1e6;
+pub(crate) const MAX_LENGTH: f32 = 1e6;
 /// Smallest size, in scene units.
 pub const MIN_LENGTH: f32 = 1e-6;
 /// Maximum number of iterations of a fractal.
-pub const MAX_ITERATIONS: u32 = 64;
+pub(crate) const MAX_ITERATIONS: u32 = 64;
 /// Maximum number of keyframes of a track.
-pub const MAX_KEYFRAMES: usize = 10_000;
+pub(crate) const MAX_KEYFRAMES: usize = 10_000;
 /// Maximum time of a keyframe, in seconds before or after frame 0.
-pub const MAX_KEYFRAME_SECONDS: f64 = 1e9;
+pub(crate) const MAX_KEYFRAME_SECONDS: f64 = 1e9;
 /// Bytes of an animated job, times its frames, up to which every frame is validated at submission.
-pub const MAX_FULL_CHECK_BYTES: u64 = 1 << 30;
+pub(crate) const MAX_FULL_CHECK_BYTES: u64 = 1 << 30;
 /// Maximum number of instants at which a frame with motion blur is exposed.
-pub const MAX_INSTANTS: u32 = 64;
+pub(crate) const MAX_INSTANTS: u32 = 64;
 /// Minimum number of frames validated in larger animated jobs.
-pub const MIN_SAMPLED_FRAMES: u32 = 16;
+pub(crate) const MIN_SAMPLED_FRAMES: u32 = 16;
 /// Maximum nesting of textures in the colors of textures.
-pub const MAX_TEXTURE_DEPTH: usize = 4;
+pub(crate) const MAX_TEXTURE_DEPTH: usize = 4;
 /// Maximum number of stops of a color ramp.
-pub const MAX_RAMP_STOPS: usize = 32;
+pub(crate) const MAX_RAMP_STOPS: usize = 32;

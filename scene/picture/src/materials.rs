@@ -56,7 +56,7 @@ pub struct ShadingPoint<R: Real> {
 
 impl<R: Real> ShadingPoint<R> {
     /// Width of the footprint along a direction of length 1.
-    pub fn width_along(&self, direction: Vec3<f32>) -> R {
+    pub(crate) fn width_along(&self, direction: Vec3<f32>) -> R {
         let [across, along] = self.footprint;
         let squared = across.dot_uniform(direction).square() + along.dot_uniform(direction).square();
         squared.sqrt() * 2.0

@@ -62,7 +62,7 @@ impl Bounds2 {
     }
 
     /// Smallest rectangle around one or more points.
-    pub fn from_points(points: impl IntoIterator<Item = [f32; 2]>) -> Self {
+    pub(crate) fn from_points(points: impl IntoIterator<Item = [f32; 2]>) -> Self {
         let empty = Self { low: [f32::INFINITY; 2], high: [f32::NEG_INFINITY; 2] };
         points.into_iter().fold(empty, |extent, point| extent.hull(Self { low: point, high: point }))
     }

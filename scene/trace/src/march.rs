@@ -44,7 +44,7 @@ bundle!(MarchResult { t, near, distance, steps, evaluations, hit });
 impl<R: Real> MarchResult<R> {
     /// Whether light from `t_max`, the end of the march's range, is occluded: if the march ran out of steps, too, since it
     /// did so between surfaces that meet ahead, most often.
-    pub fn is_occluded(&self, t_max: R) -> R::Mask {
+    pub(crate) fn is_occluded(&self, t_max: R) -> R::Mask {
         self.hit.0 | self.t.lt(t_max)
     }
 }
@@ -119,10 +119,10 @@ impl<R: Real> Approach<R> {
 /// surfaces take most steps back.
 const PAST_PER_PLANE: f32 = 0.9;
 /// [`MarchRange::max_past`] of most scenes: a ray along a plane, or away from it, could go any way.
-pub const MAX_PAST: f32 = 4.0;
+pub(crate) const MAX_PAST: f32 = 4.0;
 /// That of scenes with fractals, whose distance changes from point to point: more steps would be taken back, from inside,
 /// where an evaluation takes all iterations.
-pub const MAX_PAST_FRACTALS: f32 = 0.6;
+pub(crate) const MAX_PAST_FRACTALS: f32 = 0.6;
 /// In place of the overstep, if the distance before does not tell how it changes: the next step stays inside its sphere.
 const UNKNOWN: f32 = -1.0;
 
@@ -132,7 +132,7 @@ const UNKNOWN: f32 = -1.0;
 /// A ray that only passes near a surface continues. The tolerance decides where the search for the root begins.
 /// `along` is the same field along the ray.
 /// `is_fine` returns whether a point's surface has fine detail at every scale; `None` if no surface does.
-pub fn march_to_root<R: Real>(
+pub(crate) fn march_to_root<R: Real>(
     ray: &Ray<R>,
     reach: MarchRange<R>,
     approach: Approach<R>,
@@ -209,7 +209,7 @@ const EXACTNESS: f32 = 0.125;
 ///
 /// The secant method until the root is bracketed, then the Illinois variant of regula falsi: M. Dowell, P. Jarratt, "A
 /// modified regula falsi method for computing the root of an equation", BIT 11, 1971.
-pub fn find_root<R: Real>(
+pub(crate) fn find_root<R: Real>(
     ray: &Ray<R>,
     near: &MarchResult<R>,
     approach: Approach<R>,

@@ -264,11 +264,6 @@ impl Visited {
         &self.grid
     }
 
-    /// Number of cells.
-    pub fn cell_count(&self) -> usize {
-        self.cells.len()
-    }
-
     /// The record as bytes.
     ///
     /// ```text

@@ -11,9 +11,9 @@ use std::f32::consts::{PI, TAU};
 use crate::real::{Real, Vec3, vec3};
 
 /// Minimum α: below it a highlight would be a point of almost infinite brightness.
-pub const MIN_ALPHA: f32 = 0.002;
+pub(crate) const MIN_ALPHA: f32 = 0.002;
 
-/// The α of a roughness from 0 to 1: its square, at least [`MIN_ALPHA`].
+/// The α of a roughness from 0 to 1: its square, at least `MIN_ALPHA`.
 ///
 /// Brent Burley, "Physically based shading at Disney", 2012,
 /// <https://disneyanimation.com/publications/physically-based-shading-at-disney/>.
@@ -23,7 +23,7 @@ pub fn alpha_from_roughness<R: Real>(roughness: R) -> R {
 
 /// π times the GGX distribution of normals D, by a half vector's cosine and its squared sine
 /// (which, for a small angle, 1 − cosine² would not give).
-pub fn ggx_distribution<R: Real>(alpha: R, cosine: R, sine_squared: R) -> R {
+pub(crate) fn ggx_distribution<R: Real>(alpha: R, cosine: R, sine_squared: R) -> R {
     let scaled = alpha * cosine;
     let width = scaled.square_add(sine_squared).at_least(1e-7);
     (alpha / width).square()
@@ -35,14 +35,14 @@ fn smith_root<R: Real>(alpha_squared: R, cosine: R) -> R {
 }
 
 /// Smith's G₂ of light and viewer, over 4·(N·L)·(N·V).
-pub fn smith_visibility<R: Real>(alpha: R, to_light: R, to_viewer: R) -> R {
+pub(crate) fn smith_visibility<R: Real>(alpha: R, to_light: R, to_viewer: R) -> R {
     let square = alpha.square();
     let (to_light, to_viewer) = (to_light.at_least(MIN_COSINE), to_viewer.at_least(MIN_COSINE));
     to_light.constant(0.5) / to_light.mul_add(smith_root(square, to_viewer), to_viewer * smith_root(square, to_light))
 }
 
 /// Density of light reflected by a normal of [`sample_visible_normal`], over [`ggx_distribution`]: G₁(viewer)/(4π·(N·V)).
-pub fn visible_normal_density<R: Real>(alpha: R, to_viewer: R) -> R {
+pub(crate) fn visible_normal_density<R: Real>(alpha: R, to_viewer: R) -> R {
     let to_viewer = to_viewer.at_least(MIN_COSINE);
     to_viewer.constant(0.5 / PI) / (to_viewer + smith_root(alpha.square(), to_viewer))
 }
@@ -64,7 +64,7 @@ pub fn smith_g2_over_g1<R: Real>(alpha: R, to_light: R, to_viewer: R) -> R {
 /// times this.
 ///
 /// Christophe Schlick, "An inexpensive BRDF model for physically-based rendering", 1994.
-pub fn schlick_weight<R: Real>(cosine: R) -> R {
+pub(crate) fn schlick_weight<R: Real>(cosine: R) -> R {
     let rest = (cosine.constant(1.0) - cosine).at_least(0.0).at_most(1.0);
     let square = rest.square();
     square.square() * rest
@@ -77,7 +77,7 @@ pub fn fresnel<R: Real>(at_normal: Vec3<R>, cosine: R) -> Vec3<R> {
 }
 
 /// Fresnel's reflectance F₀ at normal incidence on a boundary between media: ((n − 1)/(n + 1))².
-pub fn f0_from_ior<R: Real>(ior: R) -> R {
+pub(crate) fn f0_from_ior<R: Real>(ior: R) -> R {
     ((ior - 1.0) / (ior + 1.0)).square()
 }
 

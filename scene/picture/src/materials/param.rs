@@ -42,7 +42,7 @@ impl ColorParam {
     }
 
     /// The color, if it is constant.
-    pub fn as_constant(&self) -> Option<&Color> {
+    pub(crate) fn as_constant(&self) -> Option<&Color> {
         match self {
             Self::Constant(color) => Some(color),
             Self::Textured(_) => None,
@@ -58,7 +58,7 @@ impl ColorParam {
     }
 
     /// Whether it is black everywhere, so that a formula may leave it out.
-    pub fn is_black(&self) -> bool {
+    pub(crate) fn is_black(&self) -> bool {
         matches!(self, Self::Constant(color) if color.is_black())
     }
 

@@ -66,7 +66,7 @@ impl Color {
     }
 
     /// Whether it is black in every frame, so that a formula may leave its term out.
-    pub fn is_black(&self) -> bool {
+    pub(crate) fn is_black(&self) -> bool {
         self.constant() == Some(vec3(0.0, 0.0, 0.0))
     }
 }

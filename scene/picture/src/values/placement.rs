@@ -32,7 +32,7 @@ impl Placement {
     }
 
     /// A point of the scene, as seen from inside the group.
-    pub fn to_group<R: Real>(&self, p: Vec3<R>) -> Vec3<R> {
+    pub(crate) fn to_group<R: Real>(&self, p: Vec3<R>) -> Vec3<R> {
         let p = self.by.as_ref().map_or(p, |by| p - Vec3::uniform(p.x, by.get()));
         let Some([x, y, z]) = self.inverse_rows() else { return p };
         let rotated = |p: Vec3<R>| vec3(p.dot_uniform(x), p.dot_uniform(y), p.dot_uniform(z));
@@ -46,14 +46,14 @@ impl Placement {
     }
 
     /// A direction of the group, as seen in the scene.
-    pub fn direction_to_scene<R: Real>(&self, d: Vec3<R>) -> Vec3<R> {
+    pub(crate) fn direction_to_scene<R: Real>(&self, d: Vec3<R>) -> Vec3<R> {
         let Some([x, y, z]) = self.inverse_rows() else { return d };
         let column = |axis: fn(Vec3<f32>) -> f32| vec3(axis(x), axis(y), axis(z));
         vec3(d.dot_uniform(column(|v| v.x)), d.dot_uniform(column(|v| v.y)), d.dot_uniform(column(|v| v.z)))
     }
 
     /// A point of the group, as seen in the scene.
-    pub fn to_scene(&self, p: Vec3<f32>) -> Vec3<f32> {
+    pub(crate) fn to_scene(&self, p: Vec3<f32>) -> Vec3<f32> {
         let about = self.about.as_ref().map_or(vec3(0.0, 0.0, 0.0), Point::in_frame);
         let by = self.by.as_ref().map_or(vec3(0.0, 0.0, 0.0), Point::in_frame);
         self.direction_to_scene(p - about) + about + by

@@ -142,7 +142,7 @@ impl Rotation {
     }
 
     /// Rows of the inverse rotation's matrix.
-    pub fn inverse_rows(&self) -> [Vec3<f32>; 3] {
+    pub(crate) fn inverse_rows(&self) -> [Vec3<f32>; 3] {
         self.rows
     }
 

@@ -218,7 +218,7 @@ impl<'a> Program<'a> {
     }
 
     /// Whether an object has several materials.
-    pub fn has_materials(&self) -> bool {
+    pub(crate) fn has_materials(&self) -> bool {
         !self.materials.is_empty()
     }
 
@@ -238,7 +238,7 @@ impl<'a> Program<'a> {
     }
 
     /// Number of nodes of one leaf of each family.
-    pub fn family_nodes(&self) -> u32 {
+    pub(crate) fn family_nodes(&self) -> u32 {
         let nodes = |&leaf: &usize| self.leaves[leaf].above.len() as u32 + self.leaves[leaf].shape.node().node_count();
         self.families.iter().map(nodes).sum()
     }
