@@ -1,5 +1,7 @@
-//! Tests the repository itself: file sizes, opening lines, required files; `words.rs` has forbidden words.
+//! Tests the repository itself: file sizes, opening lines, required files; `words.rs` has forbidden words, `steps.rs`
+//! the files of a new layer and flag.
 
+mod steps;
 mod words;
 
 use std::path::{Path, PathBuf};
