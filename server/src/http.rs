@@ -61,7 +61,7 @@ routes::table! {
         GET    "/v1/jobs/{id}/file"                         READ_OWN   MINUTE Nothing jobs::files::file
                [UnknownJob];
         POST   "/v1/jobs/{id}/resubmit"                     CHANGE_OWN MINUTE NewJob  jobs::files::resubmit
-               [PriorityTooHigh UnknownJob WrongHeader WrongJob WrongWebhook IdempotencyKeyReused QueueFull Quota DiskFull];
+               [PriorityTooHigh UnknownJob WrongHeader WrongJob WrongBody WrongWebhook IdempotencyKeyReused QueueFull Quota DiskFull];
         GET    "/v1/jobs/{id}/events"                       READ_OWN   NONE   Nothing events::follow
                [UnknownJob];
         GET    "/v1/events"                                 READ_OWN   NONE   Nothing events::follow_farm;
@@ -82,21 +82,21 @@ routes::table! {
         GET    "/v1/jobs/{id}/frames.zip"                   READ_OWN   MINUTE Nothing frames::archive
                [UnknownJob FramesMissing];
         GET    "/v1/jobs/{id}/image"                        READ_OWN   MINUTE Nothing frames::images::first_frame
-               [UnknownJob NotStored WrongRange];
+               [UnknownJob NotStored WrongRange LostPicture DamagedPicture];
         GET    "/v1/jobs/{id}/frames/{frame}/image"         READ_OWN   MINUTE Nothing frames::images::frame
-               [UnknownJob UnknownFrame NotStored WrongRange];
+               [UnknownJob UnknownFrame NotStored WrongRange LostPicture DamagedPicture];
         GET    "/v1/jobs/{id}/frames/{frame}/preview"       READ_OWN   MINUTE Nothing frames::previews::preview
-               [UnknownJob UnknownFrame TooManyPreviews PreviewFailed];
+               [UnknownJob UnknownFrame TooManyPreviews PreviewFailed LostPicture DamagedPicture];
         GET    "/v1/jobs/{id}/frames/{frame}/thumbnail"     READ_OWN   MINUTE Nothing frames::previews::thumbnail
-               [UnknownJob UnknownFrame NotStored TooManyPreviews PreviewFailed];
+               [UnknownJob UnknownFrame NotStored TooManyPreviews PreviewFailed LostPicture DamagedPicture];
         POST   "/v1/jobs/{id}/frames/{frame}/verify"        READ_OWN   MINUTE Nothing frames::verify::verify
-               [UnknownJob UnknownFrame NotStored TooManyPreviews PreviewFailed];
+               [UnknownJob UnknownFrame NotStored TooManyPreviews PreviewFailed LostPicture DamagedPicture];
         GET    "/v1/jobs/{id}/frames/{frame}/layers"        READ_OWN   MINUTE Nothing frames::layers::list
-               [UnknownJob UnknownFrame NotStored TooManyPreviews PreviewFailed];
+               [UnknownJob UnknownFrame NotStored TooManyPreviews PreviewFailed LostPicture DamagedPicture];
         GET    "/v1/jobs/{id}/frames/{frame}/layers/{layer}" READ_OWN  MINUTE Nothing frames::layers::layer
-               [UnknownJob UnknownFrame NotStored UnknownLayer TooManyPreviews PreviewFailed];
+               [UnknownJob UnknownFrame NotStored UnknownLayer TooManyPreviews PreviewFailed LostPicture DamagedPicture];
         GET    "/v1/jobs/{id}/frames/{frame}/pixel"         READ_OWN   MINUTE Nothing frames::layers::pixel
-               [UnknownJob UnknownFrame NotStored TooManyPreviews PreviewFailed];
+               [UnknownJob UnknownFrame NotStored TooManyPreviews PreviewFailed LostPicture DamagedPicture];
         POST   "/v1/shader"                                 SUBMIT     MINUTE Nothing drawings::shaders::shader
                [WrongJob TooManyPreviews PreviewFailed];
         POST   "/v1/jobs/{id}/frames/{frame}/link"          READ_OWN   MINUTE Work    frames::links::sign
@@ -106,7 +106,7 @@ routes::table! {
         POST   "/v1/pick"                                   SUBMIT     MINUTE Nothing drawings::pick::pick
                [WrongJob TooManyPreviews PreviewFailed];
         GET    "/v1/pictures/{id}/{frame}/{content}"        PUBLIC     MINUTE Nothing frames::links::follow
-               [WrongSignature UnknownJob UnknownFrame NotStored LinkExpired WrongRange TooManyPreviews PreviewFailed];
+               [WrongSignature UnknownJob UnknownFrame NotStored LinkExpired WrongRange TooManyPreviews PreviewFailed LostPicture DamagedPicture];
         DELETE "/v1/pictures/{hash}"                        ADMIN      MINUTE Admin   frames::images::forget
                [UnknownPicture WrongHash];
         POST   "/v1/gc"                                     ADMIN      MINUTE Admin   farm::retention::collect;

@@ -13,6 +13,7 @@ mod api {
     mod clocks;
     mod connections;
     mod deliveries;
+    mod documented;
     mod editing;
     mod events;
     pub(crate) mod fake_pictures;

@@ -20,6 +20,7 @@ use tempfile::TempDir;
 use tokio::task::JoinHandle;
 use tokio_util::sync::CancellationToken;
 
+use super::documented::assert_documented;
 use super::fake_pictures;
 use crate::postgres_server;
 
@@ -135,14 +136,16 @@ pub(crate) async fn read<T: serde::de::DeserializeOwned>(response: Response, sta
     serde_json::from_str(&text).unwrap_or_else(|error| panic!("{error}: {text}"))
 }
 
-/// Reads a response that must be this problem.
+/// Reads a response that must be this problem, and one that its route documents.
 pub(crate) async fn refused(response: Response, status: u16, code: &str) -> Problem {
     assert_eq!(response.headers()["content-type"], "application/problem+json");
     let id = response.headers()["x-request-id"].to_str().expect("text").to_owned();
+    let path = response.url().path().to_owned();
     let problem: Problem = read(response, StatusCode::from_u16(status).expect("a status")).await;
     assert_eq!((problem.status, problem.code.as_str()), (status, code), "{problem:?}");
     assert_eq!(problem.request_id.as_deref(), Some(id.as_str()));
     assert!(!problem.detail.is_empty() && !problem.detail.ends_with('.'), "{problem:?}");
+    assert_documented(&path, status, code);
     problem
 }
 

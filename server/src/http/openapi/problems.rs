@@ -42,12 +42,10 @@ fn of_request(operation: &Value) -> Vec<ErrorKind> {
     let mut kinds = Vec::new();
     let parameters = operation["parameters"].as_array().map(Vec::as_slice).unwrap_or_default();
     if operation["requestBody"].is_object() {
-        kinds.extend([ErrorKind::NotJson, ErrorKind::BrokenBody, ErrorKind::TooLarge, ErrorKind::WrongType]);
-        if parameters.iter().any(|parameter| parameter["name"] == "Content-Encoding") {
-            kinds.extend([ErrorKind::DamagedEncoding, ErrorKind::WrongEncoding]);
-        } else {
-            kinds.push(ErrorKind::WrongBody);
-        }
+        kinds.extend([ErrorKind::NotJson, ErrorKind::BrokenBody, ErrorKind::TooLarge]);
+        kinds.extend([ErrorKind::WrongType, ErrorKind::WrongEncoding]);
+        let is_encoded = parameters.iter().any(|parameter| parameter["name"] == "Content-Encoding");
+        kinds.push(if is_encoded { ErrorKind::DamagedEncoding } else { ErrorKind::WrongBody });
     }
     if parameters.iter().any(|parameter| parameter["in"] == "query") {
         kinds.push(ErrorKind::WrongQuery);
@@ -111,4 +109,40 @@ fn title_case(name: &str) -> String {
         if word == "www" { "WWW".to_owned() } else { format!("{}{rest}", first.to_uppercase()) }
     });
     words.collect::<Vec<_>>().join("-")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Errors that no described route documents: of requests that reach no route, of the workers' routes, and of the
+    /// server itself.
+    const UNDOCUMENTED: [ErrorKind; 13] = [
+        ErrorKind::WrongRequest,
+        ErrorKind::UnknownRoute,
+        ErrorKind::WrongMethod,
+        ErrorKind::ForeignHost,
+        ErrorKind::ForeignOrigin,
+        ErrorKind::ReadOnlyPage,
+        ErrorKind::WrongToken,
+        ErrorKind::ForeignWorker,
+        ErrorKind::NoLease,
+        ErrorKind::WrongPictureVersion,
+        ErrorKind::WrongBytes,
+        ErrorKind::UnknownBlob,
+        ErrorKind::Internal,
+    ];
+
+    /// With `server/tests/api/documented.rs`, which compares each refusal of those tests with the document.
+    #[test]
+    fn every_row_of_the_table_of_errors_is_documented_with_its_status() {
+        let paths = super::super::DOCUMENT["paths"].as_object().expect("paths");
+        let operations = || paths.values().flat_map(|path| path.as_object().expect("operations").values());
+        for kind in ErrorKind::ALL {
+            let (status, code) = (kind.response().status.as_u16().to_string(), format!("(`{}`)", kind.response().code));
+            let about = |operation: &Value| operation["responses"][&status]["description"].to_string();
+            let is_documented = operations().any(|operation| about(operation).contains(&code));
+            assert_ne!(is_documented, UNDOCUMENTED.contains(kind), "{kind:?}: {status} {code}");
+        }
+    }
 }
