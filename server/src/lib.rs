@@ -73,7 +73,6 @@ mod seaweedfs;
 pub mod shipped_scenes;
 mod shutdown;
 mod signed_links;
-pub mod simulation;
 #[cfg(test)]
 #[path = "../../tests/skip.rs"]
 mod skip;
@@ -82,6 +81,7 @@ mod startup;
 mod submissions;
 mod telemetry;
 mod tile_plan;
+mod virtual_queue;
 mod webhooks;
 mod worker_sync;
 
@@ -106,6 +106,7 @@ pub use db::{DatabaseError, ParseDatabaseError, PostgresAddress};
 pub use integrity::{DoneTile, IntegrityError, IntegrityReport, check_integrity};
 pub use private_files::ExposedFile;
 pub use startup::StartError;
+pub use virtual_queue::{VirtualQueue, VirtualQueueError, VirtualTurn};
 pub use webhooks::{AddressRange, SecretError, webhook_secret};
 
 use startup::Started;

@@ -1,10 +1,19 @@
-//! Simulated farms: how well the queue's rules use workers, in virtual time.
+//! Simulated farms: how well the queue's rules use workers, in virtual time. Workers follow a model, and render
+//! nothing; the queue that leases tiles to them is the real one, on a database of its own.
+
+mod farm;
+mod random;
+mod report;
+mod scenario;
+mod worker;
 
 use std::time::Instant;
 
 use anyhow::Context;
 use clap::Args;
-use server::simulation::{Scenario, SimulationReport, simulate};
+
+use report::{SimulationReport, simulate};
+use scenario::Scenario;
 
 /// File system in memory: nothing of a simulation has to survive.
 const MEMORY_FOLDER: &str = "/dev/shm";

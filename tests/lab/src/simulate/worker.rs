@@ -116,12 +116,12 @@ impl SimulatedWorker {
         let (leases, is_picture, us, rays) = match batch.work {
             BatchWork::Render { tiles, whole_frame } => {
                 let work: f64 = tiles.iter().map(|tile| tile_work(index, plan, batch.frame, tile.rect)).sum();
-                let rays = tiles.iter().map(|tile| plan.plan.rays(tile.rect)).sum();
+                let rays = tiles.iter().map(|tile| plan.rays(tile.rect)).sum();
                 let leases = tiles.iter().map(|tile| (tile.lease, Some(tile.index))).collect();
                 (leases, whole_frame, work / self.speed * 1e6 * NOISE.mul_add(draws[0], 1.0) + BATCH_US, rays)
             }
             BatchWork::Stitch { lease, .. } => {
-                let pixels = f64::from(plan.plan.width_px) * f64::from(plan.plan.height_px);
+                let pixels = f64::from(plan.tiling.width) * f64::from(plan.tiling.height);
                 (vec![(lease, None)], true, pixels.mul_add(STITCH_PIXEL_US, STITCH_US), 0)
             }
         };
@@ -155,8 +155,8 @@ impl SimulatedWorker {
 /// Work of a tile, in camera rays of cost 1: the lower half of a picture is dearer than its sky, and neighbors differ.
 pub(super) fn tile_work(job: usize, plan: &JobPlan, frame: u32, rect: Rect) -> f64 {
     let height = f64::from(rect.y) + f64::from(rect.height) / 2.0;
-    let slope = 1.5f64.mul_add(height / f64::from(plan.plan.height_px), 0.25);
+    let slope = 1.5f64.mul_add(height / f64::from(plan.tiling.height), 0.25);
     let place = u64::from(rect.y) << 32 | u64::from(rect.x);
     let local = 0.4f64.mul_add(hashed_unit([job as u64, u64::from(frame), place]), 0.8);
-    plan.plan.rays(rect) as f64 * plan.cost * slope * local
+    plan.rays(rect) as f64 * plan.cost * slope * local
 }

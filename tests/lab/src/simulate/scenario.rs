@@ -1,8 +1,10 @@
 //! Farms and jobs to simulate. The speeds are round figures of an H100 and of one CPU core's worker, the costs are of
 //! shipped scenes in `docs/benchmarks.md`.
 
+use proto::Rect;
+use proto::tile::Tiling;
+
 use super::random::Random;
-use crate::tile_plan::TilePlan;
 
 /// Camera rays of a scene of cost 1 that a GPU renders per second, copies included.
 const GPU_RAYS_PER_SECOND: f64 = 2.7e9;
@@ -31,15 +33,24 @@ pub(super) struct WorkerPlan {
 pub(super) struct JobPlan {
     /// Its submitter.
     pub(super) submitter: &'static str,
-    /// Its frames and tiles.
-    pub(super) plan: TilePlan,
+    /// The tiles of each frame.
+    pub(super) tiling: Tiling,
+    /// Number of frames.
+    pub(super) frames: u32,
     /// Mean cost of its rays.
     pub(super) cost: f64,
 }
 
+impl JobPlan {
+    /// Camera rays of a rectangle.
+    pub(super) fn rays(&self, rect: Rect) -> u64 {
+        rect.pixels() * u64::from(self.tiling.samples)
+    }
+}
+
 /// Farm with jobs, all submitted at the start.
 #[derive(Clone, Debug)]
-pub struct Scenario {
+pub(super) struct Scenario {
     /// Its name.
     pub(super) name: &'static str,
     /// Its workers.
@@ -50,7 +61,7 @@ pub struct Scenario {
 
 impl Scenario {
     /// All scenarios; the last one has this many workers of mixed speeds.
-    pub fn all(many_workers: u32, seed: u64) -> Vec<Self> {
+    pub(super) fn all(many_workers: u32, seed: u64) -> Vec<Self> {
         let animation = |cost, samples, frames| vec![job("artist", cost, samples, frames)];
         let scenario = |name, workers, jobs| Self { name, workers, jobs };
         vec![
@@ -70,15 +81,15 @@ impl Scenario {
     }
 
     /// Its name.
-    pub fn name(&self) -> &'static str {
+    pub(super) fn name(&self) -> &'static str {
         self.name
     }
 }
 
 /// Job at 1920×1080.
 fn job(submitter: &'static str, cost: f64, samples: u32, frames: u32) -> JobPlan {
-    let plan = TilePlan { width_px: 1920, height_px: 1080, samples, pixel_bytes: PIXEL_BYTES, edge_px: None, frames };
-    JobPlan { submitter, plan, cost }
+    let tiling = Tiling { width: 1920, height: 1080, samples, pixel_bytes: PIXEL_BYTES, tile_edge: None };
+    JobPlan { submitter, tiling, frames, cost }
 }
 
 fn gpus(count: u32) -> Vec<WorkerPlan> {

@@ -1,91 +1,50 @@
-//! Simulates a farm in virtual time: workers follow a model, the queue that leases tiles to them is the real one, on
-//! a database of its own, with a clock that the simulation advances. It renders nothing and opens no address.
-//!
-//! Same scenario and seed, same report.
-
-mod farm;
-mod random;
-mod scenario;
-mod worker;
+//! Plays a scenario, and measures how well the queue used the workers. Same scenario and seed, same report.
 
 use std::collections::BTreeMap;
 use std::path::Path;
 
 use serde::Serialize;
 
-use crate::db::DatabaseError;
-use farm::{Ledger, SimulatedFarm};
-pub use scenario::Scenario;
-use worker::tile_work;
-
-/// Error of a simulation.
-#[derive(Debug, thiserror::Error)]
-pub enum SimulationError {
-    /// The folder has no usable database.
-    #[error("could not open a queue in the folder")]
-    Open(#[source] Box<dyn std::error::Error + Send + Sync>),
-    /// A transition of the queue failed.
-    #[error("the queue failed")]
-    Queue(#[source] Box<dyn std::error::Error + Send + Sync>),
-    /// The queue rejected a job.
-    #[error("the queue rejected a job: {0}")]
-    Rejected(String),
-    /// The queue does not know a worker that it registered.
-    #[error("the queue does not know a registered worker")]
-    UnknownWorker,
-    /// The queue granted tiles of a job that was not submitted.
-    #[error("the queue granted tiles of an unknown job")]
-    UnknownJob,
-    /// Frames remain, but no worker gets them.
-    #[error("{frames} frames remain, and no worker gets them")]
-    Stuck {
-        /// Number of frames that remain.
-        frames: u64,
-    },
-}
-
-impl From<DatabaseError> for SimulationError {
-    fn from(error: DatabaseError) -> Self {
-        Self::Queue(Box::new(error))
-    }
-}
+use super::farm::{Ledger, SimulatedFarm};
+use super::scenario::Scenario;
+use super::worker::{SimulatedWorker, tile_work};
 
 /// Figures of a simulated scenario.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct SimulationReport {
+pub(super) struct SimulationReport {
     /// Name of the scenario.
-    pub scenario: &'static str,
+    pub(super) scenario: &'static str,
     /// Number of workers.
-    pub workers: usize,
+    pub(super) workers: usize,
     /// Number of jobs.
-    pub jobs: usize,
+    pub(super) jobs: usize,
     /// Time from the start to the last stored picture, in seconds.
-    pub makespan_seconds: f64,
+    pub(super) makespan_seconds: f64,
     /// Work divided by the speed of all workers, in seconds: no schedule takes less.
-    pub lower_bound_seconds: f64,
+    pub(super) lower_bound_seconds: f64,
     /// Part of all workers' time that they were busy.
-    pub utilization: f64,
+    pub(super) utilization: f64,
     /// Time from the moment when the first worker had nothing more to do to the last stored picture, in seconds.
-    pub tail_seconds: f64,
+    pub(super) tail_seconds: f64,
     /// Time served to the submitter served most, divided by that of the one served least, while all had work;
     /// `None` with one submitter.
-    pub unfairness: Option<f64>,
+    pub(super) unfairness: Option<f64>,
     /// Syncs with the queue.
-    pub turns: u64,
+    pub(super) turns: u64,
     /// Batches of tiles or stitches.
-    pub batches: usize,
+    pub(super) batches: usize,
     /// Batches that were whole frames.
-    pub whole_frames: u64,
+    pub(super) whole_frames: u64,
     /// Stitches.
-    pub stitches: u64,
+    pub(super) stitches: u64,
     /// Batches in which a tile failed.
-    pub failures: u64,
+    pub(super) failures: u64,
     /// Batches dropped because another worker was first.
-    pub dropped: u64,
+    pub(super) dropped: u64,
 }
 
 /// Plays a scenario on a new queue in an empty folder.
-pub async fn simulate(folder: &Path, scenario: &Scenario, seed: u64) -> Result<SimulationReport, SimulationError> {
+pub(super) async fn simulate(folder: &Path, scenario: &Scenario, seed: u64) -> anyhow::Result<SimulationReport> {
     let mut farm = SimulatedFarm::new(folder, scenario, seed).await?;
     let end_us = farm.play().await?;
     let seconds = |us: u64| us as f64 / 1e6;
@@ -116,12 +75,12 @@ fn lower_bound_seconds(farm: &SimulatedFarm) -> f64 {
         .iter()
         .enumerate()
         .map(|(index, job)| {
-            let tiles = job.plan.tiles();
+            let tiles = job.tiling.tiles();
             let frame_work = |frame| tiles.iter().map(|rect| tile_work(index, job, frame, *rect)).sum::<f64>();
-            (0..job.plan.frames).map(frame_work).sum::<f64>()
+            (0..job.frames).map(frame_work).sum::<f64>()
         })
         .sum();
-    work / farm.workers.iter().map(worker::SimulatedWorker::speed).sum::<f64>()
+    work / farm.workers.iter().map(SimulatedWorker::speed).sum::<f64>()
 }
 
 /// Greatest divided by least served time of the submitters, up to the start of the last batch of the first one that

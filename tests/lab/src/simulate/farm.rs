@@ -4,23 +4,17 @@
 use std::cmp::Reverse;
 use std::collections::{BinaryHeap, HashMap, HashSet, VecDeque};
 use std::path::Path;
-use std::sync::Arc;
 use std::time::Duration;
 
-use futures_util::FutureExt;
+use anyhow::Context;
 use proto::JobId;
-use proto::worker_protocol::{Batch, LeaseReport, RegisterRequest};
+use proto::worker_protocol::Batch;
+use server::{VirtualQueue, VirtualTurn};
 
-use super::SimulationError;
 use super::random::Random;
 use super::scenario::{JobPlan, Scenario};
 use super::worker::{Run, SimulatedWorker};
-use crate::clock::{Clock, ManualClock};
-use crate::db::Database;
-use crate::queue::{FrameOpening, NewJob, NewWorker, NextWork, Queue, SubmitOptions, SubmitOutcome, SyncInput};
 
-/// Length of a lease: no simulated worker vanishes, so none has to renew.
-const LEASE_MS: i64 = 24 * 3_600_000;
 /// Idle workers ask again after this time, as in the worker's session.
 const IDLE_US: u64 = 10_000_000;
 /// After this many idle workers in a row got nothing, the others are not woken: they would get nothing either.
@@ -69,9 +63,7 @@ pub(super) struct Ledger {
 
 /// Farm under way.
 pub(super) struct SimulatedFarm {
-    database: Arc<Database>,
-    queue: Queue,
-    hand: ManualClock,
+    queue: VirtualQueue,
     now_us: u64,
     events: BinaryHeap<Reverse<(u64, u64, Event)>>,
     /// Number of events so far: events of one time happen in their order.
@@ -91,40 +83,21 @@ pub(super) struct SimulatedFarm {
 
 impl SimulatedFarm {
     /// Opens a queue in an empty folder, and registers the workers and submits the jobs of a scenario.
-    pub(super) async fn new(folder: &Path, scenario: &Scenario, seed: u64) -> Result<Self, SimulationError> {
-        let database = Database::open(folder).await.map_err(|error| SimulationError::Open(Box::new(error)))?;
-        let (database, (clock, hand)) = (Arc::new(database), Clock::manual());
-        let (queue, _) = Queue::open(Arc::clone(&database), clock, LEASE_MS, "simulated").await?;
+    pub(super) async fn new(folder: &Path, scenario: &Scenario, seed: u64) -> anyhow::Result<Self> {
+        let queue = VirtualQueue::open(folder).await?;
         let mut workers = Vec::with_capacity(scenario.workers.len());
         for plan in &scenario.workers {
-            let request = RegisterRequest {
-                name: String::new(),
-                device: plan.device.to_owned(),
-                picture_version: scene::PICTURE_VERSION,
-                max_nodes: None,
-                process: 0,
-            };
-            let new = NewWorker { request, pool: false, name: "simulated".to_owned(), owner: "local".to_owned() };
-            let worker = SimulatedWorker::new(queue.register(new).await?.worker, *plan);
-            queue.turn(sync_input(&worker, Vec::new(), false)).await?;
+            let worker = SimulatedWorker::new(queue.register(plan.device).await?, *plan);
+            queue.report_speed(worker.id, worker.reported()).await?;
             workers.push(worker);
         }
         let mut by_id = HashMap::new();
-        for (index, plan) in scenario.jobs.iter().enumerate() {
-            let new = new_job(plan);
-            by_id.insert(new.id, index);
-            match queue.submit_with(new, SubmitOptions::default()).await? {
-                SubmitOutcome::Created(_) => {}
-                other @ (SubmitOutcome::Replayed(_) | SubmitOutcome::KeyReused | SubmitOutcome::Rejected(_)) => {
-                    return Err(SimulationError::Rejected(format!("{other:?}")));
-                }
-            }
+        for (index, job) in scenario.jobs.iter().enumerate() {
+            by_id.insert(queue.submit(job.submitter, job.tiling, job.frames).await?, index);
         }
-        let frames_left = scenario.jobs.iter().map(|job| u64::from(job.plan.frames)).sum();
+        let frames_left = scenario.jobs.iter().map(|job| u64::from(job.frames)).sum();
         Ok(Self {
-            database,
             queue,
-            hand,
             now_us: 0,
             events: BinaryHeap::new(),
             event_count: 0,
@@ -141,13 +114,13 @@ impl SimulatedFarm {
     }
 
     /// Plays until every frame is stored; returns the time of the last result, in microseconds.
-    pub(super) async fn play(&mut self) -> Result<u64, SimulationError> {
+    pub(super) async fn play(&mut self) -> anyhow::Result<u64> {
         self.schedule(0, Event::Wake);
         while self.frames_left > 0 {
             let Some(Reverse((at_us, _, event))) = self.events.pop().filter(|event| event.0.0 < MAX_VIRTUAL_US) else {
-                return Err(SimulationError::Stuck { frames: self.frames_left });
+                anyhow::bail!("{} frames remain, and no worker gets them", self.frames_left);
             };
-            self.hand.advance(Duration::from_millis(at_us / 1000 - self.now_us / 1000));
+            self.queue.advance(Duration::from_millis(at_us / 1000 - self.now_us / 1000));
             self.now_us = at_us;
             match event {
                 Event::Turn { worker, generation } if self.workers[worker].generation == generation => {
@@ -157,7 +130,7 @@ impl SimulatedFarm {
                 Event::Wake => self.wake_idle().await?,
             }
         }
-        self.database.close().await;
+        self.queue.close().await;
         Ok(self.ledger.ends_us.iter().copied().max().unwrap_or(0))
     }
 
@@ -167,7 +140,7 @@ impl SimulatedFarm {
     }
 
     /// Lets idle workers ask, the one that has waited longest first, until several in a row get nothing.
-    async fn wake_idle(&mut self) -> Result<(), SimulationError> {
+    async fn wake_idle(&mut self) -> anyhow::Result<()> {
         let mut refused = 0;
         for _ in 0..self.idle.len() {
             let Some((worker, generation)) = self.idle.pop_front() else { break };
@@ -184,46 +157,34 @@ impl SimulatedFarm {
     }
 
     /// Reports a worker's batch, if it has one, and requests the next.
-    async fn turn(&mut self, worker: usize) -> Result<(), SimulationError> {
+    async fn turn(&mut self, worker: usize) -> anyhow::Result<()> {
         let run = self.workers[worker].end(self.now_us);
         self.workers[worker].generation += 1;
         let reports = run.as_ref().map(Run::reports).unwrap_or_default();
-        let mut input = sync_input(&self.workers[worker], reports, true);
-        let queue = self.queue.clone();
-        let mut woken = Box::pin(queue.wake_signals().work.notified());
-        woken.as_mut().enable();
-        let mut revoked = Vec::new();
-        let next = loop {
-            self.ledger.turns += 1;
-            let outcome = queue.turn(input.clone()).await?.ok_or(SimulationError::UnknownWorker)?;
-            revoked.extend(outcome.revoked_leases);
-            let NextWork::OpenFrame { job, frame, plan } = outcome.next else { break outcome.next };
-            let (picture_key, tiles) = (format!("{job} {frame}"), plan.tiles());
-            input = input.without_reports();
-            input.opening = Some(FrameOpening { job, frame, picture_key, scene: None, tiles, samples: plan.samples });
-        };
+        let asking = &self.workers[worker];
+        let turn = self.queue.turn(asking.id, asking.reported(), reports).await?;
+        let VirtualTurn { syncs, revoked, batch, retry_ms, is_waking } = turn;
+        self.ledger.turns += syncs;
         if let Some(mut run) = run {
             run.leases.retain(|(lease, _)| !revoked.contains(lease));
             self.settle(worker, &run);
         }
-        match next {
-            NextWork::Run(batch) => self.start(worker, batch)?,
-            NextWork::Nothing(retry_ms) => {
-                let generation = self.workers[worker].generation;
-                self.idle.push_back((worker, generation));
-                let wait_us = retry_ms.map_or(IDLE_US, |ms| (ms.max(1).unsigned_abs() * 1000).min(IDLE_US));
-                self.schedule(self.now_us + wait_us, Event::Turn { worker, generation });
-            }
-            NextWork::OpenFrame { .. } => {}
+        if let Some(batch) = batch {
+            self.start(worker, batch)?;
+        } else {
+            let generation = self.workers[worker].generation;
+            self.idle.push_back((worker, generation));
+            let wait_us = retry_ms.map_or(IDLE_US, |ms| (ms.max(1).unsigned_abs() * 1000).min(IDLE_US));
+            self.schedule(self.now_us + wait_us, Event::Turn { worker, generation });
         }
-        if woken.now_or_never().is_some() && !self.idle.is_empty() {
+        if is_waking && !self.idle.is_empty() {
             self.schedule(self.now_us, Event::Wake);
         }
         Ok(())
     }
 
-    fn start(&mut self, worker: usize, batch: Batch) -> Result<(), SimulationError> {
-        let job = *self.by_id.get(&batch.job).ok_or(SimulationError::UnknownJob)?;
+    fn start(&mut self, worker: usize, batch: Batch) -> anyhow::Result<()> {
+        let job = *self.by_id.get(&batch.job).context("the queue granted tiles of a job that was not submitted")?;
         let draws = [self.random.unit(), self.random.unit()];
         let simulated = &mut self.workers[worker];
         simulated.start(batch, (job, &self.jobs[job]), draws, FAILURES, self.now_us);
@@ -281,42 +242,5 @@ impl SimulatedFarm {
             let generation = self.workers[worker].generation;
             self.schedule(self.now_us + 1000, Event::Turn { worker, generation });
         }
-    }
-}
-
-fn sync_input(worker: &SimulatedWorker, reports: Vec<LeaseReport>, wants_work: bool) -> SyncInput {
-    SyncInput {
-        worker: worker.id,
-        owner: "local".to_owned(),
-        rays_per_second: worker.reported(),
-        held_leases: Vec::new(),
-        reports,
-        records: Vec::new(),
-        rejected: Vec::new(),
-        checked: None,
-        wants_work,
-        shutting_down: false,
-        opening: None,
-        max_batches: 1,
-        next_openings: Vec::new(),
-    }
-}
-
-fn new_job(plan: &JobPlan) -> NewJob {
-    NewJob {
-        id: JobId::new(),
-        name: String::new(),
-        submitter: plan.submitter.to_owned(),
-        priority: 0,
-        nodes: 1,
-        plan: plan.plan,
-        media_type: "image/png",
-        warnings: Vec::new(),
-        no_cache: true,
-        retention: None,
-        tile_seconds: 600,
-        recorded: false,
-        based_on: None,
-        file_text: "{}".to_owned(),
     }
 }
