@@ -333,14 +333,14 @@ fn several() -> Vec<(String, Vec<(String, String)>)> {
     let text = include_str!("bad_input/several.txt");
     let cases = text.split("\n## ").skip(1).map(|case| {
         let (_, case) = case.split_once('\n').expect("a name");
-        let (job, printed) = case.split_once("\n-- ").expect("expected errors");
+        let (job, expected) = case.split_once("\n-- ").expect("expected errors");
         let job = job.strip_prefix("OBJECTS\n").map_or_else(
             || job.to_owned(),
             |objects| SOUND.replacen(r#"{ "material": "clay", "shape": { "sphere": { "radius": 1 } } }"#, objects, 1),
         );
-        let printed =
-            printed.trim_end().split("\n-- ").map(|line| line.split_once(" | ").expect("a pointer and words"));
-        (job.replace(MARK, ""), printed.map(|(pointer, words)| (pointer.to_owned(), words.to_owned())).collect())
+        let expected =
+            expected.trim_end().split("\n-- ").map(|line| line.split_once(" | ").expect("a pointer and words"));
+        (job.replace(MARK, ""), expected.map(|(pointer, words)| (pointer.to_owned(), words.to_owned())).collect())
     });
     cases.collect()
 }
@@ -350,11 +350,11 @@ fn all_errors_of_a_job_are_reported_together() {
     let farm = Farm::start(&["--workers", "0"]);
     let cases = several();
     assert!(cases.len() >= 20, "only {}", cases.len());
-    for (job, printed) in cases {
+    for (job, expected) in cases {
         let problem = farm.post(&job).problem(422, "wrong_job");
         let faults = problem["errors"].as_array().expect("faults");
-        assert_eq!(faults.len(), printed.len(), "{problem:#}\n{job}");
-        for (fault, (pointer, words)) in faults.iter().zip(&printed) {
+        assert_eq!(faults.len(), expected.len(), "{problem:#}\n{job}");
+        for (fault, (pointer, words)) in faults.iter().zip(&expected) {
             assert_eq!(fault["pointer"], *pointer, "{problem:#}");
             assert!(fault["message"].as_str().is_some_and(|message| message.contains(words)), "{words}: {fault}");
         }
@@ -363,11 +363,11 @@ fn all_errors_of_a_job_are_reported_together() {
 
 #[test]
 fn check_prints_errors_and_size_as_json() {
-    let (job, printed) = several().swap_remove(0);
+    let (job, expected) = several().swap_remove(0);
     let output = finish(sdfarm(&["check", "--json", "-"]), job.as_bytes());
     let value: Value = serde_json::from_slice(&output.stdout).expect("JSON");
     assert_eq!((output.status.code(), &value["valid"]), (Some(2), &Value::from(false)));
-    assert_eq!(value["errors"].as_array().map(Vec::len), Some(printed.len()), "{value:#}");
+    assert_eq!(value["errors"].as_array().map(Vec::len), Some(expected.len()), "{value:#}");
     let output = finish(sdfarm(&["check", "--json", "-"]), SOUND.as_bytes());
     let value: Value = serde_json::from_slice(&output.stdout).expect("JSON");
     assert_eq!((output.status.code(), &value["valid"]), (Some(0), &Value::from(true)));

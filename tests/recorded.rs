@@ -108,9 +108,9 @@ fn tiles_are_kept_with_their_job_and_deleted_with_it() {
     let first = submit(&farm, "?record=true", &before);
     farm.succeeded(&first);
     assert_eq!(blobs(), 120, "60 tiles with their records");
-    let printed = farm.send("DELETE", &format!("/v1/jobs/{first}?dry_run=true"), &[], Vec::new()).json();
-    assert_eq!(printed["blobs"], json!(120), "{printed}");
-    assert!(printed["size_bytes"].as_u64().expect("a number") > 320 * 192 * 16, "{printed}");
+    let deleted = farm.send("DELETE", &format!("/v1/jobs/{first}?dry_run=true"), &[], Vec::new()).json();
+    assert_eq!(deleted["blobs"], json!(120), "{deleted}");
+    assert!(deleted["size_bytes"].as_u64().expect("a number") > 320 * 192 * 16, "{deleted}");
     let second = submit(&farm, &format!("?based_on={first}"), &{
         let mut edited = before.clone();
         edited["scene"]["objects"][5]["material"]["diffuse"]["kd"] = json!([0, 0, 1]);

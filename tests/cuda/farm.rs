@@ -97,8 +97,8 @@ fn lost_gpu_retires_its_worker_and_costs_no_tile() {
     eventually("the GPU has rendered some tiles", || (done() > 0).then_some(()));
     fs::write(&sign, "").expect("written");
     assert_eq!(wait(&mut gpu.0).code(), Some(3), "{}", fs::read_to_string(&log).expect("a log"));
-    let printed = fs::read_to_string(&log).expect("a log");
-    assert!(printed.contains("CUDA_ERROR_LAUNCH_FAILED") && !printed.contains("panicked"), "{printed}");
+    let logged = fs::read_to_string(&log).expect("a log");
+    assert!(logged.contains("CUDA_ERROR_LAUNCH_FAILED") && !logged.contains("panicked"), "{logged}");
     assert!(workers(&farm).is_empty(), "it has deregistered");
     let left = view(&farm, &id);
     assert!(left["state"] == "running" && left["tiles"]["done"].as_u64() < left["tiles"]["total"].as_u64(), "{left}");
@@ -220,8 +220,8 @@ fn gpu_lost_while_frames_are_copied_costs_no_frame() {
     eventually("some frames are stored", || (stored(&farm, &id) > 0).then_some(()));
     fs::write(&sign, "").expect("written");
     assert_eq!(wait(&mut gpu.0).code(), Some(3), "{}", fs::read_to_string(&log).expect("a log"));
-    let printed = fs::read_to_string(&log).expect("a log");
-    assert!(printed.contains("CUDA_ERROR_LAUNCH_FAILED") && !printed.contains("panicked"), "{printed}");
+    let logged = fs::read_to_string(&log).expect("a log");
+    assert!(logged.contains("CUDA_ERROR_LAUNCH_FAILED") && !logged.contains("panicked"), "{logged}");
     assert!(stored(&farm, &id) < 200, "it failed in the midst");
     farm.set_pool(1);
     farm.succeeded(&id);

@@ -42,7 +42,7 @@ impl KnownCells {
 
     /// A table with the cells of a frame: a known one, or else this one, which is new.
     pub(crate) fn share(&self, at_frame: &JobAtFrame<'_>, table: &Table) -> Table {
-        // A still has no other frame, so its shapes need no key.
+        // A job without animation has no other frame, so its shapes need no key.
         let Some(division) = table.division().filter(|_| at_frame.is_animated()) else { return table.clone() };
         let key = at_frame.shapes_cache_key();
         let known = recent::find(&self.0, |other| *other == key);

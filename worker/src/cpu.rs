@@ -13,13 +13,13 @@ use scene::visits::Visited;
 use scene::{Exposure, Integrator, Job};
 
 use crate::cells::FastBuilder;
-use tape::Evaluator;
 use crate::picture_tape::{EVALUATIONS, record_evaluations};
 use crate::rounds::Rounds;
-use tape::Simd;
 use crate::{CancelFlag, RenderError, Renderer, TilePixels, TileRequest};
 use kernels::{Kernel, KernelCache};
 use packets::{Band, Progress, SAMPLES_PER_RUN, block};
+use tape::Evaluator;
+use tape::Simd;
 
 /// Renders on the cores of this machine.
 #[derive(Clone, Debug)]

@@ -35,9 +35,9 @@ pub mod cells;
 pub mod cpu;
 pub mod cuda;
 mod denoise;
-mod finish;
 #[cfg(test)]
 mod evaluators;
+mod finish;
 mod fireflies;
 pub mod frame;
 pub mod image;

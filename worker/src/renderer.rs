@@ -10,7 +10,7 @@ use proto::Rect;
 use scene::real::Words;
 use scene::visits::Visited;
 
-use tape::{EvaluatorError, InvalidTape};
+use tape::{EvaluatorError, InvalidTape, Unavailable};
 
 /// Renders tiles on one device. Each render has exclusive use of it until it ends, or calls `on_device_free`.
 ///
@@ -218,12 +218,16 @@ pub enum RenderError {
     },
 }
 
+impl From<Unavailable> for RenderError {
+    fn from(Unavailable { simd, reason }: Unavailable) -> Self {
+        Self::Unavailable { requested: format!("--simd {simd}"), reason }
+    }
+}
+
 impl From<EvaluatorError> for RenderError {
     fn from(error: EvaluatorError) -> Self {
         match error {
-            EvaluatorError::Unavailable { simd, reason } => {
-                Self::Unavailable { requested: format!("--simd {simd}"), reason }
-            }
+            EvaluatorError::Unavailable(unavailable) => unavailable.into(),
             EvaluatorError::InvalidTape(invalid) => Self::InvalidTape(invalid),
         }
     }

@@ -1,6 +1,6 @@
 //! `#[derive(Seek)]`: visits every number of a type, so that no field of the job language can be missed.
 //!
-//! A field whose type does not implement `scene::seek::Seek` does not compile. Fields that serde skips are derived
+//! A field whose type does not implement `picture::seek::Seek` does not compile. Fields that serde skips are derived
 //! from the others. They implement `Invalidate`, and are invalidated when a number in the same type is animated.
 
 use proc_macro2::TokenStream;

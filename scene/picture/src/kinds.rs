@@ -2,7 +2,8 @@
 //!
 //! A family is an enum, with a variant for each kind, and a trait that each kind implements. `family!` makes both from
 //! the list of kinds and the list of methods. The enum has the same methods, and each calls the kind's: the list is
-//! the dispatch, and no file outside the family branches on its kinds.
+//! the dispatch, and no file outside the family branches on its kinds. What one kind alone answers is a method of the enum
+//! in the file of that kind.
 
 pub use math::snake_case;
 

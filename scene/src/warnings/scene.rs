@@ -37,14 +37,14 @@ pub(super) fn high_cost(scene: &Scene) -> Option<String> {
 /// Objects whose Lipschitz factor makes steps tiny.
 pub(super) fn high_lipschitz(at_frame: &JobAtFrame<'_>) -> Option<String> {
     let scene = at_frame.scene();
-    let stretches: Vec<f32> = scene.objects.iter().map(|object| object.shape.lipschitz()).collect();
-    let steep: Vec<usize> = (0..stretches.len()).filter(|&index| stretches[index] > STEEPEST).collect();
-    let steepest = steep.iter().copied().reduce(|a, b| if stretches[b] > stretches[a] { b } else { a })?;
+    let all: Vec<f32> = scene.objects.iter().map(|object| object.shape.lipschitz()).collect();
+    let steep: Vec<usize> = (0..all.len()).filter(|&index| all[index] > STEEPEST).collect();
+    let steepest = steep.iter().copied().reduce(|a, b| if all[b] > all[a] { b } else { a })?;
     let mut pointer = format!("/scene/objects/{steepest}/shape");
     let cure = main_cause(&scene.objects[steepest].shape, &mut pointer).lipschitz_advice();
     let pointer = at_frame.pointer_in_document(&pointer);
     let others = if steep.len() > 1 { format!(" (also near {})", objects(scene, &steep)) } else { String::new() };
-    let lipschitz = stretches[steepest];
+    let lipschitz = all[steepest];
     let part = if lipschitz < 1e6 { format!("1/{lipschitz:.0}") } else { "less than a millionth".to_owned() };
     Some(format!("steps near {pointer} are {part} of the distance{others}, and rendering is slow: {cure}"))
 }

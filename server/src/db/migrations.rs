@@ -18,11 +18,12 @@ pub(super) static POSTGRES: LazyLock<Migrator> = LazyLock::new(|| migrator("post
 /// The migrations of a folder: `0001_farm.sql` is version 1, "farm".
 fn migrator(folder: &str) -> Migrator {
     let migration = |path: &str| {
-        let (version, description) = path.strip_prefix(folder)?.strip_suffix(".sql")?.split_once('_')?;
-        let text = Files::get(path)?.data.into_owned();
+        let name = path.strip_prefix(folder).filter(|name| !name.contains('/'))?.strip_suffix(".sql")?;
+        let (version, description) = name.split_once('_').expect("a migration has a number and a name");
+        let version = version.parse().expect("a migration begins with its number");
+        let text = Files::get(path).expect("a listed file is embedded").data.into_owned();
         let text = AssertSqlSafe(String::from_utf8(text).expect("the files are SQL")).into_sql_str();
-        let description = description.replace('_', " ").into();
-        Some(Migration::new(version.parse().ok()?, description, MigrationType::Simple, text, false))
+        Some(Migration::new(version, description.replace('_', " ").into(), MigrationType::Simple, text, false))
     };
     Migrator::with_migrations(Files::iter().filter_map(|path| migration(&path)).collect())
 }

@@ -138,7 +138,7 @@ impl Writer {
         answer.await.map_err(|_| DatabaseError::Closed)?
     }
 
-    /// Signal sent after every commit, and by [`Writer::ring`].
+    /// Signal sent after every commit, and by [`Writer::signal`].
     pub(super) fn changes(&self) -> watch::Receiver<()> {
         self.signals.every.subscribe()
     }

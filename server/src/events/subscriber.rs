@@ -98,11 +98,11 @@ impl EventSubscriber {
             if self.ended {
                 return Ok(None);
             }
-            let rung = tokio::select! {
+            let changed = tokio::select! {
                 () = self.ending.cancelled() => return Ok(None),
-                rung = tokio::time::timeout(KEEP_ALIVE_INTERVAL, self.changes.changed()) => rung,
+                changed = tokio::time::timeout(KEEP_ALIVE_INTERVAL, self.changes.changed()) => changed,
             };
-            if rung.is_err() {
+            if changed.is_err() {
                 // A deleted job has no further events.
                 let there = self.queue.has_ended(self.topic.job).await?.is_some();
                 return Ok(there.then(|| Bytes::from_static(KEEP_ALIVE_COMMENT)));

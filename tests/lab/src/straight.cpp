@@ -1,5 +1,5 @@
 // Straight C++ of a scene's distance: what a programmer would write by hand for this scene and these vector
-// instructions. `sdfarm bench --points` compiles it and compares its own machine code with it.
+// instructions. `sdfarm-lab straight` compiles it and compares it with the machine code of recorded formulas.
 //
 // Reads the points; writes the number of packets that it evaluates at once, and the distances; then evaluates the
 // points for each number of seconds that it reads, and writes the points per second.

@@ -7,9 +7,9 @@ use serde::Serialize;
 
 use super::Spread;
 use crate::cells::FastBuilder;
-use tape::Evaluator;
 use crate::picture_tape::record_picture;
 use crate::{RenderError, Simd};
+use tape::Evaluator;
 
 /// Times of compiling a scene.
 #[derive(Clone, Debug, Serialize)]

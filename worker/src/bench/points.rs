@@ -7,10 +7,10 @@ use scene::{Integrator, Job, JobAtFrame};
 use serde::Serialize;
 
 use super::Spread;
-use tape::Evaluator;
 use super::record_distance;
 use crate::picture_tape::DISTANCE;
 use crate::{CancelFlag, RenderError, Simd};
+use tape::Evaluator;
 
 /// Number of points that fit into the L1 cache together, a multiple of all lanes.
 pub const POINTS: usize = 1024;

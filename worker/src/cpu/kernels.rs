@@ -9,11 +9,11 @@ use scene::visits::Visits;
 use scene::{Exposure, ImageSpec, Integrator, JobAtFrame};
 
 use crate::cells::{FastBuilder, KnownCells};
-use tape::{Evaluator, Frame, Inputs};
 use crate::picture_tape::{ACCUMULATE, LAYERS, MEAN, layer_channels, record_entries, record_picture};
 use crate::recent::{self, Recent};
-use tape::Tape;
 use crate::{RenderError, Simd};
+use tape::Tape;
+use tape::{Evaluator, Frame, Inputs};
 
 /// Maximum number of cached evaluators.
 const MAX_EVALUATORS: usize = 16;

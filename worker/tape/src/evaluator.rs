@@ -5,21 +5,17 @@ use std::sync::atomic::AtomicBool;
 
 use math::real::Table;
 
+use crate::simd::{Simd, Unavailable};
 use crate::tape::{InvalidTape, LinearTape, Tape};
 use crate::x86::{AVX2, AVX512, Isa};
-use crate::{Simd, portable, x86};
+use crate::{portable, x86};
 
 /// Reason why a tape cannot be evaluated.
 #[derive(Debug, thiserror::Error)]
 pub enum EvaluatorError {
     /// This machine cannot evaluate with this level.
-    #[error("{reason}")]
-    Unavailable {
-        /// The requested level.
-        simd: Simd,
-        /// The missing feature, and the fix.
-        reason: String,
-    },
+    #[error(transparent)]
+    Unavailable(#[from] Unavailable),
     /// The tape was recorded wrongly.
     #[error(transparent)]
     InvalidTape(#[from] InvalidTape),
@@ -79,10 +75,11 @@ impl Evaluator {
         let linear = LinearTape::new(tape)?;
         let compiled = |isa: &'static Isa| match x86::compile(&linear, isa) {
             Ok(program) => Ok(Self(Code::X86(program))),
-            Err(error) => Err(EvaluatorError::Unavailable {
+            Err(error) => Err(Unavailable {
                 simd,
                 reason: format!("executable memory is refused ({error}); allow it, or use --simd portable"),
-            }),
+            }
+            .into()),
         };
         match simd {
             Simd::Avx512 => compiled(&AVX512),

@@ -38,5 +38,5 @@ mod x86;
 
 pub use evaluator::{Evaluator, EvaluatorError, Frame, Inputs};
 pub use portable::Instructions;
-pub use simd::{Simd, UnknownSimd};
+pub use simd::{Simd, Unavailable, UnknownSimd};
 pub use tape::{BoolExpr, Expr, InvalidTape, PAUSE, Recording, SourceText, Tape, U32Expr, VerifiedTape, record};

@@ -28,7 +28,7 @@ pub enum Instructions {
     /// AVX2 and FMA.
     #[cfg(target_arch = "x86_64")]
     Avx2,
-    /// What the build assumes of every CPU.
+    /// The instructions that the build assumes of every CPU.
     OfTheBuild,
 }
 

@@ -3,8 +3,17 @@
 use std::fmt;
 use std::str::FromStr;
 
-use crate::EvaluatorError;
 use crate::x86::{AVX2, AVX512};
+
+/// Error returned when this machine cannot evaluate with a level.
+#[derive(Debug, thiserror::Error)]
+#[error("this machine cannot evaluate with --simd {simd}: {reason}")]
+pub struct Unavailable {
+    /// The requested level.
+    pub simd: Simd,
+    /// The missing feature, and the fix.
+    pub reason: String,
+}
 
 /// Way to evaluate pictures on a CPU. All are bit-identical.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -55,14 +64,11 @@ impl Simd {
     }
 
     /// Fails if this CPU does not have the instructions.
-    pub fn check(self) -> Result<(), EvaluatorError> {
+    pub fn check(self) -> Result<(), Unavailable> {
         if self.is_available() {
             return Ok(());
         }
-        Err(EvaluatorError::Unavailable {
-            simd: self,
-            reason: "its CPU does not have these instructions; use --simd auto".to_owned(),
-        })
+        Err(Unavailable { simd: self, reason: "its CPU does not have these instructions; use --simd auto".to_owned() })
     }
 }
 

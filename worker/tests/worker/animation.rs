@@ -148,7 +148,7 @@ fn a_frame_equals_the_picture_of_a_constant_scene() {
         scene
     };
     let moving = job(&scene(through(-1.0, 0.75), through(0.5, 0.0), through(0.0, 0.25)), 3);
-    let sharp = job(&scene(json!(0.75), json!(0), json!(0.25)), 3);
+    let constant = job(&scene(json!(0.75), json!(0), json!(0.25)), 3);
     let renderer = CpuRenderer::new(Some(1), Simd::Auto).unwrap();
     let render = |job: &Job, frame| {
         let run = TileRequest { job, frame, rect: Rect::full(job.image.width, job.image.height) };
@@ -156,6 +156,6 @@ fn a_frame_equals_the_picture_of_a_constant_scene() {
         // The motion differs.
         pixels.planes[..4].iter().flatten().map(|value| value.to_bits()).collect::<Vec<_>>()
     };
-    assert_eq!(render(&moving, 1), render(&sharp, 1));
-    assert_ne!(render(&moving, 0), render(&sharp, 0));
+    assert_eq!(render(&moving, 1), render(&constant, 1));
+    assert_ne!(render(&moving, 0), render(&constant, 0));
 }

@@ -110,8 +110,8 @@ impl Above<'_> {
         material.map(MaterialRef::slot)
     }
 
-    /// Factor by which it makes ways longer in the shape's space.
-    fn stretch(self) -> f32 {
+    /// Lipschitz factor of the placement: by how much it makes motions longer in the shape's space.
+    fn lipschitz(self) -> f32 {
         match self {
             Self::Node(_) => 1.0,
             Self::Copy(placements, index) => 1.0 / placements.scale(index).unwrap_or(1.0),

@@ -7,7 +7,7 @@ use crate::visible::RayKind;
 /// Declares functions whose bodies depend on the objects that rays see.
 macro_rules! ray_functions {
     ($($Kind:ident: $name:literal),* $(,)?) => {
-        /// What depends on the objects that are seen, and so on the kind of ray.
+        /// A function that depends on the objects that are seen, and so on the kind of ray.
         #[derive(Clone, Copy)]
         pub(super) enum RayFunction {
             $($Kind),*

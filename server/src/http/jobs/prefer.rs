@@ -62,7 +62,7 @@ impl JobWaiter {
         let mut changes = topic.changes();
         while self.queue.has_ended(followed.job).await? == Some(false) {
             tokio::select! {
-                rung = changes.changed() => if rung.is_err() { break },
+                changed = changes.changed() => if changed.is_err() { break },
                 () = tokio::time::sleep_until(deadline) => break,
                 () = self.shutdown.begun().cancelled() => break,
             }

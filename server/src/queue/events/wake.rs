@@ -66,7 +66,7 @@ impl Hints {
 }
 
 impl WakeSignals {
-    fn woken(&self, hints: Hints) {
+    fn notify(&self, hints: Hints) {
         if hints.0 & Hints::WORK.0 != 0 {
             self.work.notify_waiters();
         }
@@ -82,7 +82,7 @@ impl Queue {
     /// Sends wake signals, here and as hints to other servers.
     pub(in crate::queue) fn wake(&self, wake: Wake) {
         let hints = Hints::of(wake);
-        self.wake_signals.woken(hints);
+        self.wake_signals.notify(hints);
         if self.wake_signals.hints.fetch_or(hints.0, Ordering::Relaxed) | hints.0 != 0 {
             self.wake_signals.hints_added.notify_one();
         }
@@ -90,7 +90,7 @@ impl Queue {
 
     /// Sends the wake signals that another server has hinted at.
     pub(crate) fn take_hints(&self, hints: Hints) {
-        self.wake_signals.woken(hints);
+        self.wake_signals.notify(hints);
     }
 
     /// Waits until there are hints for other servers.

@@ -3,18 +3,18 @@
 
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
-use rayon::prelude::*;
 use math::real::{Real, vec3};
+use rayon::prelude::*;
 
 use super::scalar::evaluate;
 use super::{Fold, Function, Instruction, Operation, Statement, Tape, ValueId, ValueType, record};
 use scene::cells::ScalarBuilder;
 
+use crate::c_program;
 use crate::evaluator::Evaluator;
 use crate::picture_tape::record_distance;
 use crate::random_formula::{Generator, fold, random_formula};
 use crate::tape::Expr;
-use crate::c_program;
 
 /// Scenes whose distances are changed too: with loops, branches, and calls.
 const SCENES: [&str; 4] = ["csg", "mandelbulb", "menger", "modifiers"];

@@ -11,8 +11,8 @@ use std::panic::AssertUnwindSafe;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
-use memmap2::{Mmap, MmapMut};
 use math::real::{Table, Words};
+use memmap2::{Mmap, MmapMut};
 
 use super::isa::Isa;
 use memory::Memory;

@@ -142,8 +142,8 @@ impl<'a> Cutter<'a> {
 
     fn leaf(&mut self, shape: Part<'a>, join: Option<&JoinKind>) {
         let (above, bounds) = (self.above.clone(), Bounds::INFINITE);
-        let stretch: f32 = above.iter().map(|above| above.stretch()).product();
-        let lipschitz = (shape.node().exactness() != Exactness::Estimate).then(|| shape.node().lipschitz() * stretch);
+        let placed: f32 = above.iter().map(|above| above.lipschitz()).product();
+        let lipschitz = (shape.node().exactness() != Exactness::Estimate).then(|| shape.node().lipschitz() * placed);
         let (material, object) = (LeafMaterial::OfObject, self.object);
         let next = self.next_leaves.as_ref().map(|leaves| leaves[self.leaves.len()].clone());
         let mut leaf = Leaf {

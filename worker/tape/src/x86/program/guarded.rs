@@ -133,7 +133,7 @@ mod tests {
     use scene::{ImageSpec, Layer};
 
     use super::{Edge, Pages};
-        use crate::picture_tape::{ACCUMULATE, LAYERS, MEAN, record_picture};
+    use crate::picture_tape::{ACCUMULATE, LAYERS, MEAN, record_picture};
     use crate::random_formula::{Generator, random_formula};
     use crate::tape::{Expr, LinearTape, Tape, record};
     use crate::x86::{AVX2, AVX512, compile};
