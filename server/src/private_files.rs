@@ -11,7 +11,7 @@ pub(crate) const LINK_SECRET_FILE: &str = "links.secret";
 pub(crate) const WEBHOOK_SECRET_FILE: &str = "webhook-secret";
 /// File of the space set aside for a full disk.
 pub(crate) const RESERVE_FILE: &str = "reserve";
-/// File with the name of this server among those of its database.
+/// File with the name that tells this server from others of its database.
 pub(crate) const SERVER_NAME_FILE: &str = "server-name";
 /// Mode of files: their owner can read and write them.
 pub(crate) const FILE_MODE: u32 = 0o600;

@@ -468,13 +468,13 @@ impl Integrator<'_> {
     fn meets_object<R: Real>(&self, ray: &Ray<R>, near: R, object: R) -> (R, R, R) {
         let zero = near.constant(0.0);
         let marched = self.march_from(ray, near);
-        let visible = R::when(marched.hit.0, zero, || self.is_of_object(ray, marched.t, object));
-        (marched.t, visible, marched.evaluations + 1.0)
+        let (visible, asked) = R::when(marched.hit.0, (zero, zero), || self.is_of_object(ray, marched.t, object));
+        (marched.t, visible, marched.evaluations + asked)
     }
 
-    /// 1 if the surface at a point of a ray is this object's, else 0.
-    pub(super) fn is_of_object<R: Real>(&self, ray: &Ray<R>, t: R, object: R) -> R {
-        let met = self.nearest_object(ray.at(t)).1;
-        R::select((met - object).abs().below(0.5), t.constant(1.0), t.constant(0.0))
+    /// 1 if the surface at a point of a ray is this object's, else 0; and the number of distance evaluations.
+    pub(super) fn is_of_object<R: Real>(&self, ray: &Ray<R>, t: R, object: R) -> (R, R) {
+        let (met, one) = (self.nearest_object(ray.at(t)).1, t.constant(1.0));
+        (R::select((met - object).abs().below(0.5), one, t.constant(0.0)), one)
     }
 }

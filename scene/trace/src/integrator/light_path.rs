@@ -319,7 +319,7 @@ impl Integrator<'_> {
             return zero;
         }
         let (light, evaluations) = self.incident_light(hit, sampler);
-        path.evaluations = path.evaluations + evaluations;
+        path.evaluations = path.evaluations + evaluations + self.shade_evaluations();
         self.shadow_transparency(hit, &path.ray, &light).map_or(zero, |clear| {
             let behind = self.radiance_of_sky(path.ray.direction, path.background_weight);
             path.found(path.throughput.mul_elementwise(behind) * clear, self.group(|groups| groups.sky));

@@ -165,7 +165,8 @@ impl Integrator<'_> {
         let met = self.hit(&path.ray, marched);
         let hit = Hit { t: met.t + path.t, ..met };
         let (light, evaluations) = self.incident_light(&hit, sampler);
-        let evaluations = path.evaluations + evaluations + self.surface_evaluations();
+        let of_shadow = if self.materials.catches_shadows { self.shade_evaluations() } else { 0.0 };
+        let evaluations = path.evaluations + evaluations + self.surface_evaluations() + of_shadow;
         let clear = self.shadow_transparency(&hit, &path.ray, &light);
         let mut path = path;
         if let Some(clear) = clear {

@@ -179,7 +179,8 @@ impl PathSteps<'_> {
         let found =
             R::when(!path.ends_at_light(), marched, || all.found_surface(&ray, path.epsilon, marched, farthest));
         let mut path = path;
-        path.evaluations = path.evaluations + (found.evaluations - march.steps);
+        // A further march goes on with these steps, so that they are counted at its end.
+        path.evaluations = path.evaluations + (found.evaluations - found.steps);
         let has_steps = found.steps.below(all.scene.march.max_steps as f32);
         let mut passes = marched.hit.0 & !found.hit.0 & found.t.lt(farthest) & has_steps;
         let mut next = found.t;
@@ -198,26 +199,27 @@ impl PathSteps<'_> {
         let further = March { steps: found.steps, ..March::start(next, farthest, &along) };
         R::when(!passes, Lane { march: further, sample, sum, path, farthest }, || {
             let mut path = path;
-            path.evaluations = path.evaluations + march.steps;
+            path.evaluations = path.evaluations + found.steps;
             let sampler = pixel.sample(sample);
             let is_shadow = path.shadow.is_traced.0;
             let bounced = R::when(!is_shadow, path, || {
                 all.after_march(path, &found, self.max_bounces, &sampler.after(path.bounce))
             });
             let path = R::when(is_shadow, bounced, || {
-                let occluded = found.is_occluded(farthest);
-                let mut visible = R::select(occluded, found.t.constant(0.0), found.t.constant(1.0));
+                let (occluded, zero) = (found.is_occluded(farthest), found.t.constant(0.0));
+                let mut visible = R::select(occluded, zero, found.t.constant(1.0));
+                let mut asked = zero;
                 let mut length = path.shadow.distance;
                 if let Some(object) = path.shadow.object {
                     let of_light = object.below(-0.5);
                     length = R::select(of_light, length, found.t);
-                    visible = R::when(!of_light, visible, || {
-                        R::when(found.hit.0, found.t.constant(0.0), || all.is_of_object(&ray, found.t, object))
+                    (visible, asked) = R::when(!of_light, (visible, zero), || {
+                        R::when(found.hit.0, (zero, zero), || all.is_of_object(&ray, found.t, object))
                     });
                 }
                 let visible =
                     all.through_media(ray.origin, visible, length, ray.direction, &sampler.after(path.bounce - 1.0));
-                path.shadow_ray_traced(visible, found.t.constant(0.0))
+                path.shadow_ray_traced(visible, asked)
             });
             let has_ended = !path.is_active.0 & !path.shadow.is_traced.0;
             let (sample, sum, path) = R::when(has_ended, (sample, sum, path), || {

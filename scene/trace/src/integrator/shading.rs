@@ -108,7 +108,8 @@ impl Integrator<'_> {
         )
     }
 
-    /// Evaluations of the scene's distance in one call of `shade` or `shade_with_specular`.
+    /// Evaluations of the scene's distance in one call of `shade`, `shade_with_specular`, or `shadow_transparency` of a
+    /// scene that catches shadows.
     pub(super) fn shade_evaluations(&self) -> f32 {
         if self.materials.single_slot.is_some() { 0.0 } else { 1.0 }
     }
