@@ -37,9 +37,9 @@ fn words(text: &str) -> BTreeSet<&str> {
 
 /// Name in JSON of a variant.
 fn snake_case(name: &str) -> String {
-    let letters = name.char_indices().map(|(index, letter)| match letter.is_ascii_uppercase() && index > 0 {
-        true => format!("_{}", letter.to_ascii_lowercase()),
-        false => letter.to_ascii_lowercase().to_string(),
+    let letters = name.char_indices().map(|(index, letter)| {
+        let before = if letter.is_ascii_uppercase() && index > 0 { "_" } else { "" };
+        format!("{before}{}", letter.to_ascii_lowercase())
     });
     letters.collect()
 }

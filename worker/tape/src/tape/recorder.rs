@@ -363,17 +363,14 @@ pub(super) fn shared<A: Bundle<Expr>, T: Bundle<Expr>>(key: FunctionKey, argumen
         let example = shared.example.downcast_ref::<T>().expect("its scope has the type");
         Some((shared.function, *example))
     });
-    let (function, example) = match known {
-        Some(known) => {
-            #[cfg(test)]
-            check_again(key, known.0, || record_function(key, arguments, body));
-            known
-        }
-        None => {
-            let (function, result) = record_function(key, arguments, body);
-            with(|recorder| recorder.shared.insert(scope, RecordedFunction { function, example: Box::new(result) }));
-            (function, result)
-        }
+    let (function, example) = if let Some(known) = known {
+        #[cfg(test)]
+        check_again(key, known.0, || record_function(key, arguments, body));
+        known
+    } else {
+        let (function, result) = record_function(key, arguments, body);
+        with(|recorder| recorder.shared.insert(scope, RecordedFunction { function, example: Box::new(result) }));
+        (function, result)
     };
     let result = fresh_values(example, Operation::CallResult);
     push(Statement::Call { function, arguments: parts(arguments), returned: parts(result) });
