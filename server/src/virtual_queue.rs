@@ -96,7 +96,9 @@ impl VirtualQueue {
 
     /// Submits a job, all of whose frames have these tiles.
     pub async fn submit(&self, submitter: &str, tiling: Tiling, frames: u32) -> Result<JobId, VirtualQueueError> {
-        let new = new_job(submitter, tiling, frames);
+        let Tiling { width, height, samples, pixel_bytes, tile_edge } = tiling;
+        let plan = TilePlan { width_px: width, height_px: height, samples, pixel_bytes, edge_px: tile_edge, frames };
+        let new = NewJob::of_plan(submitter, plan);
         let id = new.id;
         match self.queue.submit_with(new, SubmitOptions::default()).await? {
             SubmitOutcome::Created(_) => Ok(id),
@@ -161,25 +163,5 @@ fn sync_input(worker: WorkerId, rays_per_second: Option<RaysPerSecond>, reports:
         opening: None,
         max_batches: 1,
         next_openings: Vec::new(),
-    }
-}
-
-fn new_job(submitter: &str, tiling: Tiling, frames: u32) -> NewJob {
-    let Tiling { width, height, samples, pixel_bytes, tile_edge } = tiling;
-    NewJob {
-        id: JobId::new(),
-        name: String::new(),
-        submitter: submitter.to_owned(),
-        priority: 0,
-        nodes: 1,
-        plan: TilePlan { width_px: width, height_px: height, samples, pixel_bytes, edge_px: tile_edge, frames },
-        media_type: "image/png",
-        warnings: Vec::new(),
-        no_cache: true,
-        retention: None,
-        tile_seconds: 600,
-        recorded: false,
-        based_on: None,
-        file_text: "{}".to_owned(),
     }
 }

@@ -8,9 +8,9 @@ use scene::cells::{
     BLOCK_CELLS, CellBuilder, DistanceLists, Distances, LeafDistances, Program, Pruned, SLAB_CELLS, SLABS, Unpruned,
 };
 use scene::real::{Real, Table, Vec3, Words, vec3};
+use tape::{Evaluator, Expr, Frame, Inputs, Instructions, record};
 
 use crate::recent::{self, Recent};
-use tape::{Evaluator, Expr, Frame, Inputs, Instructions, record};
 
 /// Entry of the tape: the value of a list at a point, from the point and the bits of the list's index.
 const LIST: &str = "value_of_list";

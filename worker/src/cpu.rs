@@ -11,6 +11,7 @@ use rayon::{ThreadPool, ThreadPoolBuilder};
 use scene::sample_count::{BLOCK_PX, within_batches};
 use scene::visits::Visited;
 use scene::{Exposure, Integrator, Job};
+use tape::{Evaluator, Simd};
 
 use crate::cells::FastBuilder;
 use crate::picture_tape::{EVALUATIONS, record_evaluations};
@@ -18,8 +19,6 @@ use crate::rounds::Rounds;
 use crate::{CancelFlag, RenderError, Renderer, TilePixels, TileRequest};
 use kernels::{Kernel, KernelCache};
 use packets::{Band, Progress, SAMPLES_PER_RUN, block};
-use tape::Evaluator;
-use tape::Simd;
 
 /// Renders on the cores of this machine.
 #[derive(Clone, Debug)]

@@ -25,10 +25,11 @@ pub use scene::Provenance;
 /// Name of the PNG chunk and of the EXR attribute that store a picture's provenance.
 pub const PROVENANCE_KEYWORD: &str = "sdfarm";
 
+use tape::InvalidTape;
+
 use crate::finish::{Finish, FinishedRows};
 use crate::renderer::{CancelFlag, TilePixels};
 use crate::stitch::{RowSource, StitchError};
-use tape::InvalidTape;
 
 /// Everything about a picture except its pixels.
 #[derive(Clone, Debug)]

@@ -4,10 +4,9 @@
 use scene::color::{level_of_256, srgb_from_linear};
 use scene::film::DisplayTransform;
 use scene::sampling::thresholds;
+use tape::{Evaluator, Frame, Inputs, InvalidTape, Tape, record};
 
 use crate::CancelFlag;
-use tape::{Evaluator, Frame, Inputs};
-use tape::{InvalidTape, Tape, record};
 
 const ENCODE: &str = "encode";
 const DITHER: &str = "dither";

@@ -5,10 +5,10 @@
 use std::time::{Duration, Instant};
 
 use scene::JobAtFrame;
+use tape::InvalidTape;
 
 use crate::cells::FastBuilder;
 use crate::picture_tape::record_shown_picture;
-use tape::InvalidTape;
 
 const TEMPLATE: &str = include_str!("wgsl/picture.wgsl");
 const INSERTION_POINT: &str = "// ---- the picture ----\n";

@@ -152,22 +152,8 @@ impl Fixture {
 }
 
 fn new_job(frames: u32) -> NewJob {
-    NewJob {
-        id: JobId::new(),
-        name: String::new(),
-        submitter: "local".to_owned(),
-        priority: 0,
-        nodes: 1,
-        plan: TilePlan { width_px: 128, height_px: 96, samples: 1, pixel_bytes: 16, edge_px: Some(32), frames },
-        media_type: "image/png",
-        warnings: Vec::new(),
-        no_cache: true,
-        retention: None,
-        tile_seconds: 600,
-        recorded: false,
-        based_on: None,
-        file_text: "{}".to_owned(),
-    }
+    let plan = TilePlan { width_px: 128, height_px: 96, samples: 1, pixel_bytes: 16, edge_px: Some(32), frames };
+    NewJob::of_plan("local", plan)
 }
 
 /// Opening of a frame, whose key belongs to it alone.

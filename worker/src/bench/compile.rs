@@ -4,12 +4,12 @@ use std::time::Instant;
 
 use scene::Job;
 use serde::Serialize;
+use tape::Evaluator;
 
 use super::Spread;
 use crate::cells::FastBuilder;
 use crate::picture_tape::record_picture;
 use crate::{RenderError, Simd};
-use tape::Evaluator;
 
 /// Times of compiling a scene.
 #[derive(Clone, Debug, Serialize)]

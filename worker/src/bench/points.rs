@@ -5,12 +5,12 @@ use std::time::{Duration, Instant};
 use scene::real::vec3;
 use scene::{Integrator, Job, JobAtFrame};
 use serde::Serialize;
+use tape::Evaluator;
 
 use super::Spread;
 use super::record_distance;
 use crate::picture_tape::DISTANCE;
 use crate::{CancelFlag, RenderError, Simd};
-use tape::Evaluator;
 
 /// Number of points that fit into the L1 cache together, a multiple of all lanes.
 pub const POINTS: usize = 1024;

@@ -7,13 +7,12 @@ use std::sync::atomic::AtomicBool;
 use scene::real::Table;
 use scene::visits::Visits;
 use scene::{Exposure, ImageSpec, Integrator, JobAtFrame};
+use tape::{Evaluator, Frame, Inputs, Tape};
 
 use crate::cells::{FastBuilder, KnownCells};
 use crate::picture_tape::{ACCUMULATE, LAYERS, MEAN, layer_channels, record_entries, record_picture};
 use crate::recent::{self, Recent};
 use crate::{RenderError, Simd};
-use tape::Tape;
-use tape::{Evaluator, Frame, Inputs};
 
 /// Maximum number of cached evaluators.
 const MAX_EVALUATORS: usize = 16;

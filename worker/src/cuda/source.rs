@@ -10,12 +10,12 @@ use scene::real::{INDEX_BITS, Table};
 use scene::sample_count::BATCH;
 use scene::transport::Transport;
 use scene::{Exposure, ImageSpec, Integrator, JobAtFrame};
+use tape::{InvalidTape, record};
 
 use super::launches::BLOCK_GROUP;
 use super::paths::{self, PathSource};
 use crate::cells::FastBuilder;
 use crate::picture_tape::{accumulate, finish};
-use tape::{InvalidTape, record};
 
 const KERNEL_TEMPLATE: &str = include_str!("kernel.cu");
 /// The kernel that renders: sample by sample, or paths in loops of its own.

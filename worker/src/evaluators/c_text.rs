@@ -1,12 +1,13 @@
 //! The C source of the same formulas: the host's compiler builds one program of it, which must give the reference's bits,
 //! and NVRTC must compile it.
 
+use tape::Tape;
+
 use super::{ENTRY, Formula, arguments, operations, random_formulas};
 use crate::c_program::{evaluate, source};
 use crate::cuda::Compiler;
 use crate::random_formula::Generator;
 use crate::skip::skip;
-use tape::Tape;
 
 /// Evaluations of each formula.
 const COUNT: usize = 1280;

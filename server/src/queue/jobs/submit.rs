@@ -40,17 +40,16 @@ pub(crate) struct NewJob {
     pub(crate) file_text: String,
 }
 
-#[cfg(test)]
 impl NewJob {
-    /// Job of one tile that ignores the picture cache.
-    pub(crate) fn example() -> Self {
+    /// Job of these tiles that ignores the picture cache, without a scene.
+    pub(crate) fn of_plan(submitter: &str, plan: TilePlan) -> Self {
         Self {
             id: JobId::new(),
-            name: "example".to_owned(),
-            submitter: "local".to_owned(),
+            name: String::new(),
+            submitter: submitter.to_owned(),
             priority: 0,
             nodes: 1,
-            plan: TilePlan { width_px: 64, height_px: 64, samples: 1, pixel_bytes: 16, edge_px: Some(64), frames: 1 },
+            plan,
             media_type: "image/png",
             warnings: Vec::new(),
             no_cache: true,
@@ -60,6 +59,13 @@ impl NewJob {
             based_on: None,
             file_text: "{}".to_owned(),
         }
+    }
+
+    /// Job of one tile.
+    #[cfg(test)]
+    pub(crate) fn example() -> Self {
+        let plan = TilePlan { width_px: 64, height_px: 64, samples: 1, pixel_bytes: 16, edge_px: Some(64), frames: 1 };
+        Self { name: "example".to_owned(), ..Self::of_plan("local", plan) }
     }
 }
 
