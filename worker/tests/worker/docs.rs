@@ -71,11 +71,10 @@ fn assert_fresh(page: &Page, compared: Compared) {
     for Picture { file, job, frame } in &page.pictures {
         let bytes = read(file);
         let is_fresh = hashes.get(file).is_some_and(|exact| {
-            let has_pixels = || {
-                let pixels = picture::pixels(job, *frame);
-                exact.pixels == picture::pixels_hash(&pixels) && !small::looks_different(&bytes, &pixels)
-            };
-            exact.shown == picture::shown_hash(job, *frame) && (compared == Compared::Provenance || has_pixels())
+            exact.shown == picture::shown_hash(job, *frame)
+                && exact.file == picture::hash(&bytes)
+                && (compared == Compared::Provenance
+                    || exact.pixels == picture::pixels_hash(&picture::pixels(job, *frame)))
         });
         if !is_fresh
             || bytes.len() > small::MAX_BYTES
@@ -97,10 +96,13 @@ fn write(page: &Page, docs: &Path) {
     write(page.name, page.text.as_bytes());
     for Picture { file, job, frame } in &page.pictures {
         let pixels = picture::pixels(job, *frame);
-        if small::looks_different(&std::fs::read(docs.join(file)).unwrap_or_default(), &pixels) {
-            write(file, &small::encode(&pixels));
+        let mut bytes = std::fs::read(docs.join(file)).unwrap_or_default();
+        if small::looks_different(&bytes, &pixels) {
+            bytes = small::encode(&pixels);
+            write(file, &bytes);
         }
-        let exact = Exact { pixels: picture::pixels_hash(&pixels), shown: picture::shown_hash(job, *frame) };
+        let shown = picture::shown_hash(job, *frame);
+        let exact = Exact { pixels: picture::pixels_hash(&pixels), shown, file: picture::hash(&bytes) };
         hashes::change(|hashes| drop(hashes.insert(file.clone(), exact)));
     }
 }

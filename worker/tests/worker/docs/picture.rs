@@ -87,6 +87,6 @@ pub(crate) fn pixels_hash(Pixels { width, height, rgba, low }: &Pixels) -> Strin
 }
 
 /// The first half of a BLAKE3, in hex.
-fn hash(bytes: &[u8]) -> String {
+pub(crate) fn hash(bytes: &[u8]) -> String {
     blake3::hash(bytes).to_hex()[..32].to_owned()
 }
