@@ -194,7 +194,7 @@ fn the_small_pictures_are_current_and_small() {
 }
 
 #[test]
-#[ignore = "long: renders every picture of the generated pages; 1 minute"]
+#[ignore = "long: renders every picture of the generated pages; 5 minutes"]
 fn page_pictures_match_a_new_render() {
     assert_fresh(&nodes::page(), Compared::Pixels);
     assert_fresh(&materials::page(), Compared::Pixels);
@@ -204,7 +204,7 @@ fn page_pictures_match_a_new_render() {
 }
 
 #[test]
-#[ignore = "long: renders every picture of the gallery; 1 minute"]
+#[ignore = "long: renders every picture of the gallery; 8 minutes"]
 fn gallery_pictures_match_a_new_render() {
     assert_fresh(&gallery::page(), Compared::Pixels);
 }
