@@ -20,6 +20,9 @@ const FIRST_PX: u32 = 32;
 const LAST_PX: u32 = 480;
 /// Maximum number of render threads.
 const MAX_THREADS: usize = 2;
+/// Limits after which a first attempt is given up: a busy machine gives a helper little time, and any picture is better
+/// than none.
+const FIRST_ATTEMPT_LIMITS: u32 = 20;
 /// Assumed cost of doubling the width: about four times, and a little more as a margin.
 const GROWTH_ESTIMATE: f64 = 4.5;
 
@@ -57,13 +60,19 @@ fn render(job: &Job, frame: u32, limit: Duration) -> anyhow::Result<Option<TileP
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
     let renderer = CpuRenderer::new(Some(cores.min(MAX_THREADS)), Simd::Auto)?;
     let cancel = CancelFlag::new();
-    let (done, over) = mpsc::channel::<()>();
+    let (made, progress) = mpsc::channel::<()>();
     let last = job.image.film().width.min(LAST_PX);
     std::thread::scope(|scope| {
         let flag = cancel.clone();
         scope.spawn(move || {
-            if over.recv_timeout(limit * 2) == Err(RecvTimeoutError::Timeout) {
-                flag.cancel();
+            let mut last = limit * FIRST_ATTEMPT_LIMITS;
+            loop {
+                match progress.recv_timeout(last.saturating_sub(start.elapsed())) {
+                    // Further attempts begin in time, so they are not much late.
+                    Ok(()) => last = limit * 2,
+                    Err(RecvTimeoutError::Timeout) => return flag.cancel(),
+                    Err(RecvTimeoutError::Disconnected) => return,
+                }
             }
         });
         let mut best = None;
@@ -73,10 +82,14 @@ fn render(job: &Job, frame: u32, limit: Duration) -> anyhow::Result<Option<TileP
             let small = with_width(job, width);
             let rect = Rect::full(small.image.film().width, small.image.film().height);
             match renderer.render(&TileRequest { job: &small, frame, rect }, &cancel, &|_| ()) {
-                Ok(pixels) => best = Some(pixels),
+                Ok(pixels) => {
+                    best = Some(pixels);
+                    // The watch has ended if the time is up.
+                    _ = made.send(());
+                }
                 Err(worker::RenderError::Cancelled) => break,
                 Err(error) => {
-                    drop(done);
+                    drop(made);
                     return Err(error).context("could not render a coarse pass");
                 }
             }
@@ -86,7 +99,7 @@ fn render(job: &Job, frame: u32, limit: Duration) -> anyhow::Result<Option<TileP
             }
             width = (width * 2).min(last);
         }
-        drop(done);
+        drop(made);
         Ok(best)
     })
 }

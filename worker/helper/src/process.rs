@@ -22,9 +22,8 @@ const MAX_HELPER_BYTES: u64 = 4 << 30;
 const SAMPLE_NICENESS: i32 = 10;
 /// A picture for a client that waits for it yields to everything except the pool's workers and samples.
 const LIVE_NICENESS: i32 = 5;
-/// A drawing yields to everything, also to the pool's workers: at the lowest priority, it takes a few percent of a
-/// busy machine.
-const DRAWING_NICENESS: i32 = 19;
+/// A thumbnail yields to everything, also to the pool's workers: a page asks for hundreds of them.
+const THUMBNAIL_NICENESS: i32 = 19;
 /// A program is made in milliseconds, while a scene is dragged.
 const PROGRAM_NICENESS: i32 = 0;
 
@@ -48,8 +47,9 @@ pub fn run() -> anyhow::Result<Vec<u8>> {
 /// Lowers this helper's priority, and limits its memory.
 fn set_limits(request: &HelperRequest) -> anyhow::Result<()> {
     let (niceness, most_bytes) = match request {
-        HelperRequest::Preview { .. } | HelperRequest::Thumbnail { .. } => (DRAWING_NICENESS, Some(MAX_HELPER_BYTES)),
-        HelperRequest::Draw { .. }
+        HelperRequest::Thumbnail { .. } => (THUMBNAIL_NICENESS, Some(MAX_HELPER_BYTES)),
+        HelperRequest::Preview { .. }
+        | HelperRequest::Draw { .. }
         | HelperRequest::Pick { .. }
         | HelperRequest::ReadLayers { .. }
         | HelperRequest::DrawLayer { .. }
