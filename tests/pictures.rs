@@ -12,7 +12,7 @@ use crate::support::{root, succeed, text};
 fn small(name: &str) -> Value {
     let path = root().join("scenes").join(format!("{name}.json"));
     let mut job: Value = serde_json::from_slice(&fs::read(path).expect("a scene")).expect("JSON");
-    job["image"] = serde_json::json!({ "width": 240, "height": 135, "samples": 1, "format": "exr",
+    job["image"] = serde_json::json!({ "width": 160, "height": 90, "samples": 1, "format": "exr",
         "precision": "float", "layers": ["depth", "normal"] });
     job
 }

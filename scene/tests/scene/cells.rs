@@ -218,7 +218,7 @@ fn random_job(seed: u32) -> Job {
 
 #[test]
 fn cells_of_random_scenes_give_the_value_of_the_whole() {
-    for seed in 0..12 {
+    for seed in 0..6 {
         check(&format!("random scene {seed}"), &random_job(seed), 40);
     }
 }

@@ -20,12 +20,9 @@ use worker::cuda::{Compiler, KernelSource};
 use worker::tape::{Expr, record};
 use worker::{CancelFlag, CpuRenderer, Renderer, Simd, TilePixels, TileRequest};
 
-use crate::shipped::{LAYERS, Shipped, large, shipped};
+use crate::shipped::{LAYERS, Shipped, few, large, shipped};
 use crate::skip::skip;
 use crate::{batches, light_groups};
-
-/// Scenes compiled in every run of the tests; the long tests compile all.
-const FEW: [&str; 6] = ["csg", "dice", "mandelbulb", "paper/clouds", "turntable", "vitrine"];
 
 /// Runs the kernels on the host, one thread after another: reads `uniforms`, the table, the planes, a tile and the
 /// samples; renders in two parts or more, so that sums are continued; writes the planes.
@@ -282,14 +279,6 @@ fn source_of_every_scene_part_is_bit_identical() {
     assert_same_on_host(&jobs, serial);
 }
 
-/// Scenes that together have every sort of light, material, medium, texture, camera and fractal.
-fn few() -> Vec<Shipped> {
-    let mut scenes = shipped();
-    scenes.retain(|shipped| FEW.contains(&shipped.name.as_str()));
-    assert_eq!(scenes.len(), FEW.len());
-    scenes
-}
-
 #[test]
 fn source_compiled_by_the_host_is_bit_identical() {
     assert_same_on_host(&in_small(&few()), serial);
@@ -298,7 +287,7 @@ fn source_compiled_by_the_host_is_bit_identical() {
 #[test]
 fn samples_that_a_warp_renders_together_are_bit_identical() {
     let jobs = in_small(&few()[..2]).into_iter().map(|(name, job)| {
-        let image = ImageSpec { samples: 8.into(), ..job.image.clone() };
+        let image = ImageSpec { width: 24, height: 16, samples: 8.into(), ..job.image.clone() };
         (name, job.with_image(image))
     });
     let lens = jobs_with_lenses().into_iter().take(1).map(|job| ("a lens".to_owned(), job));
@@ -318,40 +307,49 @@ fn paths_whose_marches_a_warp_pauses_are_bit_identical() {
         })
         .collect();
     assert_eq!(jobs.len(), 1);
-    for program_of in [serial, in_warps] {
-        assert_same_on_host(&jobs, program_of);
-    }
+    assert_same_on_host(&jobs, in_warps);
 }
 
 #[test]
 fn sums_of_batches_are_bit_identical() {
-    let jobs = [json!("direct"), json!({ "path": { "max_bounces": 2 } })]
+    let [direct, path] = [json!("direct"), json!({ "path": { "max_bounces": 2 } })]
         .map(|integrator| (format!("batches, {integrator}"), batches::job(&integrator, 0.0, json!(2 * BATCH + 88))));
-    for program_of in [serial, in_warps] {
-        assert_same_on_host(&jobs, program_of);
-    }
+    assert_same_on_host(&[direct], serial);
+    assert_same_on_host(&[path], in_warps);
 }
 
-#[test]
-fn parts_of_light_are_bit_identical() {
-    let mut jobs: Vec<(String, Job)> = light_groups::scenes()
+/// Small jobs of light groups in each scene that a GPU renders in one round; the first has levels of brightness.
+fn parts_of_light() -> Vec<(String, Job)> {
+    let small = |text: &mut Value, [width, height, samples]: [u32; 3]| {
+        for (key, value) in [("width", width), ("height", height), ("samples", samples)] {
+            text["image"][key] = json!(value);
+        }
+    };
+    let mut reweighted = light_groups::scenes().swap_remove(0).1;
+    small(&mut reweighted, [16, 8, 16]);
+    reweighted["image"]["reweight_fireflies"] = json!(true);
+    let scenes = light_groups::scenes()
         .into_iter()
         // The host decides after each round.
         .filter(|(name, _)| !["lens and adaptive samples", "motion blur", "denoised"].contains(name))
         .map(|(name, mut text)| {
-            for (key, value) in [("width", 24), ("height", 16), ("samples", 3)] {
-                text["image"][key] = json!(value);
-            }
+            small(&mut text, [24, 16, 3]);
             (format!("light groups: {name}"), light_groups::parsed(&text))
-        })
-        .collect();
-    let mut reweighted = light_groups::scenes().swap_remove(0).1;
-    for (key, value) in
-        [("width", json!(16)), ("height", json!(8)), ("samples", json!(16)), ("reweight_fireflies", json!(true))]
-    {
-        reweighted["image"][key] = value;
-    }
-    jobs.insert(0, ("light by its brightness".to_owned(), light_groups::parsed(&reweighted)));
+        });
+    std::iter::once(("light by its brightness".to_owned(), light_groups::parsed(&reweighted))).chain(scenes).collect()
+}
+
+#[test]
+fn parts_of_light_are_bit_identical() {
+    let jobs = parts_of_light();
+    assert_same_on_host(&jobs[..1], in_warps);
+    assert_same_on_host(&jobs[1..3], serial);
+}
+
+#[test]
+#[ignore = "long: compiles a program for each way in which light is found; 30 s"]
+fn parts_of_all_light_are_bit_identical() {
+    let jobs = parts_of_light();
     assert_same_on_host(&jobs, serial);
     assert_same_on_host(&jobs[..2], in_warps);
 }

@@ -9,8 +9,8 @@ use crate::lanes::levels;
 use crate::light_groups::parsed;
 use crate::motion_blur::{bits, part, render};
 
-const WIDTH: u32 = 40;
-const HEIGHT: u32 = 32;
+const WIDTH: u32 = 24;
+const HEIGHT: u32 = 24;
 
 /// A glass ball that focuses the light of a small lamp, which paths meet by chance alone.
 fn text(samples: &Value, is_reweighted: bool) -> Value {
@@ -49,7 +49,7 @@ fn mean(values: impl ExactSizeIterator<Item = f64>) -> f64 {
 #[test]
 fn fireflies_go_and_all_light_counts_with_many_samples() {
     let light = |values: &[f32]| mean(values.iter().map(|&value| value.into()));
-    let (want, reweighted) = (colors(&text(&json!(8192), false)), colors(&text(&json!(8192), true)));
+    let (want, reweighted) = (colors(&text(&json!(4096), false)), colors(&text(&json!(4096), true)));
     let lost = 1.0 - light(&reweighted) / light(&want);
     assert!((0.0..0.01).contains(&lost), "{lost} of the light is lost");
     let error = |text: &Value| {
@@ -78,7 +78,7 @@ fn reweighted_pictures_have_the_same_bits_on_every_path_and_in_tiles() {
         for level in levels() {
             let renderer = CpuRenderer::new(None, level).expect("a level of this CPU");
             assert!(bits(&finished(&renderer, &text, whole).planes) == want, "{text}: {level}");
-            for rect in [Rect { x: 8, y: 8, width: 24, height: 16 }, Rect { x: 32, y: 0, width: 8, height: 32 }] {
+            for rect in [Rect { x: 8, y: 8, width: 16, height: 8 }, Rect { x: 16, y: 0, width: 8, height: 24 }] {
                 let tile = finished(&renderer, &text, rect);
                 assert!(bits(&tile.planes) == part(&want, [WIDTH, HEIGHT], rect), "{text}: {level}, a tile");
             }

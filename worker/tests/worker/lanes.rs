@@ -114,13 +114,13 @@ fn compare_with_paths(name: &str, job: &Job) {
 fn every_width_gives_the_reference_bits_for_every_node() {
     for example in Node::examples() {
         let mut job = job(&example.json);
-        (job.image.width, job.image.height) = (21, 17);
+        (job.image.width, job.image.height) = (13, 11);
         compare(example.kind, &job);
     }
 }
 
 #[test]
-#[ignore = "long: three times as many pixels; 40 s"]
+#[ignore = "long: eight times as many pixels; 40 s"]
 fn every_width_gives_the_reference_bits_for_every_node_at_many_pixels() {
     for example in Node::examples() {
         compare(example.kind, &job(&example.json));

@@ -19,6 +19,7 @@ pub(crate) const LAYERS: [Layer; 10] = [
 ];
 
 /// A job file.
+#[derive(Clone)]
 pub(crate) struct Shipped {
     /// Its path in scenes/, without `.json`.
     pub(crate) name: String,
@@ -64,6 +65,17 @@ pub(crate) fn shipped() -> Vec<Shipped> {
     let found = of_folders(&[("", "scenes"), ("paper/", "scenes/paper")]);
     assert!(found.len() > 30, "scenes/ holds job files");
     found
+}
+
+/// Names of [`few`].
+const FEW: [&str; 6] = ["csg", "dice", "mandelbulb", "paper/clouds", "turntable", "vitrine"];
+
+/// Scenes that together have every sort of light, material, medium, texture, camera and fractal.
+pub(crate) fn few() -> Vec<Shipped> {
+    let mut scenes = shipped();
+    scenes.retain(|shipped| FEW.contains(&shipped.name.as_str()));
+    assert_eq!(scenes.len(), FEW.len());
+    scenes
 }
 
 /// The scenes of the documents, and the jobs of the tutorial, by name.
