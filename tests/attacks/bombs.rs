@@ -22,6 +22,10 @@ pub(super) fn attacks() -> Vec<Attack> {
         Attack { name: "texts of 32 MiB", run: large_texts },
         Attack { name: "texts nested as deep as they go", run: deep_texts },
         Attack { name: "moving jobs of many frames", run: moving },
+        Attack {
+            name: "a track of 9,000 keys in a shape that is used 40,000 times, or in a group",
+            run: shared_tracks,
+        },
     ]
 }
 
@@ -147,4 +151,25 @@ fn moving(attacker: &Attacker<'_>) {
     job["scene"]["camera"]["position"] = json!([{ "keys": [[0, -3], [4000, 3]] }, 0.5, 4]);
     job["frames"] = json!({ "count": 50_000 });
     submit_each(attacker, &[job]);
+}
+
+/// Small texts that become gigabytes if each use of a shape gets its track, or each object that of its group.
+fn shared_tracks(attacker: &Attacker<'_>) {
+    let keys: Vec<Value> = (0..9_000).map(|key| json!([key, 1])).collect();
+    let uses = |name: &str| json!({ "union": { "of": vec![json!({ "use": name }); 200] } });
+    let mut used = ball();
+    used["scene"]["shapes"] = json!({ "ball": { "sphere": { "radius": { "keys": &keys } } }, "row": uses("ball") });
+    used["scene"]["objects"] = json!([{ "shape": uses("row") }]);
+    let mut grouped = ball();
+    let objects = vec![json!({ "shape": { "sphere": { "radius": 1 } } }); 2_000];
+    grouped["scene"]["groups"] = json!([{ "degrees": { "keys": keys }, "objects": objects }]);
+    let texts = [used.to_string(), grouped.to_string()];
+    attacker.flood(2, |number| {
+        for path in
+            ["/v1/jobs", "/v1/jobs?dry_run=true", "/v1/pick?x=0.5&y=0.5", "/v1/preview", "/v1/price", "/v1/shader"]
+        {
+            let answer = attacker.send("POST", path, &*texts[number as usize % texts.len()]);
+            assert!(answer.is_none_or(|answer| [422, 429, 503].contains(&answer.status)), "{path}");
+        }
+    });
 }

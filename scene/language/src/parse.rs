@@ -11,6 +11,7 @@ mod light_groups;
 mod messages;
 mod names;
 mod nodes;
+mod placed;
 mod set;
 mod stand_ins;
 mod suggest;
@@ -35,7 +36,7 @@ use crate::json::{Outline, OutlineError, OutlineErrorKind, SyntaxError, Tree};
 use crate::lights::PlacedLight;
 use crate::limits::{
     MAX_JSON_DEPTH, MAX_KEY_BYTES, MAX_LIGHTS, MAX_MATERIALS, MAX_NAME_CHARS, MAX_NODE_DEPTH, MAX_PIXELS, MAX_RAYS,
-    MIN_REWEIGHTED_SAMPLES,
+    MAX_VALUES, MIN_REWEIGHTED_SAMPLES,
 };
 use crate::sample_count::AdaptiveSamples;
 use crate::seek::{FrameTime, Seek};
@@ -187,7 +188,7 @@ fn too_deep() -> String {
 /// Parses a tree into a job, with the times of all keyframes.
 fn read(tree: &Tree<'_>) -> Result<(Job, Vec<f64>), Vec<Fault>> {
     let document: JobDocument = form::read(tree).map_err(|fault| vec![fault.placed(tree)])?;
-    validate(document).map_err(|mut faults| {
+    validate(document, tree).map_err(|mut faults| {
         faults.truncate(MAX_ERRORS);
         faults.into_iter().map(|(pointer, message)| Fault::at_value(tree, pointer, message)).collect()
     })
@@ -206,16 +207,24 @@ fn not_utf8(text: &[u8], offset: usize) -> ParseError {
 /// Pointer and message of every semantic error.
 type SemanticErrors = Vec<(String, String)>;
 
-/// Validates the parts of a document together, and creates a job that is ready to be rendered, with the times of all
-/// keyframes.
-fn validate(mut document: JobDocument) -> Result<(Job, Vec<f64>), SemanticErrors> {
+/// Validates the parts of a document of a tree together, and creates a job that is ready to be rendered, with the times
+/// of all keyframes.
+fn validate(mut document: JobDocument, tree: &Tree<'_>) -> Result<(Job, Vec<f64>), SemanticErrors> {
     document.scene.camera.link();
     let mut faults = faults_of_document(&document);
+    let values = placed::groups(tree);
+    if values > MAX_VALUES {
+        let message = format!(
+            "have motion of {values} values, counting it for each object in them: use at most {MAX_VALUES}, with fewer keys"
+        );
+        faults.push(("/scene/groups".to_owned(), message));
+        return Err(faults);
+    }
     let (lights, groups) = groups::flatten(&mut document.scene, &mut faults);
     if let Some(message) = document.image.region_error() {
         faults.push(("/image/region".to_owned(), message));
     }
-    let result = validate_flat(document, lights, &groups, faults);
+    let result = validate_flat(document, tree, lights, &groups, faults);
     result.map_err(|mut faults| {
         let mut seen = BTreeSet::new();
         for (pointer, _) in &mut faults {
@@ -232,6 +241,7 @@ fn validate(mut document: JobDocument) -> Result<(Job, Vec<f64>), SemanticErrors
 /// Validates a document whose groups have been replaced.
 fn validate_flat(
     document: JobDocument,
+    tree: &Tree<'_>,
     lights: Vec<PlacedLight>,
     groups: &GroupPointers,
     mut faults: SemanticErrors,
@@ -243,7 +253,7 @@ fn validate_flat(
         let message = "does not go with objects that some rays do not see: leave it out, or `visible` of the objects";
         faults.push(("/scene/integrator/path/straight_shadows".to_owned(), message.to_owned()));
     }
-    let mut shapes = nodes::expand(&mut scene, groups, &mut faults);
+    let mut shapes = nodes::expand(&mut scene, tree, groups, &mut faults);
     let names: Vec<String> = scene.materials.keys().cloned().collect();
     let resolved = scene.resolve(lights, &mut shapes);
     let Resolved { mut scene, material_count, material_pointers: places, unused_names: unused, unknown } = resolved;

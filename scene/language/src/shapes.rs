@@ -15,19 +15,22 @@ pub(crate) struct TreeSize {
     pub nodes: u64,
     /// Nesting of the nodes.
     pub depth: usize,
+    /// Values of the shapes that it uses, as [`MAX_VALUES`](crate::limits::MAX_VALUES) counts them.
+    pub values: u64,
 }
 
 impl TreeSize {
     /// Size of a node, given the sizes of the shapes that it uses. A `use` of any other shape counts as one node.
     pub(crate) fn of(node: &Node, shapes: &BTreeMap<&str, Self>) -> Self {
         if let Some(name) = node.used_shape() {
-            return shapes.get(name).copied().unwrap_or(Self { nodes: 1, depth: 1 });
+            return shapes.get(name).copied().unwrap_or(Self { nodes: 1, depth: 1, values: 0 });
         }
         let sizes: Vec<Self> = node.children().iter().map(|child| Self::of(child, shapes)).collect();
         let nodes = node.nodes_in_children(&mut sizes.iter().map(|size| size.nodes));
-        let base = node.base().map_or(Self { nodes: 0, depth: 0 }, |base| Self::of(base, shapes));
+        let base = node.base().map_or(Self { nodes: 0, depth: 0, values: 0 }, |base| Self::of(base, shapes));
+        let values = sizes.iter().fold(base.values, |values, size| values.saturating_add(size.values));
         let depth = sizes.iter().map(|size| size.depth).fold(base.depth, usize::max);
-        Self { nodes: nodes.saturating_add(base.nodes).saturating_add(1), depth: depth.saturating_add(1) }
+        Self { nodes: nodes.saturating_add(base.nodes).saturating_add(1), depth: depth.saturating_add(1), values }
     }
 }
 

@@ -14,6 +14,9 @@ pub(crate) const MAX_PATH_POINTS: usize = 1_000;
 pub const MAX_NODE_DEPTH: usize = 64;
 /// Maximum number of nodes of a scene.
 pub const MAX_NODES: usize = 1_000_000;
+/// Maximum number of JSON values of a scene in which each use of a shape is that shape, and each object of a group has
+/// the group's motion: 16 for each node that a scene may have.
+pub const MAX_VALUES: u64 = 16 * MAX_NODES as u64;
 /// Maximum number of scattered copies of a scene, each times the cost of the surface under it in simple nodes.
 pub const MAX_PLACING_COST: f32 = 2e6;
 /// Maximum number of materials in use in a scene.

@@ -254,6 +254,46 @@ fn doubling_shapes_are_rejected_before_they_are_copied() {
     assert_eq!(job(&doubling(15), r#"{ "use": "s15" }"#).nodes(), 65_535);
 }
 
+/// A track of this many keys.
+fn track(keys: usize) -> String {
+    let keys: Vec<String> = (0..keys).map(|key| format!("[{key}, 1]")).collect();
+    format!(r#"{{ "keys": [{}] }}"#, keys.join(", "))
+}
+
+#[test]
+fn values_of_used_shapes_are_counted_before_they_are_copied() {
+    // Each use is one node, so that the limit of nodes alone would allow 360,000,000 keys.
+    let uses = |name: &str, count: usize| {
+        let of = vec![format!(r#"{{ "use": "{name}" }}"#); count].join(", ");
+        format!(r#"{{ "union": {{ "of": [{of}] }} }}"#)
+    };
+    let shapes =
+        |keys| format!(r#""ball": {{ "sphere": {{ "radius": {} }} }}, "row": {}"#, track(keys), uses("ball", 200));
+    let object = format!(r#"{{ "shape": {} }}"#, uses("row", 200));
+    has_faults(&shapes(9_000), &object, &[("/scene/objects", "values, counting those of a shape for each use of it")]);
+    let row = format!(r#"{}, "rows": {}"#, shapes(9_000), uses("row", 200));
+    has_faults(&row, r#"{ "shape": { "use": "rows" } }"#, &[("/scene/shapes/rows", "with fewer keys or fewer uses")]);
+    assert_eq!(job(&shapes(90), &uses("row", 200)).nodes(), 40_201);
+}
+
+#[test]
+fn values_of_groups_are_counted_before_their_objects_get_them() {
+    let objects = |count: usize| vec![format!(r#"{{ "shape": {BALL} }}"#); count].join(", ");
+    let text = |keys: usize, count: usize| {
+        format!(
+            r#"{{ "scene": {{ "camera": {{ "position": [0, 0, 5], "look_at": [0, 0, 0] }},
+                "groups": [{{ "degrees": {}, "groups": [{{ "by": [0, 0, 0], "objects": [{}] }}] }}] }},
+                "image": {{ "width": 8, "height": 8, "samples": 1 }} }}"#,
+            track(keys),
+            objects(count)
+        )
+    };
+    assert!(scene::parse(text(9_000, 100).as_bytes()).is_ok());
+    let found = faults(&text(9_000, 2_000));
+    assert!(found.len() == 1 && found[0].pointer == "/scene/groups", "{found:?}");
+    assert!(found[0].message.contains("counting it for each object in them"), "{found:?}");
+}
+
 #[test]
 fn nesting_is_limited_with_each_use_replaced() {
     let nested = |levels: usize, inner: &str| {

@@ -46,8 +46,8 @@ impl<'a> Value<'a> {
         &self.tree.nodes[self.index..self.index + self.span()]
     }
 
-    /// Number of its nodes.
-    fn span(self) -> usize {
+    /// Number of its nodes: of the values and keys in it, and of the brackets.
+    pub(crate) fn span(self) -> usize {
         if self.is_container() { self.node().size as usize } else { 1 }
     }
 

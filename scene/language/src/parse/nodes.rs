@@ -4,11 +4,12 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use super::{MAX_ERRORS, SemanticErrors, suggest};
+use super::{MAX_ERRORS, SemanticErrors, placed, suggest};
 use crate::document::{NamedShapes, SceneDocument};
+use crate::json::Tree;
 use crate::json_text::escape;
 use crate::kinds::NodeError;
-use crate::limits::{MAX_NODE_DEPTH, MAX_NODES, MAX_PLACING_COST};
+use crate::limits::{MAX_NODE_DEPTH, MAX_NODES, MAX_PLACING_COST, MAX_VALUES};
 use crate::nodes::Node;
 use crate::scene::{base_pointer, child_pointers};
 use crate::shapes::{TreeSize, each_use, ends, in_order_of_use};
@@ -19,11 +20,16 @@ const MAX_EVALUATED_NODES: u64 = 4 * MAX_NODES as u64;
 /// Maximum number of names listed in a message about a cycle.
 const MAX_LISTED: usize = 8;
 
-/// Validates all nodes of a scene, and replaces each `use` in its objects.
-pub(super) fn expand(scene: &mut SceneDocument, groups: &GroupPointers, faults: &mut SemanticErrors) -> NamedShapes {
+/// Validates all nodes of the scene of a tree, and replaces each `use` in its objects.
+pub(super) fn expand(
+    scene: &mut SceneDocument,
+    tree: &Tree<'_>,
+    groups: &GroupPointers,
+    faults: &mut SemanticErrors,
+) -> NamedShapes {
     let shapes = std::mem::take(&mut scene.shapes);
     unknown_uses(scene, &shapes, faults);
-    let limits = limits(scene, &shapes, faults);
+    let limits = limits(scene, tree, &shapes, faults);
     let ends = ends(&shapes, &limits.order);
     let mut expansion = Expansion {
         shapes: &shapes,
@@ -86,7 +92,13 @@ struct Limits<'s> {
 }
 
 /// Reports cycles of shapes, and shapes and objects that are too large once each `use` is replaced.
-fn limits<'s>(scene: &SceneDocument, shapes: &'s BTreeMap<String, Node>, faults: &mut SemanticErrors) -> Limits<'s> {
+fn limits<'s>(
+    scene: &SceneDocument,
+    tree: &Tree<'_>,
+    shapes: &'s BTreeMap<String, Node>,
+    faults: &mut SemanticErrors,
+) -> Limits<'s> {
+    let own_values = placed::shapes(tree);
     let mut limits = Limits { order: Vec::new(), sizes: BTreeMap::new(), can_replace: true, can_evaluate: true };
     match in_order_of_use(shapes) {
         Ok(order) => limits.order = order,
@@ -96,7 +108,8 @@ fn limits<'s>(scene: &SceneDocument, shapes: &'s BTreeMap<String, Node>, faults:
         }
     }
     for &name in &limits.order {
-        let size = TreeSize::of(&shapes[name], &limits.sizes);
+        let mut size = TreeSize::of(&shapes[name], &limits.sizes);
+        size.values = size.values.saturating_add(own_values.get(name).copied().unwrap_or_default());
         let pointer = format!("/scene/shapes/{}", escape(name));
         limits.can_replace &= !nests_too_deep(&shapes[name], &pointer, size, &limits.sizes, faults);
         if let Some(fault) = too_many_copies(&shapes[name], size, pointer.clone(), &limits.sizes) {
@@ -107,6 +120,9 @@ fn limits<'s>(scene: &SceneDocument, shapes: &'s BTreeMap<String, Node>, faults:
                 format!("has {} nodes, counting those of the shapes in it: use at most {MAX_NODES}", size.nodes);
             faults.push((pointer, message));
             limits.can_replace = false;
+        } else if size.values > MAX_VALUES {
+            faults.push((pointer, too_many_values(size.values)));
+            limits.can_replace = false;
         }
         if !limits.can_replace {
             // A shape around this one would exceed the limit, too.
@@ -114,13 +130,14 @@ fn limits<'s>(scene: &SceneDocument, shapes: &'s BTreeMap<String, Node>, faults:
         }
         limits.sizes.insert(name, size);
     }
-    let (mut nodes, mut written, mut copies_fault) = (0_u64, 0_u64, None);
+    let (mut nodes, mut written, mut values, mut copies_fault) = (0_u64, 0_u64, 0_u64, None);
     for (index, object) in scene.objects.iter().enumerate() {
         let size = TreeSize::of(&object.shape, &limits.sizes);
         let pointer = format!("/scene/objects/{index}/shape");
         limits.can_replace &= !nests_too_deep(&object.shape, &pointer, size, &limits.sizes, faults);
         copies_fault = copies_fault.or_else(|| too_many_copies(&object.shape, size, pointer, &limits.sizes));
         nodes = nodes.saturating_add(size.nodes);
+        values = values.saturating_add(size.values);
         written = written.saturating_add(written_nodes(&object.shape));
     }
     if nodes > MAX_NODES as u64 {
@@ -129,8 +146,17 @@ fn limits<'s>(scene: &SceneDocument, shapes: &'s BTreeMap<String, Node>, faults:
         faults.push(copies_fault.unwrap_or_else(in_all));
         limits.can_replace = false;
         limits.can_evaluate = nodes == written;
+    } else if values > MAX_VALUES {
+        faults.push(("/scene/objects".to_owned(), too_many_values(values)));
+        limits.can_replace = false;
     }
     limits
+}
+
+fn too_many_values(values: u64) -> String {
+    format!(
+        "has {values} values, counting those of a shape for each use of it: use at most {MAX_VALUES}, with fewer keys or fewer uses"
+    )
 }
 
 /// Error for the innermost node in a node of this size whose copies alone are more nodes than a scene may have.
