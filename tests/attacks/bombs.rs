@@ -162,7 +162,7 @@ fn shared_tracks(attacker: &Attacker<'_>) {
     used["scene"]["objects"] = json!([{ "shape": uses("row") }]);
     let mut grouped = ball();
     let objects = vec![json!({ "shape": { "sphere": { "radius": 1 } } }); 2_000];
-    grouped["scene"]["groups"] = json!([{ "degrees": { "keys": keys }, "objects": objects }]);
+    grouped["scene"]["groups"] = json!([{ "axis": [0, 1, 0], "degrees": { "keys": keys }, "objects": objects }]);
     let texts = [used.to_string(), grouped.to_string()];
     attacker.flood(2, |number| {
         for path in

@@ -281,8 +281,8 @@ fn values_of_groups_are_counted_before_their_objects_get_them() {
     let objects = |count: usize| vec![format!(r#"{{ "shape": {BALL} }}"#); count].join(", ");
     let text = |keys: usize, count: usize| {
         format!(
-            r#"{{ "scene": {{ "camera": {{ "position": [0, 0, 5], "look_at": [0, 0, 0] }},
-                "groups": [{{ "degrees": {}, "groups": [{{ "by": [0, 0, 0], "objects": [{}] }}] }}] }},
+            r#"{{ "scene": {{ "camera": {{ "position": [0, 0, 5], "look_at": [0, 0, 0] }}, "objects": [{{ "shape": {BALL} }}],
+                "groups": [{{ "axis": [0, 1, 0], "degrees": {}, "groups": [{{ "by": [0, 0, 0], "objects": [{}] }}] }}] }},
                 "image": {{ "width": 8, "height": 8, "samples": 1 }} }}"#,
             track(keys),
             objects(count)

@@ -109,7 +109,10 @@ fn limits<'s>(
     }
     for &name in &limits.order {
         let mut size = TreeSize::of(&shapes[name], &limits.sizes);
-        size.values = size.values.saturating_add(own_values.get(name).copied().unwrap_or_default());
+        // A shape that is a use of another is not copied itself.
+        if shapes[name].used_shape().is_none() {
+            size.values = size.values.saturating_add(own_values.get(name).copied().unwrap_or_default());
+        }
         let pointer = format!("/scene/shapes/{}", escape(name));
         limits.can_replace &= !nests_too_deep(&shapes[name], &pointer, size, &limits.sizes, faults);
         if let Some(fault) = too_many_copies(&shapes[name], size, pointer.clone(), &limits.sizes) {

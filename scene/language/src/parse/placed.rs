@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 
 use crate::json::{Tree, Value};
 
-/// Number of values of each named shape, without those of the shapes that it uses.
+/// Number of values of each named shape; a shape that it uses is not counted.
 pub(super) fn shapes<'t>(tree: &'t Tree<'_>) -> BTreeMap<Cow<'t, str>, u64> {
     let shapes = tree.root().get("scene").and_then(|scene| scene.get("shapes"));
     shapes.into_iter().flat_map(Value::members).map(|(name, shape)| (name.string(), shape.span() as u64)).collect()
