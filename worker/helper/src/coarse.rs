@@ -1,18 +1,17 @@
 //! The coarse pass: a frame rendered small, with one sample per pixel, as large as a time limit allows.
 
 use std::path::Path;
-use std::sync::mpsc::{self, RecvTimeoutError};
 use std::time::{Duration, Instant};
 
 use anyhow::Context;
 use image::Rgba32FImage;
 use image::imageops::{self, FilterType};
-use proto::Rect;
 use scene::Job;
 use scene::film::DisplayTransform;
-use worker::{CancelFlag, CpuRenderer, Renderer, Simd, TilePixels, TileRequest, blob};
+use worker::{CpuRenderer, Simd, TilePixels, blob};
 
 use crate::canvas::shown;
+use crate::drawing::{Attempt, Outcome};
 
 /// Width of the first and smallest attempt, in pixels.
 const FIRST_PX: u32 = 32;
@@ -59,49 +58,24 @@ fn render(job: &Job, frame: u32, limit: Duration) -> anyhow::Result<Option<TileP
     let start = Instant::now();
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
     let renderer = CpuRenderer::new(Some(cores.min(MAX_THREADS)), Simd::Auto)?;
-    let cancel = CancelFlag::new();
-    let (made, progress) = mpsc::channel::<()>();
     let last = job.image.film().width.min(LAST_PX);
-    std::thread::scope(|scope| {
-        let flag = cancel.clone();
-        scope.spawn(move || {
-            let mut last = limit * FIRST_ATTEMPT_LIMITS;
-            loop {
-                match progress.recv_timeout(last.saturating_sub(start.elapsed())) {
-                    // Further attempts begin in time, so they are not much late.
-                    Ok(()) => last = limit * 2,
-                    Err(RecvTimeoutError::Timeout) => return flag.cancel(),
-                    Err(RecvTimeoutError::Disconnected) => return,
-                }
-            }
-        });
-        let mut best = None;
-        let mut width = last.min(FIRST_PX);
-        loop {
-            let begun = Instant::now();
-            let small = with_width(job, width);
-            let rect = Rect::full(small.image.film().width, small.image.film().height);
-            match renderer.render(&TileRequest { job: &small, frame, rect }, &cancel, &|_| ()) {
-                Ok(pixels) => {
-                    best = Some(pixels);
-                    // The watch has ended if the time is up.
-                    _ = made.send(());
-                }
-                Err(worker::RenderError::Cancelled) => break,
-                Err(error) => {
-                    drop(made);
-                    return Err(error).context("could not render a coarse pass");
-                }
-            }
-            let next = begun.elapsed().mul_f64(GROWTH_ESTIMATE);
-            if width == last || start.elapsed() + next > limit {
-                break;
-            }
-            width = (width * 2).min(last);
+    let (mut best, mut width) = (None, last.min(FIRST_PX));
+    loop {
+        let begun = Instant::now();
+        // A further attempt begins in time, so it is not much late.
+        let limits = if best.is_none() { FIRST_ATTEMPT_LIMITS } else { 2 };
+        let attempt = Attempt { limit: (limit * limits).saturating_sub(start.elapsed()), gives_up_early: false };
+        match attempt.render(&renderer, &with_width(job, width), frame).context("could not render a coarse pass")? {
+            Outcome::Finished(pixels) => best = Some(pixels),
+            Outcome::TooSlow(_) => break,
         }
-        drop(made);
-        Ok(best)
-    })
+        let next = begun.elapsed().mul_f64(GROWTH_ESTIMATE);
+        if width == last || start.elapsed() + next > limit {
+            break;
+        }
+        width = (width * 2).min(last);
+    }
+    Ok(best)
 }
 
 /// Scales a job to this width.

@@ -96,20 +96,20 @@ fn resized(written: &ImageSpec, drawing: &Drawing, width_px: u32) -> ImageSpec {
 }
 
 /// A render with a limit.
-struct Attempt {
-    limit: Duration,
+pub(super) struct Attempt {
+    pub(super) limit: Duration,
     /// Whether it ends as soon as its progress shows that it will exceed the limit.
-    gives_up_early: bool,
+    pub(super) gives_up_early: bool,
 }
 
-enum Outcome {
+pub(super) enum Outcome {
     Finished(TilePixels),
     /// The fraction that would have been rendered in the time.
     TooSlow(f64),
 }
 
 impl Attempt {
-    fn render(&self, renderer: &CpuRenderer, job: &Job, frame: u32) -> anyhow::Result<Outcome> {
+    pub(super) fn render(&self, renderer: &CpuRenderer, job: &Job, frame: u32) -> anyhow::Result<Outcome> {
         let start = Instant::now();
         let cancel = CancelFlag::new();
         let (finished, rays) = (AtomicU64::new(0), job.image.rays());
