@@ -78,7 +78,7 @@ pub(super) fn random_formulas() -> Vec<Formula> {
             move |all| random_formula(&mut Generator(seed), &all, depth),
         )
     };
-    (0..160).map(of_seed).collect()
+    (0..300).map(of_seed).collect()
 }
 
 #[test]

@@ -76,7 +76,7 @@ fn distances_are_finite_everywhere() {
 fn an_interval_contains_every_distance_inside_its_box() {
     each_node(|kind, node| {
         let mut random = Random(2);
-        for round in 0..800 {
+        for round in 0..2_000 {
             let (corner, edge) = (random.point(2.5), [2.0, 0.5, 0.05, 1e-3][round % 4]);
             let ends = |low: f32| Interval::new(low, low + edge);
             let range: Interval = node.distance(vec3(ends(corner.x), ends(corner.y), ends(corner.z)));
@@ -96,7 +96,7 @@ fn no_step_passes_a_surface() {
     each_node(|kind, node| {
         let mut random = Random(3);
         let mut steps = 0;
-        while steps < 8_000 {
+        while steps < 20_000 {
             let p = random.point(3.0);
             let step = node.distance(p) / node.lipschitz();
             if step <= 0.0 {
@@ -216,7 +216,7 @@ fn bounds_contain_every_point_near_the_shape() {
         let mut random = Random(11);
         for level in [0.0, 0.1, 0.7] {
             let bounds = node.bounds(level);
-            for _ in 0..8_000 {
+            for _ in 0..20_000 {
                 let p = random.point(3.0);
                 let inside = [
                     (p.x, bounds.min.x, bounds.max.x),

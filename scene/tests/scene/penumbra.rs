@@ -9,7 +9,7 @@ use scene::{Integrator, Job};
 /// Width of the picture; the tolerance of a hit is a fraction of a pixel, so pixels must be small compared to the
 /// penumbra.
 const WIDTH_PX: u32 = 1280;
-const STRIDE_PX: usize = 64;
+const STRIDE_PX: usize = 32;
 /// Rows with the same light.
 const ROWS: u32 = 8;
 /// Height of the edge above the floor, in scene units.

@@ -307,15 +307,18 @@ fn paths_whose_marches_a_warp_pauses_are_bit_identical() {
         })
         .collect();
     assert_eq!(jobs.len(), 1);
-    assert_same_on_host(&jobs, in_warps);
+    for program_of in [serial, in_warps] {
+        assert_same_on_host(&jobs, program_of);
+    }
 }
 
 #[test]
 fn sums_of_batches_are_bit_identical() {
-    let [direct, path] = [json!("direct"), json!({ "path": { "max_bounces": 2 } })]
+    let jobs = [json!("direct"), json!({ "path": { "max_bounces": 2 } })]
         .map(|integrator| (format!("batches, {integrator}"), batches::job(&integrator, 0.0, json!(2 * BATCH + 88))));
-    assert_same_on_host(&[direct], serial);
-    assert_same_on_host(&[path], in_warps);
+    for program_of in [serial, in_warps] {
+        assert_same_on_host(&jobs, program_of);
+    }
 }
 
 /// Small jobs of light groups in each scene that a GPU renders in one round; the first has levels of brightness.
