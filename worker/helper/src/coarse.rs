@@ -10,8 +10,8 @@ use scene::Job;
 use scene::film::DisplayTransform;
 use worker::{CpuRenderer, Simd, TilePixels, blob};
 
+use crate::attempt::{Attempt, Outcome};
 use crate::canvas::shown;
-use crate::drawing::{Attempt, Outcome};
 
 /// Width of the first and smallest attempt, in pixels.
 const FIRST_PX: u32 = 32;

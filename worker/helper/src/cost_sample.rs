@@ -5,7 +5,6 @@
 
 use std::io::Cursor;
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
-use std::sync::mpsc::{self, RecvTimeoutError};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, ensure};
@@ -16,6 +15,8 @@ use scene::{Integrator, Job};
 use worker::image::{Encoders, PictureSpec};
 use worker::stitch::TileRows;
 use worker::{CancelFlag, CpuRenderer, Renderer, Simd, TilePixels, TileRequest};
+
+use crate::attempt;
 
 /// Edge of a block, in pixels.
 pub(super) const BLOCK_PX: u32 = 16;
@@ -193,15 +194,8 @@ impl Pass {
         let next = AtomicUsize::new(0);
         let start = Instant::now();
         let cancel = CancelFlag::new();
-        let (finished, over) = mpsc::channel::<()>();
-        let passes = std::thread::scope(|scope| {
-            let flag = cancel.clone();
-            // A block that takes too long is cancelled.
-            scope.spawn(move || {
-                if over.recv_timeout(limit * 3) == Err(RecvTimeoutError::Timeout) {
-                    flag.cancel();
-                }
-            });
+        // A block that takes too long is cancelled.
+        let passes = attempt::limited(&cancel, Some(limit * 3), || {
             let (next, cancel) = (&next, &cancel);
             let work = move |renderer: &CpuRenderer| {
                 let mut pass = Self { rays: 0, seconds: 0.0, blocks: Vec::new() };
@@ -226,9 +220,10 @@ impl Pass {
                 Ok(pass)
             };
             let run = move |renderer: &CpuRenderer| renderer.on_thread(|| work(renderer));
-            let threads: Vec<_> = renderers.iter().map(|renderer| scope.spawn(move || run(renderer))).collect();
-            let ended: Vec<_> = threads.into_iter().map(std::thread::ScopedJoinHandle::join).collect();
-            drop(finished);
+            let ended: Vec<_> = std::thread::scope(|scope| {
+                let threads: Vec<_> = renderers.iter().map(|renderer| scope.spawn(move || run(renderer))).collect();
+                threads.into_iter().map(std::thread::ScopedJoinHandle::join).collect()
+            });
             let ended = ended.into_iter().map(|end| {
                 end.map_err(|_| anyhow::anyhow!("a rendering thread panicked"))?.context("could not render a sample")
             });

@@ -2,9 +2,7 @@
 //! up, if that takes too long.
 
 use std::io::Cursor;
-use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::mpsc::{self, RecvTimeoutError};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use anyhow::{Context, bail, ensure};
 use proto::Rect;
@@ -13,8 +11,9 @@ use scene::film::DisplayTransform;
 use scene::{Film, Format, ImageSpec, Job, Layer};
 use worker::image::{Encoders, PictureSpec};
 use worker::stitch::TileRows;
-use worker::{CancelFlag, CpuRenderer, RenderError, Renderer, Simd, TilePixels, TileRequest};
+use worker::{CancelFlag, CpuRenderer, Simd, TilePixels};
 
+use crate::attempt::{Attempt, Outcome};
 use crate::canvas::Canvas;
 use crate::coarse;
 use crate::layer_picture::{self, LayerPicture};
@@ -23,10 +22,6 @@ use crate::layer_picture::{self, LayerPicture};
 const MAX_THREADS: usize = 4;
 /// Maximum height, in pixels: pictures may be far higher than wide.
 const MAX_HEIGHT_PX: u64 = 4096;
-/// Interval between two looks at the progress of a render.
-const LOOK_INTERVAL: Duration = Duration::from_millis(10);
-/// Time after which the progress of a render tells how long it takes.
-const CERTAIN_AFTER: Duration = Duration::from_millis(60);
 /// From this width on, a picture is not made smaller, but has one sample a pixel, and as much time as the first one and
 /// this more.
 const LAST_PX: u32 = 16;
@@ -93,59 +88,6 @@ fn resized(written: &ImageSpec, drawing: &Drawing, width_px: u32) -> ImageSpec {
         Some(layer) => (Format::Exr, vec![layer]),
     };
     image
-}
-
-/// A render with a limit.
-pub(super) struct Attempt {
-    pub(super) limit: Duration,
-    /// Whether it ends as soon as its progress shows that it will exceed the limit.
-    pub(super) gives_up_early: bool,
-}
-
-pub(super) enum Outcome {
-    Finished(TilePixels),
-    /// The fraction that would have been rendered in the time.
-    TooSlow(f64),
-}
-
-impl Attempt {
-    pub(super) fn render(&self, renderer: &CpuRenderer, job: &Job, frame: u32) -> anyhow::Result<Outcome> {
-        let start = Instant::now();
-        let cancel = CancelFlag::new();
-        let (finished, rays) = (AtomicU64::new(0), job.image.rays());
-        let fraction = || {
-            let done = finished.load(Ordering::Relaxed) as f64 / rays as f64;
-            done * (self.limit.as_secs_f64() / start.elapsed().as_secs_f64())
-        };
-        let (done, over) = mpsc::channel::<()>();
-        let rect = Rect::full(job.image.film().width, job.image.film().height);
-        let count = |more: u64| {
-            finished.fetch_add(more, Ordering::Relaxed);
-        };
-        let (rendered, fraction) = std::thread::scope(|scope| {
-            let (flag, fraction) = (cancel.clone(), &fraction);
-            let watch = scope.spawn(move || {
-                while over.recv_timeout(LOOK_INTERVAL) == Err(RecvTimeoutError::Timeout) {
-                    let (elapsed, fraction) = (start.elapsed(), fraction());
-                    let is_hopeless =
-                        self.gives_up_early && elapsed > CERTAIN_AFTER && fraction > 0.0 && fraction < 0.9;
-                    if elapsed > self.limit || is_hopeless {
-                        flag.cancel();
-                        return fraction;
-                    }
-                }
-                1.0
-            });
-            let rendered = renderer.render(&TileRequest { job, frame, rect }, &cancel, &count);
-            drop(done);
-            (rendered, watch.join())
-        });
-        match rendered {
-            Ok(pixels) => Ok(Outcome::Finished(pixels)),
-            Err(RenderError::Cancelled) => Ok(Outcome::TooSlow(fraction.unwrap_or(0.0).min(1.0))),
-            Err(error) => Err(error).context("could not render the frame"),
-        }
-    }
 }
 
 /// Pixels of a frame.
@@ -230,18 +172,5 @@ mod tests {
         assert_eq!(smaller(480, 0.125), 120);
         assert_eq!(smaller(480, 0.0), 60);
         assert_eq!(smaller(17, 0.0), 2);
-    }
-
-    #[test]
-    fn a_render_that_takes_too_long_tells_how_much_it_would_have_rendered() {
-        let text = include_bytes!("../../../scenes/csg.json");
-        let mut job = scene::parse(text).expect("a shipped scene");
-        job.image.resize(4000, 4000);
-        let renderer = CpuRenderer::new(Some(1), Simd::Scalar).expect("threads");
-        let attempt = Attempt { limit: Duration::from_millis(100), gives_up_early: true };
-        match attempt.render(&renderer, &job, 0).expect("no error") {
-            Outcome::TooSlow(fraction) => assert!(fraction < 0.9, "{fraction}"),
-            Outcome::Finished(_) => panic!("16 million pixels take more than 100 ms"),
-        }
     }
 }

@@ -4,6 +4,7 @@
 //! It never calls a server: it gets a request, and returns a picture or a measurement. What it renders never kills
 //! the server.
 
+mod attempt;
 mod canvas;
 mod coarse;
 mod cost_sample;

@@ -6,7 +6,6 @@ mod marked;
 
 use std::collections::HashSet;
 use std::hash::{BuildHasher, RandomState};
-use std::sync::mpsc::{self, RecvTimeoutError};
 use std::time::{Duration, Instant};
 
 use anyhow::Context;
@@ -17,6 +16,8 @@ use scene::Job;
 use worker::image::stored::{ChannelValues, FoundProvenance, StoredPicture, UnreadablePicture, tile_values};
 use worker::image::{PictureSpec, Provenance};
 use worker::{CancelFlag, RenderError, Renderer, TileRequest};
+
+use crate::attempt;
 
 pub use marked::draw;
 
@@ -98,13 +99,7 @@ impl<'a> Original<'a> {
         };
         let start = Instant::now();
         let is_late = || limit.is_some_and(|limit| start.elapsed() >= limit);
-        let (finished, over) = mpsc::channel::<()>();
-        std::thread::scope(|scope| {
-            scope.spawn(move || {
-                if limit.is_some_and(|limit| over.recv_timeout(limit) == Err(RecvTimeoutError::Timeout)) {
-                    cancel.cancel();
-                }
-            });
+        attempt::limited(cancel, limit, || {
             for rect in rects {
                 let request = TileRequest { job: self.job, frame: self.frame, rect: self.spec.rendered_for(rect) };
                 match renderer.render(&request, cancel, &|_| ()) {
@@ -118,7 +113,6 @@ impl<'a> Original<'a> {
                 }
                 checked.tiles.push(rect);
             }
-            drop(finished);
             Ok(())
         })?;
         let pixels_same = checked.pixels.is_empty();
