@@ -24,19 +24,20 @@ use crate::shipped::{LAYERS, Shipped, few, large, shipped};
 use crate::skip::skip;
 use crate::{batches, light_groups};
 
-/// Runs the kernels on the host, one thread after another: reads `uniforms`, the table, the planes, a tile and the
-/// samples; renders in two parts or more, so that sums are continued; writes the planes.
+/// Runs the kernels on the host, one thread after another: reads the planes, the samples, a tile, and for each round and
+/// instant its `uniforms`, table and samples; renders in two parts or more, so that sums are continued; writes the planes.
 const HOST_MAIN: &str = r"
 #include <stdio.h>
 #include <stdlib.h>
+static unsigned word() {
+    unsigned word;
+    if (fread(&word, 4, 1, stdin) != 1) exit(1);
+    return word;
+}
 int main() {
-    unsigned words, planes, samples;
+    const unsigned planes = word(), samples = word();
     Tile tile;
-    if (fread(uniforms, 4, UNIFORM_COUNT, stdin) != UNIFORM_COUNT || fread(&words, 4, 1, stdin) != 1) return 1;
-    unsigned* read = (unsigned*)malloc(4 * (size_t)words);
-    if (fread(read, 4, words, stdin) != words || fread(&planes, 4, 1, stdin) != 1) return 1;
-    table = read;
-    if (fread(&samples, 4, 1, stdin) != 1 || fread(&tile, sizeof tile, 1, stdin) != 1) return 1;
+    if (fread(&tile, sizeof tile, 1, stdin) != 1) return 1;
     size_t numbers = (size_t)tile.width * tile.height * planes;
 #ifdef BATCHES_PLANE
     float* out = (float*)calloc(numbers + (size_t)tile.width * tile.height * LIGHT_PLANES, 4);
@@ -47,16 +48,24 @@ int main() {
     unsigned* groups = (unsigned*)malloc(4 * (size_t)(count / BLOCK_GROUP + 1));
     for (unsigned group = 0; group <= count / BLOCK_GROUP; ++group) groups[group] = group;
     const Blocks blocks = {groups, 0, 8, 4};
-    for (unsigned first = 0, end = samples / 2 > 1 ? samples / 2 : 1; first < samples; first = end, end = samples) {
-        const unsigned end_of_batch = (first / BATCH + 1) * BATCH;
-        if (end > end_of_batch) end = end_of_batch;
-        for (blockIdx.x = 0; blockIdx.x < count; ++blockIdx.x)
-            run_block([&] {
-                render(&tile, 1, blocks, first, end, end == samples, out);
+    for (unsigned launches = word(); launches > 0; --launches) {
+        if (fread(uniforms, 4, UNIFORM_COUNT, stdin) != UNIFORM_COUNT) return 1;
+        const unsigned words = word();
+        unsigned* read = (unsigned*)malloc(4 * (size_t)words);
+        if (fread(read, 4, words, stdin) != words) return 1;
+        table = read;
+        const unsigned from = word(), to = word();
+        for (unsigned first = from, end = to - from > 1 ? from + (to - from) / 2 : to; first < to; first = end, end = to) {
+            const unsigned end_of_batch = (first / BATCH + 1) * BATCH;
+            if (end > end_of_batch) end = end_of_batch;
+            for (blockIdx.x = 0; blockIdx.x < count; ++blockIdx.x)
+                run_block([&] {
+                    render(&tile, 1, blocks, first, end, end == samples, out);
 #ifdef AOV_PLANES
-                if (end == samples) layers(&tile, 1, blocks, out);
+                    if (end == samples) layers(&tile, 1, blocks, out);
 #endif
-            });
+                });
+        }
     }
     return fwrite(out, 4, numbers, stdout) == numbers ? 0 : 1;
 }
@@ -144,23 +153,37 @@ fn in_warps(text: &str) -> String {
     format!("{before}{HOST_WARP}#endif{after}{WARP_BLOCK}{HOST_MAIN}")
 }
 
-fn render_on_host(job: &Job, folder: &Path, program_of: fn(&str) -> String) -> TilePixels {
-    let source = KernelSource::new(&job.at(0).expect("a shipped scene is valid")).expect("a recorded tape is valid");
-    let program = compile_text(&program_of(&source.text), folder);
-    let planes = job.image.film().rendered_channels().len();
-    let ImageSpec { width, height, ref samples, .. } = job.image;
-    let mut input: Vec<u8> = source.parameters.iter().flat_map(|bits| bits.to_ne_bytes()).collect();
+/// Words of the table of a kernel source, with everything made.
+fn table_of(source: &KernelSource) -> Vec<u32> {
     let words = |table: &Table| {
         table.make_all();
         table.after(0)
     };
-    let table = source.table.as_ref().map(words).unwrap_or_default();
-    input.extend((table.len() as u32).to_ne_bytes());
-    input.extend(table.iter().flat_map(|word| word.to_ne_bytes()));
+    source.table.as_ref().map(words).unwrap_or_default()
+}
+
+fn render_on_host(job: &Job, folder: &Path, program_of: fn(&str) -> String) -> TilePixels {
+    let exposure = job.exposure(0).expect("a shipped scene is valid");
+    let source_at = |instant| KernelSource::new(instant).expect("a recorded tape is valid");
+    let sources: Vec<KernelSource> = exposure.instants.iter().map(source_at).collect();
+    assert!(sources.iter().all(|source| source.text == sources[0].text), "instants differ in numbers alone");
+    let program = compile_text(&program_of(&sources[0].text), folder);
+    let planes = job.image.film().rendered_channels().len();
+    let ImageSpec { width, height, ref samples, .. } = job.image;
+    let tables: Vec<Vec<u32>> = sources.iter().map(table_of).collect();
+    let rounds = exposure.samples();
     let tile = [0, 0, width, height, 0, width.div_ceil(8), 0, 0, width, 0, width * height, 0];
-    for word in [planes as u32, samples.max()].into_iter().chain(tile) {
-        input.extend(word.to_ne_bytes());
+    let launches = rounds.iter().map(|instants| instants.len() as u32).sum();
+    let mut input: Vec<u32> = [planes as u32, samples.max()].into_iter().chain(tile).chain([launches]).collect();
+    for round in &rounds {
+        for ((source, table), samples) in sources.iter().zip(&tables).zip(round) {
+            input.extend(&source.parameters);
+            input.push(table.len() as u32);
+            input.extend(table);
+            input.extend([samples.start, samples.end]);
+        }
     }
+    let input: Vec<u8> = input.into_iter().flat_map(u32::to_ne_bytes).collect();
     let mut child =
         Command::new(program).stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().expect("the program starts");
     child.stdin.take().expect("standard input is piped").write_all(&input).expect("the program reads");
@@ -185,7 +208,7 @@ fn assert_same_on_host(jobs: &[(String, Job)], program_of: fn(&str) -> String) {
         let (got, want) = (render_on_host(job, folder.path(), program_of), render_on_cpu(job));
         assert_eq!(got.planes.len(), want.planes.len());
         let channels = job.image.film().rendered_channels();
-        // The error follows from two rounds of samples, which the host program does not take.
+        // The error follows from the sums after each round of samples, which the host program does not keep.
         let error = job.image.film().error_plane();
         let planes = channels.iter().zip(got.planes.iter().zip(&want.planes)).enumerate();
         let counts = planes.filter(|(plane, _)| Some(*plane) != error).map(|(_, (channel, (got, want)))| {
