@@ -38,7 +38,8 @@ plane = {name: part.channels[name].pixels.astype(float) for name in part.channel
 height, width = plane["id"].shape
 there = plane["id"] >= 0
 points = numpy.stack([plane["P.X"], plane["P.Y"], plane["P.Z"], numpy.ones((height, width))], axis=-1)[there]
-if panorama or not len(points):
+# With a shutter, the layers show the middle of the exposure, and the matrices the start of the frame.
+if panorama or sys.argv[4] == "blurred" or not len(points):
     print(0)
     sys.exit()
 seen = points @ numpy.array(part.header["worldToNDC"], dtype=float).reshape(4, 4)
@@ -57,7 +58,7 @@ pub(crate) fn check(path: &Path, job: &Value) {
     let name = path.display();
     let ours = by_exr(path);
     let names: Vec<&str> = ours.keys().map(String::as_str).collect();
-    assert_eq!(names, wanted_names(), "{name}");
+    assert_eq!(names, wanted_names(job), "{name}");
     let pixels = job["image"]["width"].as_u64().expect("a width") * job["image"]["height"].as_u64().expect("a height");
     for (channel, (kind, bytes)) in &ours {
         assert_eq!((*kind, bytes.len() as u64), ("float32", pixels * 4), "{name}: {channel}");
@@ -74,7 +75,9 @@ pub(crate) fn check_header(path: &Path, job: &Value) -> Option<usize> {
     let rate = job["frames"]["fps"].as_f64().unwrap_or(24.0).to_string();
     let projection = job["scene"]["camera"]["projection"].as_str().unwrap_or_default();
     let mut python = Command::new("python3");
-    python.env("PYTHONPATH", root().join(".whl")).args(["-c", HEADER]).arg(path).args([&rate, projection]);
+    python.env("PYTHONPATH", root().join(".whl")).args(["-c", HEADER]).arg(path);
+    let shutter = if job["frames"]["shutter"].is_null() { "sharp" } else { "blurred" };
+    python.args([&rate, projection, shutter]);
     let output = python.output().ok()?;
     if text(&output.stderr).contains("ModuleNotFoundError") {
         return None;
@@ -83,11 +86,17 @@ pub(crate) fn check_header(path: &Path, job: &Value) -> Option<usize> {
     Some(text(&output.stdout).trim().parse().expect("a number of positions"))
 }
 
-fn wanted_names() -> Vec<&'static str> {
-    let mut names = vec![
+/// Names of the channels of a job's EXR with all layers but those of mattes and motion.
+fn wanted_names(job: &Value) -> Vec<String> {
+    let names = [
         "R", "G", "B", "A", "Z", "N.X", "N.Y", "N.Z", "P.X", "P.Y", "P.Z", "albedo.R", "albedo.G", "albedo.B", "id",
         "steps",
     ];
+    let groups = job["image"]["light_groups"].as_array().map(Vec::as_slice).unwrap_or_default();
+    let rest = if groups.is_empty() { None } else { Some("rest") };
+    let groups = groups.iter().filter_map(Value::as_str).chain(rest);
+    let light = groups.flat_map(|group| ["R", "G", "B"].map(|color| format!("light.{group}.{color}")));
+    let mut names: Vec<String> = names.into_iter().map(str::to_owned).chain(light).collect();
     names.sort_unstable();
     names
 }
