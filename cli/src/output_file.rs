@@ -133,18 +133,11 @@ pub(crate) fn format_of(path: &str) -> anyhow::Result<Option<Format>> {
 
 /// Rejects a picture whose format cannot store what the job asks for.
 pub(crate) fn check_format(job: &Job) -> anyhow::Result<()> {
-    match job.image.format {
-        Format::Png if !job.image.layers.is_empty() => Err(UsageError(
-            "a PNG cannot store layers: write to an .exr file, or remove image.layers from the job".to_owned(),
-        )
-        .into()),
-        Format::Exr if job.image.has_display_transform() => Err(UsageError(
-            "an EXR is linear: write to a .png file, or remove image.exposure and image.tone_map from the job"
-                .to_owned(),
-        )
-        .into()),
-        Format::Png | Format::Exr => Ok(()),
+    if job.image.format == Format::Exr && job.image.has_display_transform() {
+        let fix = "an EXR is linear: write to a .png file, or remove image.exposure and image.tone_map from the job";
+        return Err(UsageError(fix.to_owned()).into());
     }
+    Ok(())
 }
 
 fn classify_target(path: &str) -> anyhow::Result<Target> {

@@ -1,9 +1,12 @@
 //! Values that a command sets in a job: `--set`, `--samples`, `--region`, `--scale`.
 
 use clap::Args;
+use scene::Layer;
+use scene::limits::MIN_REWEIGHTED_SAMPLES;
 
 use crate::error::UsageError;
 use crate::job_file::JobFile;
+use crate::terminal::print_note;
 
 /// Values of a job that are replaced for one command.
 #[derive(Clone, Debug, Default, Args)]
@@ -35,7 +38,7 @@ impl OverrideArguments {
             text = replaced(&text, path, value)?;
         }
         if let Some(samples) = samples {
-            text = replaced(&text, "image.samples", &samples.to_string())?;
+            text = with_samples(&name, &text, *samples)?;
         }
         if let Some(region) = region {
             text = replaced(&text, "image.region", region)?;
@@ -52,6 +55,35 @@ impl OverrideArguments {
         }
         Ok(JobFile { name, text: text.into_bytes() })
     }
+}
+
+/// A job with this number of samples, without what needs more of them: any job can be rendered with one.
+fn with_samples(name: &str, text: &str, samples: u32) -> anyhow::Result<String> {
+    let mut changed = replaced(text, "image.samples", &samples.to_string())?;
+    // An invalid job is reported as a whole, later.
+    let Ok(job) = scene::parse(text.as_bytes()) else { return Ok(changed) };
+    let mut leave_out = |path: &str, value: &str| {
+        let least = if path == "image.denoise" { 2 } else { MIN_REWEIGHTED_SAMPLES };
+        print_note(&format!("{name}: warning: {path} is left out: it needs {least} samples or more"));
+        changed = replaced(&changed, path, value)?;
+        anyhow::Ok(())
+    };
+    let image = &job.image;
+    let (loses_denoise, loses_reweighting) =
+        (image.denoise && samples < 2, image.reweight_fireflies && samples < MIN_REWEIGHTED_SAMPLES);
+    if loses_denoise {
+        leave_out("image.denoise", "false")?;
+    }
+    if loses_reweighting {
+        leave_out("image.reweight_fireflies", "false")?;
+    }
+    let has_noise_removed = (image.denoise && !loses_denoise) || (image.reweight_fireflies && !loses_reweighting);
+    if !has_noise_removed && image.layers.contains(&Layer::Noisy) {
+        let layers: Vec<&Layer> = image.layers.iter().filter(|layer| **layer != Layer::Noisy).collect();
+        print_note(&format!("{name}: warning: the layer noisy is left out: the picture is not denoised"));
+        changed = replaced(&changed, "image.layers", &serde_json::to_string(&layers)?)?;
+    }
+    Ok(changed)
 }
 
 fn replaced(text: &str, path: &str, value: &str) -> anyhow::Result<String> {

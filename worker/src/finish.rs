@@ -17,7 +17,6 @@ const REGION_NUMBERS: usize = 48 << 20;
 /// How a picture is finished, and where its planes are.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Finish {
-    height: u32,
     /// Number of planes of a rendered picture.
     rendered: usize,
     /// The first plane of light by its brightness, if fireflies are reweighted; a finished picture's planes follow.
@@ -33,7 +32,6 @@ impl Finish {
         let film = image.film();
         let noisy = film.channels().iter().position(|channel| channel == Layer::Noisy.channels()[0]);
         (image.is_denoised() || image.is_reweighted()).then(|| Self {
-            height: film.height,
             rendered: film.rendered_channels().len(),
             levels: image.is_reweighted().then_some(film.light_channels()),
             is_denoised: image.is_denoised(),
@@ -107,6 +105,7 @@ pub(crate) struct FinishedRows<'a> {
     source: &'a mut dyn RowSource,
     finish: Finish,
     width: u32,
+    height: u32,
     /// Rows that are finished at once.
     rows: u32,
     /// Rows that are finished, with their planes.
@@ -114,17 +113,17 @@ pub(crate) struct FinishedRows<'a> {
 }
 
 impl<'a> FinishedRows<'a> {
-    /// The rows of a picture of this width.
-    pub(crate) fn new(source: &'a mut dyn RowSource, finish: Finish, width: u32) -> Self {
+    /// The rows of a picture of this size.
+    pub(crate) fn new(source: &'a mut dyn RowSource, finish: Finish, [width, height]: [u32; 2]) -> Self {
         let fitting = REGION_NUMBERS / (width as usize * finish.rendered);
         let (fitting, margin) = (u32::try_from(fitting).unwrap_or(u32::MAX), finish.margin_px());
         let rows = fitting.saturating_sub(2 * margin).max(2 * margin);
-        Self { source, finish, width, rows, finished: (0..0, Vec::new()) }
+        Self { source, finish, width, height, rows, finished: (0..0, Vec::new()) }
     }
 
     /// Finishes rows from `start` on.
     fn finish_from(&mut self, start: u32) -> Result<(), StitchError> {
-        let (height, margin) = (self.finish.height, self.finish.margin_px());
+        let (height, margin) = (self.height, self.finish.margin_px());
         let end = start.saturating_add(self.rows).min(height);
         let rows = start.saturating_sub(margin)..end.saturating_add(margin).min(height);
         let mut band = RowBand::new(self.width, self.finish.rendered);
@@ -195,7 +194,7 @@ mod tests {
             rendered(Rect { x: 0, y: 64, width: WIDTH, height: HEIGHT - 64 }),
         ];
         let mut tiles = TileRows(&tiles);
-        let mut source = FinishedRows::new(&mut tiles, denoised(), WIDTH);
+        let mut source = FinishedRows::new(&mut tiles, denoised(), [WIDTH, HEIGHT]);
         source.rows = rows.unwrap_or(source.rows);
         let mut planes = vec![Vec::new(); 8];
         for start in (0..HEIGHT).step_by(16) {

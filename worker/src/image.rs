@@ -128,7 +128,7 @@ impl PictureSpec {
         let source = match self.finish {
             None => source,
             Some(finish) => {
-                finished = FinishedRows::new(source, finish, self.width);
+                finished = FinishedRows::new(source, finish, [self.width, self.height]);
                 &mut finished
             }
         };

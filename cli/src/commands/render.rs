@@ -7,7 +7,7 @@ use std::sync::{Arc, Mutex};
 use anyhow::Context;
 use clap::Args;
 use proto::rounding;
-use scene::Job;
+use scene::{Format, Job};
 use serde::Serialize;
 use tokio::runtime::Runtime;
 use worker::frame::{FrameTimes, render_frame};
@@ -73,6 +73,10 @@ pub(crate) fn run(arguments: &Arguments) -> anyhow::Result<()> {
         && let Some(format) = format_of(&arguments.output)?
     {
         job.image.format = format;
+        if format == Format::Png && !job.image.layers.is_empty() {
+            print_note(&format!("{}: warning: the layers are left out: write to an .exr file to have them", file.name));
+            job.image.layers.clear();
+        }
     }
     check_format(&job)?;
     let files = match &arguments.frames {

@@ -11,6 +11,7 @@ use anyhow::{Context, ensure};
 use proto::Rect;
 use proto::preview_helper::CostSample;
 use rustix::time::{ClockId, clock_gettime};
+use scene::limits::MIN_REWEIGHTED_SAMPLES;
 use scene::{Integrator, Job};
 use worker::image::{Encoders, PictureSpec};
 use worker::stitch::TileRows;
@@ -88,10 +89,10 @@ fn measure(job: &Job, frame: u32, renderers: &[CpuRenderer], limit: Duration) ->
     let at_frame = job.at(frame)?;
     std::hint::black_box(Integrator::new(&at_frame));
     let setup_seconds = start.elapsed().as_secs_f64();
-    let picture = PictureSpec::new(&at_frame);
     let mut job = job.clone();
     if job.image.layers.is_empty() {
-        job.image.samples = job.image.samples.max().min(MAX_SAMPLES).into();
+        let most = if job.image.is_reweighted() { MIN_REWEIGHTED_SAMPLES } else { MAX_SAMPLES };
+        job.image.samples = job.image.samples.max().min(most).into();
     }
     let program_start = Instant::now();
     let moved = job.at(frame)?;
@@ -99,12 +100,12 @@ fn measure(job: &Job, frame: u32, renderers: &[CpuRenderer], limit: Duration) ->
     let program_seconds = program_start.elapsed().as_secs_f64();
     let rects = blocks(job.image.film().width, job.image.film().height);
     let first = renderers.first().context("there is a renderer")?;
-    let (all, shared_seconds) = if first.has_cells(&job, frame)? {
-        // Cells are made by one ray a pixel nearly as much as by several, so that this reaches more of them.
-        let mut single = job.clone();
-        if single.image.layers.is_empty() {
-            single.image.samples = 1.into();
-        }
+    // Cells are made by one ray a pixel nearly as much as by several, so that this reaches more of them.
+    let mut single = job.clone();
+    if single.image.layers.is_empty() {
+        single.image.samples = 1.into();
+    }
+    let (sampled, all, shared_seconds) = if first.has_cells(&job, frame)? {
         first.has_cells(&single, frame)?;
         let making = Pass::render(&single, frame, renderers, limit / 2, &rects)?;
         // Blocks that were not finished would still make cells.
@@ -119,19 +120,19 @@ fn measure(job: &Job, frame: u32, renderers: &[CpuRenderer], limit: Duration) ->
             Some(pass) => {
                 let frame_blocks = job.image.film().pixels() as f64 / f64::from(BLOCK_PX * BLOCK_PX);
                 let shared_seconds = making.shared_seconds(made.seconds_per_ray(0.0), frame_blocks);
-                (pass, shared_seconds)
+                (&job, pass, shared_seconds)
             }
-            None => (making, 0.0),
+            None => (&single, making, 0.0),
         }
     } else {
-        (Pass::render(&job, frame, renderers, limit, &rects)?, 0.0)
+        (&job, Pass::render(&job, frame, renderers, limit, &rects)?, 0.0)
     };
     let (rays, seconds_per_ray) = (all.rays, all.seconds_per_ray(program_seconds));
     let variance = all.variance(rects.len());
     let rendering = seconds_per_ray * job.image.rays() as f64;
     let shared_fraction = shared_seconds / (shared_seconds + rendering).max(f64::MIN_POSITIVE);
     let blocks = all.blocks.into_iter().map(|block| block.pixels).collect();
-    let encode_seconds_per_pixel = encode(picture, blocks)?;
+    let encode_seconds_per_pixel = encode(PictureSpec::new(&sampled.at(frame)?), blocks)?;
     Ok(FrameCost {
         rays,
         seconds_per_ray,

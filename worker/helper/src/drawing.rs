@@ -7,7 +7,6 @@ use std::time::Duration;
 use anyhow::{Context, bail, ensure};
 use proto::Rect;
 use proto::preview_helper::{AboutPicture, Drawing, HelperPicture, PictureLayer};
-use scene::film::DisplayTransform;
 use scene::{Film, Format, ImageSpec, Job, Layer};
 use worker::image::{Encoders, PictureSpec};
 use worker::stitch::TileRows;
@@ -122,10 +121,10 @@ impl Pictured<'_> {
         if let Some(picture) = self.layer()? {
             return picture.scaled_up(whole.width, whole.height).encode(rendered_px, self.job.image.samples.max());
         }
-        let at_frame = self.job.at(self.frame)?;
-        let (transform, opaque) = (DisplayTransform::new(at_frame.image()), !at_frame.scene().is_transparent());
+        let spec = PictureSpec::new(&self.job.at(self.frame)?);
+        let finished = spec.finished_tile(self.pixels.clone(), self.pixels.rect);
         let canvas = Canvas::new(whole.width, whole.height, whole.width);
-        let scaled = coarse::scaled(&self.pixels, transform, opaque, canvas.size());
+        let scaled = coarse::scaled(&finished, spec.display_transform, spec.opaque, canvas.size());
         ensure!(scaled.is_some(), "the pixels are not those of the frame");
         let about =
             AboutPicture { rendered_px, samples: self.job.image.samples.max(), range: [Vec::new(), Vec::new()] };

@@ -10,6 +10,8 @@ mod coarse;
 mod cost_sample;
 mod drawing;
 mod layer_picture;
+#[cfg(test)]
+mod options;
 mod preview;
 mod price;
 mod process;
