@@ -48,6 +48,22 @@ fn a_farm_moves_to_postgresql_and_back_with_every_row() {
     assert!(text(&in_use.stderr).contains("stop it first"), "{}", text(&in_use.stderr));
     farm.terminate();
 
+    // Earlier releases accepted names that PostgreSQL cannot store.
+    let rename = |name: &str| {
+        let program = "import sqlite3, sys
+farm = sqlite3.connect(sys.argv[1])
+farm.execute('UPDATE job SET name = ? WHERE id = ?', (sys.argv[3].replace('_', chr(0)), sys.argv[2]))
+farm.commit()";
+        let mut python = Command::new("python3");
+        python.args(["-c", program]).arg(data.join("farm.sqlite")).args([&id, name]);
+        assert!(finish(python, b"").status.success());
+    };
+    rename("a_b");
+    let unstorable = run(&["move", "--data", word, "--to", &database]);
+    let printed = text(&unstorable.stderr);
+    assert!(!unstorable.status.success() && printed.contains(&id) && printed.contains("U+0000"), "{printed}");
+    rename("csg");
+
     let printed = succeed(&["move", "--data", word, "--to", &database]);
     assert!(printed.contains("is kept") && printed.contains("--database postgres://"), "{printed}");
     let moved = data.join("farm.sqlite.moved");

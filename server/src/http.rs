@@ -26,6 +26,7 @@ mod workers;
 use std::any::Any;
 
 use axum::extract::Request;
+use axum::http::{HeaderName, HeaderValue, header};
 use axum::middleware;
 use axum::response::{IntoResponse, Response};
 use tower_http::catch_panic::CatchPanicLayer;
@@ -167,6 +168,23 @@ pub(crate) fn router(state: ApiState) -> axum::Router {
         .layer(middleware::from_fn_with_state(state.clone(), host_check::host_and_origin))
         .layer(middleware::from_fn_with_state(state.clone(), audit::record_request))
         .layer(middleware::from_fn_with_state(state, request_id::trace))
+        .layer(middleware::map_response(protect))
+}
+
+/// Adds what keeps a browser from running a response, or showing it inside another site, unless a route has its own.
+async fn protect(mut response: Response) -> Response {
+    /// A browser shows a picture, or a text, in a page of its own with a style.
+    const POLICY: &str =
+        "default-src 'none'; style-src 'unsafe-inline'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
+    const HEADERS: [(HeaderName, &str); 3] = [
+        (header::CONTENT_SECURITY_POLICY, POLICY),
+        (header::X_CONTENT_TYPE_OPTIONS, "nosniff"),
+        (header::REFERRER_POLICY, "no-referrer"),
+    ];
+    for (name, value) in HEADERS {
+        response.headers_mut().entry(name).or_insert(HeaderValue::from_static(value));
+    }
+    response
 }
 
 async fn unknown_route(request: Request) -> ApiError {

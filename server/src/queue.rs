@@ -16,6 +16,8 @@ mod tiles;
 mod verification;
 mod workers;
 
+use std::collections::HashSet;
+use std::hash::Hash;
 use std::sync::Arc;
 
 use proto::{JobId, WorkerId};
@@ -385,15 +387,21 @@ fn row_count(count: usize) -> i64 {
     (count as u64).cast_signed()
 }
 
-/// JSON list of names, as `json_each` reads it.
+/// JSON list of names, as `json_each` reads it, each once: PostgreSQL writes no row twice in one statement.
 fn json_list<T: ToString>(items: impl IntoIterator<Item = T>) -> String {
-    let items: Vec<serde_json::Value> = items.into_iter().map(|item| item.to_string().into()).collect();
-    serde_json::Value::Array(items).to_string()
+    json_set(items.into_iter().map(|item| item.to_string()))
 }
 
 /// Like [`json_list`], of row ids.
 fn json_numbers(items: impl IntoIterator<Item = i64>) -> String {
-    serde_json::Value::Array(items.into_iter().map(Into::into).collect()).to_string()
+    json_set(items)
+}
+
+/// JSON list of different values, in the order of the first of each.
+fn json_set<T: Into<serde_json::Value> + Clone + Eq + Hash>(items: impl IntoIterator<Item = T>) -> String {
+    let mut known = HashSet::new();
+    let items = items.into_iter().filter(|item| known.insert(item.clone()));
+    serde_json::Value::Array(items.map(Into::into).collect()).to_string()
 }
 
 /// Parses a column with one of our names.

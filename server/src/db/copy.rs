@@ -4,7 +4,7 @@
 //! both engines, so no list is kept here.
 
 use super::value::{Cell, Value};
-use super::{Connection, Database, DatabaseError, Durability, Readers, made_query, query};
+use super::{Connection, Database, DatabaseError, Durability, Readers, Row, made_query, query};
 
 /// Maximum number of rows read at once.
 const PAGE_ROWS: i64 = 5_000;
@@ -154,7 +154,11 @@ async fn copy_table(source: &Readers, table: &Table, target: &mut Connection) ->
             let mut insert = made_query(format!("INSERT INTO {} ({names}) VALUES {all}", table.name));
             for row in rows {
                 for (index, column) in table.columns.iter().enumerate() {
-                    insert = insert.bind(value(row.get(index)?, &column.kind)?);
+                    let cell = row.get(index)?;
+                    if matches!((&cell, &*target), (Cell::Text(text), Connection::Postgres(_)) if text.contains('\0')) {
+                        return Err(unstorable(table, row, column));
+                    }
+                    insert = insert.bind(value(cell, &column.kind)?);
                 }
             }
             insert.execute(&mut *target).await?;
@@ -164,6 +168,22 @@ async fn copy_table(source: &Readers, table: &Table, target: &mut Connection) ->
             return Ok(copied.unsigned_abs());
         }
     }
+}
+
+/// Error for a row with a text that PostgreSQL cannot store, named by its numbers and ids.
+fn unstorable(table: &Table, row: &Row, column: &TableColumn) -> DatabaseError {
+    let names = |named: &(usize, &TableColumn)| named.1.is_key || ["id", "job"].contains(&named.1.name.as_str());
+    let named = table.columns.iter().enumerate().filter(names).filter_map(|(index, key)| match row.get(index) {
+        Ok(Cell::Integer(number)) => Some(format!("{} {number}", key.name)),
+        Ok(Cell::Text(text)) => Some(format!("{} {text}", key.name)),
+        Ok(Cell::Null | Cell::Real(_) | Cell::Bytes(_)) | Err(_) => None,
+    });
+    let (named, table, column) = (named.collect::<Vec<_>>().join(", "), &table.name, &column.name);
+    let message = format!(
+        "the {column} of this {table} has the character U+0000, which PostgreSQL cannot store: {named}; start the farm \
+         with its file, delete that job, and move it then"
+    );
+    sqlx::Error::Encode(message.into()).into()
 }
 
 /// A cell as the value of a column of this type.

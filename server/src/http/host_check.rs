@@ -35,8 +35,11 @@ fn check_host_and_origin(hosts: &[String], request: &Request) -> Result<(), ApiE
         // RFC 9112, section 3.2: a request with several Host headers is ambiguous.
         return Err(ApiError::WrongRequest("it has more than one Host header"));
     }
-    if !is_utf8_path(request.uri().path()) {
-        return Err(ApiError::WrongRequest("its path is not UTF-8"));
+    if request.headers().get_all(header::ORIGIN).iter().count() > 1 {
+        return Err(ApiError::WrongRequest("it has more than one Origin header"));
+    }
+    if !is_plain_path(request.uri().path()) {
+        return Err(ApiError::WrongRequest("its path is not UTF-8, or has a control character"));
     }
     let named = match request.uri().authority() {
         Some(authority) => authority.as_str(),
@@ -55,8 +58,8 @@ fn check_host_and_origin(hosts: &[String], request: &Request) -> Result<(), ApiE
     Ok(())
 }
 
-/// Whether a path is UTF-8 after percent-decoding.
-fn is_utf8_path(path: &str) -> bool {
+/// Whether a path is UTF-8 without control characters after percent-decoding.
+fn is_plain_path(path: &str) -> bool {
     let mut parts = path.split('%');
     let mut bytes = parts.next().unwrap_or_default().as_bytes().to_vec();
     for part in parts {
@@ -64,15 +67,18 @@ fn is_utf8_path(path: &str) -> bool {
         bytes.push(escaped.unwrap_or(b'%'));
         bytes.extend(&part.as_bytes()[if escaped.is_some() { 2 } else { 0 }..]);
     }
-    std::str::from_utf8(&bytes).is_ok()
+    std::str::from_utf8(&bytes).is_ok_and(|path| !path.contains(char::is_control))
 }
 
 fn text<'a>(headers: &'a HeaderMap, name: &header::HeaderName) -> &'a str {
     headers.get(name).map_or("", |value| value.to_str().unwrap_or("?"))
 }
 
-/// IP addresses cannot be rebound, so all of them are accepted; names must be known.
+/// IP addresses cannot be rebound, so all of them are accepted; names must be known. What has a user before it is no host.
 fn is_known_host(hosts: &[String], named: &str) -> bool {
+    if named.contains('@') {
+        return false;
+    }
     let Ok(authority) = named.parse::<Authority>() else { return false };
     let host = authority.host();
     let bare = host.strip_prefix('[').and_then(|host| host.strip_suffix(']')).unwrap_or(host);
@@ -86,12 +92,12 @@ mod tests {
     use super::*;
 
     #[test]
-    fn percent_decoded_paths_must_be_utf_8() {
+    fn percent_decoded_paths_must_be_utf_8_without_control_characters() {
         for text in ["/v1/jobs", "/%41", "/%d1%84", "/%", "/%zz", "/100%"] {
-            assert!(is_utf8_path(text), "{text}");
+            assert!(is_plain_path(text), "{text}");
         }
-        for bytes in ["/%ff", "/%d1", "/a%80b"] {
-            assert!(!is_utf8_path(bytes), "{bytes}");
+        for bytes in ["/%ff", "/%d1", "/a%80b", "/%00", "/a%0ab"] {
+            assert!(!is_plain_path(bytes), "{bytes}");
         }
     }
 
@@ -101,7 +107,16 @@ mod tests {
         for ours in ["127.0.0.1:8080", "localhost", "LOCALHOST:1", "[::1]:80", "192.168.1.5:9", "farm.example:8080"] {
             assert!(is_known_host(&hosts, ours), "{ours}");
         }
-        for foreign in ["", "evil.example", "localhost.evil.example", "127.0.0.1.evil.example:80", "?"] {
+        for foreign in [
+            "",
+            "evil.example",
+            "localhost.evil.example",
+            "127.0.0.1.evil.example:80",
+            "evil@127.0.0.1",
+            "a:b@localhost:1",
+            "@",
+            "?",
+        ] {
             assert!(!is_known_host(&hosts, foreign), "{foreign}");
         }
     }

@@ -9,6 +9,9 @@ use utoipa_swagger_ui::Config;
 
 use crate::http::error::ApiError;
 
+/// Content security policy: only files of this server. Swagger UI writes styles and small pictures into its page.
+const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self' 'unsafe-inline'; img-src 'self' data:; \
+                      connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
 /// Settings of the pages.
 static CONFIG: LazyLock<Arc<Config<'static>>> =
     LazyLock::new(|| Arc::new(Config::from("/openapi.json").validator_url("none")));
@@ -32,7 +35,11 @@ fn serve(name: &str) -> Result<Response, ApiError> {
     let file = utoipa_swagger_ui::serve(name, Arc::clone(&CONFIG))
         .map_err(|error| ApiError::Internal(error.to_string().into()))?;
     Ok(match file {
-        Some(file) => ([(header::CONTENT_TYPE, file.content_type)], file.bytes).into_response(),
+        Some(file) => {
+            let headers =
+                [(header::CONTENT_TYPE, file.content_type), (header::CONTENT_SECURITY_POLICY, POLICY.to_owned())];
+            (headers, file.bytes).into_response()
+        }
         None => StatusCode::NOT_FOUND.into_response(),
     })
 }

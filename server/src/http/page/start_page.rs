@@ -53,11 +53,7 @@ pub(in crate::http) async fn get(
         farm,
     };
     let mut response = Json(view).into_response();
-    for (name, value) in [
-        (header::X_CONTENT_TYPE_OPTIONS, "nosniff"),
-        (header::CACHE_CONTROL, "no-store"),
-        (header::VARY, "accept, accept-encoding"),
-    ] {
+    for (name, value) in [(header::CACHE_CONTROL, "no-store"), (header::VARY, "accept, accept-encoding")] {
         response.headers_mut().insert(name, HeaderValue::from_static(value));
     }
     Ok(response)

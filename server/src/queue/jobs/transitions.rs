@@ -58,7 +58,7 @@ pub(in crate::queue) async fn insert(
     .bind(plan.frames)
     .bind(i64::try_from(plan.tiles_total()).unwrap_or(i64::MAX))
     .bind(i64::try_from(plan.rays_total()).unwrap_or(i64::MAX))
-    .bind(crate::queue::json_list(&job.warnings))
+    .bind(serde_json::json!(job.warnings).to_string())
     .bind(job.nodes)
     .bind(job.tile_seconds)
     .bind(job.recorded)
