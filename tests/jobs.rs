@@ -114,3 +114,28 @@ pub(crate) fn endless() -> Value {
 fn number(value: &Value) -> u64 {
     value.as_u64().expect("a whole number")
 }
+
+/// A job of copies whose placements are formulas of noise: a small text that takes long to read.
+pub(crate) fn of_noisy_copies(count: u32) -> Value {
+    let noise = |seed: u32| json!({ "expr": format!("noise(i, {seed}) + noise(2 * i) + noise(3 * i) + noise(5 * i)") });
+    let at = json!({ "count": count, "by": [noise(1), noise(2), noise(3)], "scale": { "expr": "1 + noise(i) / 2" } });
+    of_shape(&json!({ "copies": { "child": { "sphere": { "radius": 0.1 } }, "at": at } }))
+}
+
+/// A job whose shapes each use the one before twice: a small text of 2 to the power of `doublings` nodes.
+pub(crate) fn of_doublings(doublings: u32) -> Value {
+    let twice = |name: &str| json!({ "union": { "of": [{ "use": name }, { "use": name }] } });
+    let mut job = of_shape(&twice(&format!("s{}", doublings - 1)));
+    job["scene"]["shapes"]["s0"] = json!({ "sphere": { "radius": 1 } });
+    for level in 1..doublings {
+        job["scene"]["shapes"][format!("s{level}")] = twice(&format!("s{}", level - 1));
+    }
+    job
+}
+
+fn of_shape(shape: &Value) -> Value {
+    json!({
+        "scene": { "camera": { "position": [0, 0, 9], "look_at": [0, 0, 0] }, "objects": [{ "shape": shape }] },
+        "image": { "width": 8, "height": 8, "samples": 1 },
+    })
+}

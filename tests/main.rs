@@ -36,6 +36,7 @@ mod postgres;
 mod postgres_server;
 mod previews;
 mod price;
+mod readers;
 mod recorded;
 mod repository;
 mod runaway;

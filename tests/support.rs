@@ -138,8 +138,22 @@ pub(crate) fn is_alive(process: u32) -> bool {
     status_field(process, 0).is_some_and(|state| state != "Z" && state != "X")
 }
 
-/// Child processes of this process.
+/// Child processes of this process, without those that read jobs.
 pub(crate) fn children(parent: u32) -> Vec<u32> {
+    all_children(parent).into_iter().filter(|process| !is_reader(*process)).collect()
+}
+
+/// Processes that read jobs for a server.
+pub(crate) fn readers(server: u32) -> Vec<u32> {
+    all_children(server).into_iter().filter(|process| is_reader(*process)).collect()
+}
+
+fn is_reader(process: u32) -> bool {
+    let command = fs::read(format!("/proc/{process}/cmdline")).unwrap_or_default();
+    command.split(|byte| *byte == 0).any(|word| word == server::READER_COMMAND.as_bytes())
+}
+
+fn all_children(parent: u32) -> Vec<u32> {
     let processes = fs::read_dir("/proc").expect("Linux has /proc").flatten();
     let ids = processes.filter_map(|entry| entry.file_name().to_str()?.parse().ok());
     ids.filter(|&process| is_alive(process) && status_field(process, 1) == Some(parent.to_string())).collect()

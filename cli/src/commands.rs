@@ -168,6 +168,9 @@ pub(crate) enum Command {
     /// Draw previews and measure samples for a server.
     #[command(hide = true)]
     PreviewHelper,
+    /// Read job files for a server.
+    #[command(hide = true)]
+    JobReader,
 }
 
 impl Command {
@@ -227,6 +230,7 @@ impl Command {
             Self::Doctor(arguments) => run_async(interruptible(doctor::run(arguments))),
             Self::Demo(arguments) => run_async(demo::run(arguments)),
             Self::PreviewHelper => write_bytes(&helper::run()?),
+            Self::JobReader => server::read_jobs().context("could not read jobs"),
         }
     }
 }

@@ -115,6 +115,9 @@ pub struct Config {
     pub webhook_secret: Option<Secret>,
     /// Program of the local workers, called with `worker` as first argument.
     pub worker_program: PathBuf,
+    /// Program that reads job files in processes with limits, called with [`READER_COMMAND`](crate::READER_COMMAND) as
+    /// argument; `None` means on threads of this process, without limits.
+    pub job_reader: Option<PathBuf>,
     /// Retention of finished jobs that do not set their own; `None` means forever.
     pub job_retention: Option<Duration>,
     /// Maximum size of pictures and tiles; above it the jobs that finished first are deleted. `None`
@@ -173,6 +176,7 @@ impl Default for Config {
             rates: Rates { currency: DEFAULT_CURRENCY.to_owned(), ..Rates::default() },
             webhook_secret: None,
             worker_program: PathBuf::from("sdfarm"),
+            job_reader: None,
             job_retention: None,
             max_store_bytes: None,
             worker_env: Vec::new(),

@@ -11,7 +11,8 @@ mod png;
 
 use bytes::Bytes;
 use proto::Rect;
-use scene::{Bits, Format, FrameError, Job, Precision, Provenance};
+use scene::{Bits, Format, JobAtFrame, Precision, Provenance};
+use serde::{Deserialize, Serialize};
 
 /// Number of bytes at a file's start that a check reads; the headers of this program's pictures are smaller.
 pub(crate) const HEAD_BYTES: u64 = 160 << 10;
@@ -36,7 +37,7 @@ pub(crate) struct FileEnds {
 }
 
 /// Expected picture of a frame.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(crate) struct ExpectedPicture {
     width_px: u32,
     height_px: u32,
@@ -46,7 +47,7 @@ pub(crate) struct ExpectedPicture {
 }
 
 /// Format of a picture, with what its header says about a pixel.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 enum PictureFormat {
     Png {
         opaque: bool,
@@ -56,13 +57,13 @@ enum PictureFormat {
     Exr(Vec<ExrChannel>),
 }
 
-#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 struct ExrChannel {
     name: String,
     sample: ExrSample,
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 enum ExrSample {
     Half,
     Float,
@@ -78,9 +79,8 @@ impl ExrSample {
 }
 
 impl ExpectedPicture {
-    /// Picture of a frame of a job. For an animated job this copies the scene.
-    pub(crate) fn new(job: &Job, frame: u32) -> Result<Self, FrameError> {
-        let at_frame = job.at(frame)?;
+    /// Picture of a job at a frame.
+    pub(crate) fn new(at_frame: &JobAtFrame<'_>) -> Self {
         let image = at_frame.image();
         let film = image.film();
         let format = match image.format {
@@ -107,8 +107,19 @@ impl ExpectedPicture {
                 PictureFormat::Exr(channels)
             }
         };
-        let provenance = Provenance::new(&at_frame).json();
-        Ok(Self { width_px: film.width, height_px: film.height, format, provenance })
+        let provenance = Provenance::new(at_frame).json();
+        Self { width_px: film.width, height_px: film.height, format, provenance }
+    }
+
+    /// Size in memory, in bytes, about.
+    pub(crate) fn bytes(&self) -> usize {
+        let channels = match &self.format {
+            PictureFormat::Png { .. } => 0,
+            PictureFormat::Exr(channels) => {
+                channels.iter().map(|channel| size_of::<ExrChannel>() + channel.name.len()).sum()
+            }
+        };
+        self.provenance.len() + channels
     }
 
     /// Checks the ends of a file. The error says what is wrong with it.
@@ -198,7 +209,7 @@ mod tests {
                 "image": {{ "width": 8, "height": 6, "format": "{format}"{layers} }} }}"#
         );
         let job = scene::parse(text.as_bytes()).expect("a valid job");
-        ExpectedPicture::new(&job, 0).expect("a valid frame")
+        ExpectedPicture::new(&job.at(0).expect("a valid frame"))
     }
 
     #[test]

@@ -51,7 +51,7 @@ mod histograms;
 mod host;
 mod http;
 mod integrity;
-mod job_cache;
+mod job_reader;
 mod listen;
 mod lock;
 mod maintenance;
@@ -104,6 +104,7 @@ pub use data_folder::{
 };
 pub use db::{DatabaseError, ParseDatabaseError, PostgresAddress};
 pub use integrity::{DoneTile, IntegrityError, IntegrityReport, check_integrity};
+pub use job_reader::{READER_COMMAND, run as read_jobs};
 pub use private_files::ExposedFile;
 pub use startup::StartError;
 pub use virtual_queue::{VirtualQueue, VirtualQueueError, VirtualTurn};

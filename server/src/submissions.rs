@@ -5,7 +5,7 @@
 use std::sync::Arc;
 
 use crate::db::DatabaseError;
-use crate::job_cache::{JobCache, ParseReason};
+use crate::job_reader::{FrameFacts, JobReader};
 use crate::queue::{NewJob, OpenOutcome, Queue, SubmitOptions, SubmitOutcome};
 
 /// Maximum number of frames of a job that are looked up in the picture cache at submission; the others are
@@ -16,33 +16,32 @@ const MAX_EAGER_CACHE_LOOKUPS: u32 = 64;
 #[derive(Clone, Debug)]
 pub(crate) struct Submissions {
     queue: Queue,
-    jobs: Arc<JobCache>,
+    jobs: Arc<JobReader>,
 }
 
 impl Submissions {
     /// Accepts jobs into this queue.
-    pub(crate) fn new(queue: Queue, jobs: Arc<JobCache>) -> Self {
+    pub(crate) fn new(queue: Queue, jobs: Arc<JobReader>) -> Self {
         Self { queue, jobs }
     }
 
-    /// Accepts a job, and at once stores its first frames whose pictures are cached.
+    /// Accepts a job with its first frames, and at once stores those whose pictures are cached.
     pub(crate) async fn accept(
         &self,
         new: NewJob,
-        job: Arc<scene::Job>,
+        frames: Vec<FrameFacts>,
         options: SubmitOptions,
-        reader: ParseReason<'_>,
     ) -> Result<SubmitOutcome, DatabaseError> {
-        let (plan, fresh, text_bytes) = (new.plan, new.no_cache, new.file_text.len());
+        let (plan, fresh) = (new.plan, new.no_cache);
         let submitted = self.queue.submit_with(new, options).await?;
         let SubmitOutcome::Created(number) = submitted else { return Ok(submitted) };
-        self.jobs.insert(number, text_bytes, Arc::clone(&job));
+        self.jobs.insert(number, frames);
         if fresh {
             return Ok(submitted);
         }
         for frame in 0..plan.frames.min(MAX_EAGER_CACHE_LOOKUPS) {
-            // Without a thread to parse the job, the frame is opened like any other.
-            let Ok(opening) = self.jobs.frame_opening(reader, &job, number, frame, plan).await else { break };
+            // If the job cannot be read now, the frame is opened like any other.
+            let Ok(opening) = self.jobs.frame_opening(&self.queue, number, frame, plan).await else { break };
             if !self.queue.has_picture(&opening.picture_key).await?
                 || self.queue.reuse(opening).await? != OpenOutcome::Stored
             {

@@ -2,12 +2,13 @@
 
 use proto::Rect;
 use proto::tile::Tiling;
+use serde::{Deserialize, Serialize};
 
 /// Edge of the tiles of a recorded job.
 const RECORDED_EDGE_PX: u32 = 128;
 
 /// How every frame of a job is cut into tiles.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(crate) struct TilePlan {
     /// Picture width, in pixels.
     pub(crate) width_px: u32,

@@ -26,6 +26,7 @@ pub(super) fn attacks() -> Vec<Attack> {
             name: "a track of 9,000 keys in a shape that is used 40,000 times, or in a group",
             run: shared_tracks,
         },
+        Attack { name: "small texts that take long, or much memory, to read", run: costly_texts },
     ]
 }
 
@@ -170,6 +171,17 @@ fn shared_tracks(attacker: &Attacker<'_>) {
         {
             let answer = attacker.send("POST", path, &*texts[number as usize % texts.len()]);
             assert!(answer.is_none_or(|answer| [422, 429, 503].contains(&answer.status)), "{path}");
+        }
+    });
+}
+
+/// Small texts with a million formulas of noise, and with a million nodes by doubling: of the accepted ones, many.
+fn costly_texts(attacker: &Attacker<'_>) {
+    let texts = [jobs::of_noisy_copies(900_000).to_string(), jobs::of_doublings(18).to_string()];
+    attacker.flood(4, |number| {
+        for path in ["/v1/jobs?dry_run=true", "/v1/jobs", "/v1/pick?x=0.5&y=0.5", "/v1/price"] {
+            let answer = attacker.send("POST", path, &*texts[number as usize % texts.len()]);
+            assert!(answer.is_none_or(|answer| [200, 201, 422, 429, 503].contains(&answer.status)), "{path}");
         }
     });
 }

@@ -63,6 +63,7 @@ pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
         listen: ([127, 0, 0, 1], 0).into(),
         data: data.path().to_owned(),
         worker_program: current_executable()?,
+        job_reader: Some(current_executable()?),
         ..Config::default()
     };
     let server = Server::start(config).await?;

@@ -177,6 +177,7 @@ impl Arguments {
             rates: self.rates.rates(),
             webhook_secret: self.webhook_secret,
             worker_program: current_executable()?,
+            job_reader: Some(current_executable()?),
             worker_env,
             ..Config::default()
         })

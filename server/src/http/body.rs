@@ -5,6 +5,7 @@ use std::ops::Deref;
 use std::sync::Arc;
 
 use axum::body::{Body, BodyDataStream};
+use axum::extract::rejection::QueryRejection;
 use axum::extract::{FromRef, FromRequest, Query, Request};
 use axum::http::{HeaderMap, Uri, header};
 use bytes::{Bytes, BytesMut};
@@ -16,7 +17,7 @@ use crate::admission::{CallerClass, Holder, Shares, UNCOUNTED_BYTES};
 use crate::budget::Share;
 use crate::http::content_encoding::ContentEncoding;
 use crate::http::error::ApiError;
-use crate::job_cache::{JobCache, ParseReason};
+use crate::job_reader::JobReader;
 
 /// Of a body that is too large, this many bytes are read and discarded, so that the client reads the response.
 const MAX_DISCARDED_BYTES: usize = 64 << 20;
@@ -36,7 +37,7 @@ pub(in crate::http) fn expect_json(headers: &HeaderMap) -> Result<(), ApiError> 
 pub(in crate::http) struct RequestBody {
     body: Body,
     shares: Arc<Shares>,
-    jobs: Arc<JobCache>,
+    jobs: Arc<JobReader>,
     holder: Holder,
     share: Share,
 }
@@ -113,7 +114,7 @@ impl Deref for BodyBytes {
 impl<S: Sync> FromRequest<S> for RequestBody
 where
     Arc<Shares>: FromRef<S>,
-    Arc<JobCache>: FromRef<S>,
+    Arc<JobReader>: FromRef<S>,
 {
     type Rejection = Infallible;
 
@@ -175,7 +176,7 @@ pub(in crate::http) async fn read_encoded(
     let packed = read(request, limit_bytes).await?;
     let Some(encoding) = encoding else { return Ok(packed) };
     let (name, room) = (holder.name.clone(), Room::new(holder, &shares));
-    jobs.run(ParseReason::Submitter(&name), move || unpack(encoding, &packed, limit_bytes, room)).await?
+    jobs.run(&name, move || unpack(encoding, &packed, limit_bytes, room)).await?
 }
 
 /// Unpacks a body into a room of its own.
@@ -193,6 +194,12 @@ pub(in crate::http) async fn read_json<T: DeserializeOwned>(
     expect_json(headers)?;
     ContentEncoding::expect_none(headers)?;
     let bytes = read(body, limit_bytes).await?;
+    if let Some(at) = escaped_nul(&bytes) {
+        let lines: Vec<&[u8]> = bytes[..at].split(|byte| *byte == b'\n').collect();
+        let (line, column) = (lines.len() as u32, lines.last().map_or(0, |last| last.len()) as u32 + 1);
+        let message = "has the character \\u0000, which cannot be stored: leave it out".to_owned();
+        return Err(ApiError::WrongBody(vec![ValidationErrorView { pointer: String::new(), message, line, column }]));
+    }
     let mut reader = serde_json::Deserializer::from_slice(&bytes);
     let value = serde_path_to_error::deserialize(&mut reader).map_err(|error| reject(&error))?;
     reader.end().map_err(|error| not_json(&error))?;
@@ -201,6 +208,19 @@ pub(in crate::http) async fn read_json<T: DeserializeOwned>(
         return Err(invalid_body("", "the body is a list: send an object".to_owned()));
     }
     Ok(value)
+}
+
+/// Offset of the first escape of NUL in a JSON text, which cannot have it otherwise.
+fn escaped_nul(text: &[u8]) -> Option<usize> {
+    let mut from = 0;
+    while let Some(at) = text[from..].iter().position(|byte| *byte == b'\\').map(|at| from + at) {
+        if text[at..].starts_with(br"\u0000") {
+            return Some(at);
+        }
+        // The escaped character may be a backslash.
+        from = (at + 2).min(text.len());
+    }
+    None
 }
 
 fn reject(error: &serde_path_to_error::Error<serde_json::Error>) -> ApiError {
@@ -229,12 +249,16 @@ pub(in crate::http) fn invalid_body(pointer: &str, message: String) -> ApiError 
     ApiError::WrongBody(vec![ValidationErrorView { pointer: pointer.to_owned(), message, line: 1, column: 1 }])
 }
 
-/// Reads a request's query.
+/// Reads a request's query, in which a line may end but no other control character stand.
 pub(in crate::http) fn read_query<T: DeserializeOwned>(uri: &Uri) -> Result<T, ApiError> {
-    match Query::try_from_uri(uri) {
-        Ok(Query(query)) => Ok(query),
-        Err(error) => Err(ApiError::WrongQuery(error.body_text())),
+    let is_wrong = |letter: char| letter.is_control() && !matches!(letter, '\t' | '\n' | '\r');
+    let wrong = |error: QueryRejection| ApiError::WrongQuery(error.body_text());
+    let Query(pairs) = Query::<Vec<(String, String)>>::try_from_uri(uri).map_err(wrong)?;
+    if let Some((name, _)) = pairs.iter().find(|(name, value)| name.contains(is_wrong) || value.contains(is_wrong)) {
+        let name = proto::plain_text::escape_line(name);
+        return Err(ApiError::WrongQuery(format!("{name} has a control character: leave it out")));
     }
+    Query::try_from_uri(uri).map(|Query(query)| query).map_err(wrong)
 }
 
 /// Length of a page: `asked`, or the default.

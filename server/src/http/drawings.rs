@@ -21,7 +21,7 @@ use crate::http::error::ApiError;
 use crate::http::frames::images;
 use crate::http::jobs::job_body;
 use crate::http::state::handle_group;
-use crate::job_cache::JobCache;
+use crate::job_reader::JobReader;
 use crate::preview_helper::{HelperError, PreviewHelper};
 
 /// Default width of a picture.
@@ -47,7 +47,7 @@ handle_group! {
     /// Handles of pictures of jobs that are being edited.
     Drawings {
         /// Validates jobs.
-        jobs: Arc<JobCache>,
+        jobs: Arc<JobReader>,
         /// Draws.
         preview_helper: Arc<PreviewHelper>,
     }

@@ -13,7 +13,7 @@ use crate::http::body::RequestBody;
 use crate::http::error::ApiError;
 use crate::http::frames::{images, range};
 use crate::http::jobs::job_body;
-use crate::job_cache::{JobCache, ParseReason};
+use crate::job_reader::JobReader;
 use crate::shipped_scenes;
 
 /// The table of nodes, as it is served, and its entity tag.
@@ -79,14 +79,13 @@ pub(in crate::http) async fn scene(Path(name): Path<String>) -> Result<Response,
     responses((status = 200, description = "The text, formatted", body = ref("#/components/schemas/Job")))
 )]
 pub(in crate::http) async fn format(
-    State(jobs): State<Arc<JobCache>>,
+    State(jobs): State<Arc<JobReader>>,
     headers: HeaderMap,
     request: RequestBody,
 ) -> Result<Response, ApiError> {
     let submitter = request.holder().name.clone();
     let (text, room) = job_body::text(&headers, request).await?;
-    let (text_bytes, work) = (text.len(), move || scene::format(&text));
-    let formatted = jobs.read(ParseReason::Submitter(&submitter), text_bytes, work).await??;
+    let formatted = jobs.format(&submitter, text).await?;
     drop(room);
     let mut response = ([(header::CONTENT_TYPE, "application/json")], formatted).into_response();
     images::set(&mut response, header::CACHE_CONTROL, "no-store");

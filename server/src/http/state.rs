@@ -15,7 +15,7 @@ use crate::config::Config;
 use crate::estimate::Estimator;
 use crate::events::EventHub;
 use crate::farm_events::FarmEvents;
-use crate::job_cache::JobCache;
+use crate::job_reader::JobReader;
 use crate::orphans::Orphans;
 use crate::pictures::Pictures;
 use crate::pool::Pool;
@@ -69,7 +69,7 @@ handles_of_state! {
     /// Events of all jobs.
     farm_events: Arc<FarmEvents>,
     /// Parsed job files.
-    jobs: Arc<JobCache>,
+    jobs: Arc<JobReader>,
     /// Signer of links.
     links: Arc<LinkSigner>,
     /// Announcement of orphans.

@@ -20,7 +20,7 @@ use crate::estimate::Estimator;
 use crate::events::EventHub;
 use crate::farm_events::FarmEvents;
 use crate::http::{ApiState, Handles};
-use crate::job_cache::JobCache;
+use crate::job_reader::JobReader;
 use crate::listen::Listeners;
 use crate::lock::FolderLock;
 use crate::maintenance::{ChangeFinisher, Cleanup, HistoryRecorder, LeaseExpiry, Maintenance, OrphanSweep};
@@ -156,7 +156,7 @@ impl Foundation {
             audit_log: Arc::clone(&audit_log),
             rate_limits: Arc::clone(&rate_limits),
         };
-        let jobs = Arc::new(JobCache::new());
+        let jobs = Arc::new(JobReader::new(config.job_reader.clone()));
         let state = ApiState::new(Handles {
             alerts,
             api_keys,
@@ -239,7 +239,7 @@ impl Foundation {
         Telemetry::new(self.config.data.clone(), database, self.queue.clone(), content, counters)
     }
 
-    fn worker_sync(&self, jobs: &Arc<JobCache>, orphans: Orphans) -> WorkerSync {
+    fn worker_sync(&self, jobs: &Arc<JobReader>, orphans: Orphans) -> WorkerSync {
         WorkerSync {
             queue: self.queue.clone(),
             results: ResultCheck::new(self.queue.clone(), Arc::clone(&self.content), Arc::clone(jobs)),

@@ -1,11 +1,11 @@
-//! Prepares the frames that a claim must open: their jobs are parsed, and the keys of their pictures computed.
+//! Prepares the frames that a claim must open: the keys of their pictures are read from their jobs.
 
 use std::sync::Arc;
 
 use tokio::sync::{Semaphore, SemaphorePermit};
 
 use crate::db::DatabaseError;
-use crate::job_cache::{JobCache, JobLoadError, ParseReason};
+use crate::job_reader::{JobLoadError, JobReader};
 use crate::queue::{FrameOpening, Queue};
 use crate::tile_plan::TilePlan;
 
@@ -13,7 +13,7 @@ use crate::tile_plan::TilePlan;
 #[derive(Debug)]
 pub(crate) struct FrameOpenings {
     queue: Queue,
-    jobs: Arc<JobCache>,
+    jobs: Arc<JobReader>,
     /// Syncs open frames one at a time. All are to open the same frame, the next one, so that of `n` at once one
     /// would succeed and `n - 1` try again.
     turn: Semaphore,
@@ -29,7 +29,7 @@ pub(super) struct OpeningTurn<'a> {
 
 impl FrameOpenings {
     /// Prepares frames of this queue's jobs.
-    pub(crate) fn new(queue: Queue, jobs: Arc<JobCache>) -> Self {
+    pub(crate) fn new(queue: Queue, jobs: Arc<JobReader>) -> Self {
         Self { queue, jobs, turn: Semaphore::new(1) }
     }
 
@@ -49,11 +49,7 @@ impl FrameOpenings {
         frame: u32,
         plan: TilePlan,
     ) -> Result<Option<FrameOpening>, DatabaseError> {
-        let opening = match self.jobs.get(&self.queue, number).await {
-            Ok(job) => self.jobs.frame_opening(ParseReason::Claim(number), &job, number, frame, plan).await,
-            Err(error) => Err(error),
-        };
-        match opening {
+        match self.jobs.frame_opening(&self.queue, number, frame, plan).await {
             Ok(opening) => Ok(Some(opening)),
             Err(JobLoadError::Store(error)) => Err(error),
             Err(error @ JobLoadError::Refused(_)) => {
@@ -61,7 +57,12 @@ impl FrameOpenings {
                 self.queue.fail_unreadable(number, error.to_string()).await?;
                 Ok(None)
             }
-            Err(error @ (JobLoadError::Gone | JobLoadError::Thread | JobLoadError::TooManyWaiting { .. })) => {
+            Err(
+                error @ (JobLoadError::Gone
+                | JobLoadError::Broken(_)
+                | JobLoadError::Unexpected
+                | JobLoadError::TooManyWaiting { .. }),
+            ) => {
                 tracing::error!(job = number, %error, "could not open a frame");
                 Ok(None)
             }

@@ -9,7 +9,7 @@ use proto::worker_protocol::LeaseOutcome;
 use super::SyncError;
 use crate::blobs::{BlobStore, ContentHash, ContentKind};
 use crate::delivery_check::check_blob;
-use crate::job_cache::{JobCache, JobLoadError, ParseReason};
+use crate::job_reader::{JobLoadError, JobReader};
 use crate::queue::{CheckedNames, Queue, RejectedResult, ReportedTile, SyncInput, content_of};
 
 /// Number of characters that are kept of the name of a rejected result.
@@ -41,12 +41,12 @@ struct Delivered {
 pub(crate) struct ResultCheck {
     queue: Queue,
     content: Arc<BlobStore>,
-    jobs: Arc<JobCache>,
+    jobs: Arc<JobReader>,
 }
 
 impl ResultCheck {
     /// Checks the results that these stores have, against the jobs of the queue.
-    pub(crate) fn new(queue: Queue, content: Arc<BlobStore>, jobs: Arc<JobCache>) -> Self {
+    pub(crate) fn new(queue: Queue, content: Arc<BlobStore>, jobs: Arc<JobReader>) -> Self {
         Self { queue, content, jobs }
     }
 
@@ -120,26 +120,23 @@ impl ResultCheck {
         let Some(tile) = &delivered.tile else { return Ok(Verdict::Right) };
         let checked = match delivered.kind {
             ContentKind::Blob => check_blob(&file, tile.rect, tile.pixel_bytes),
-            ContentKind::Picture => {
-                let expected = match self.jobs.get(&self.queue, tile.job).await {
-                    Ok(job) => self.jobs.expected_picture(ParseReason::Claim(tile.job), &job, tile.frame).await,
-                    Err(error) => Err(error),
-                };
-                match expected {
-                    Ok(Ok(expected)) => expected.check(&file),
-                    Ok(Err(error)) => Err(format!("its frame cannot be rendered: {error}")),
-                    Err(JobLoadError::Store(error)) => return Err(error.into()),
-                    Err(
-                        error @ (JobLoadError::Gone
-                        | JobLoadError::Refused(_)
-                        | JobLoadError::Thread
-                        | JobLoadError::TooManyWaiting { .. }),
-                    ) => {
-                        tracing::warn!(job = tile.job, %error, "could not check a picture; its tile is requeued");
-                        return Ok(Verdict::Missing);
-                    }
+            ContentKind::Picture => match self.jobs.frame(&self.queue, tile.job, tile.frame).await {
+                Ok(facts) => match &facts.expected {
+                    Ok(expected) => expected.check(&file),
+                    Err(error) => Err(format!("its frame cannot be rendered: {error}")),
+                },
+                Err(JobLoadError::Store(error)) => return Err(error.into()),
+                Err(
+                    error @ (JobLoadError::Gone
+                    | JobLoadError::Refused(_)
+                    | JobLoadError::Broken(_)
+                    | JobLoadError::Unexpected
+                    | JobLoadError::TooManyWaiting { .. }),
+                ) => {
+                    tracing::warn!(job = tile.job, %error, "could not check a picture; its tile is requeued");
+                    return Ok(Verdict::Missing);
                 }
-            }
+            },
         };
         Ok(checked.map_or_else(Verdict::Wrong, |()| Verdict::Right))
     }

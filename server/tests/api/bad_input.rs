@@ -74,6 +74,38 @@ async fn unknown_routes_jobs_and_methods_are_problems_too() {
     farm.stop().await;
 }
 
+/// PostgreSQL stores no NUL, and `SQLite` does: no text with one reaches either.
+#[tokio::test]
+async fn texts_with_control_characters_are_rejected() {
+    let farm = Farm::start().await;
+    let mut job = small_job(1);
+    for name in ["a\0b", "a\nb", "\u{1b}[31m"] {
+        job["name"] = name.into();
+        let problem = refused(farm.post("/v1/jobs", job.to_string()).await, 422, "wrong_job").await;
+        assert_eq!(problem.errors[0].pointer, "/name", "{name:?}");
+    }
+    for path in ["jobs?match=a%00b", "jobs?state=%00", "jobs?cursor=%00", "jobs?picture=%00", "audit?cursor=%00"] {
+        refused(farm.get(&format!("/v1/{path}")).await, 422, "wrong_query").await;
+    }
+    let job = small_job(1).to_string();
+    for query in ["keep=%00", "webhook=http://a.example/%00", "set=name=%22%00%22", "%00=1"] {
+        let problem = refused(farm.post(&format!("/v1/jobs?{query}"), job.clone()).await, 422, "wrong_query").await;
+        assert!(problem.detail.contains("has a control character"), "{problem:?}");
+    }
+    for path in ["jobs/%00", "keys/%00", "workers/%00/drain", "pictures/%00", "scenes/%00"] {
+        refused(farm.get(&format!("/v1/{path}")).await, 400, "wrong_request").await;
+    }
+    let body = "{\n  \"name\": \"a\\\\\\u0000\" }";
+    let problem = refused(farm.post("/v1/keys", body).await, 422, "wrong_body").await;
+    assert_eq!((problem.errors[0].line, problem.errors[0].column), (2, 15), "{problem:?}");
+    let register = json!({ "name": "a\0b", "device": "\0", "picture_version": 1 }).to_string();
+    for route in [worker_protocol::REGISTER_PATH, worker_protocol::SYNC_PATH] {
+        let problem = refused(farm.post(route, register.clone()).await, 422, "wrong_body").await;
+        assert!(problem.errors[0].message.contains("cannot be stored"), "{problem:?}");
+    }
+    farm.stop().await;
+}
+
 #[tokio::test]
 async fn a_pool_of_an_impossible_size_is_rejected() {
     let farm = Farm::start().await;
@@ -94,7 +126,7 @@ async fn a_pool_of_an_impossible_size_is_rejected() {
 #[tokio::test]
 async fn foreign_hosts_and_origins_are_rejected() {
     let farm = Farm::start().await;
-    for host in ["evil.example", "evil.example:8080", "localhost.evil.example"] {
+    for host in ["evil.example", "evil.example:8080", "localhost.evil.example", "evil@127.0.0.1"] {
         refused(send(&farm, Method::GET, "/livez", &[(HOST, host)], "").await, 403, "foreign_host").await;
         refused(send(&farm, Method::POST, "/v1/jobs", &[(HOST, host)], "{}").await, 403, "foreign_host").await;
     }
@@ -107,6 +139,8 @@ async fn foreign_hosts_and_origins_are_rejected() {
         refused(send(&farm, Method::PUT, "/v1/pool", &[(ORIGIN, origin)], "{}").await, 403, "foreign_origin").await;
     }
     let own = format!("http://{}", farm.address);
+    let both = [(ORIGIN, own.as_str()), (ORIGIN, "http://evil.example")];
+    refused(send(&farm, Method::POST, "/v1/jobs", &both, &body).await, 400, "wrong_request").await;
     assert_eq!(send(&farm, Method::POST, "/v1/jobs", &[(ORIGIN, &own)], &body).await.status(), StatusCode::CREATED);
     farm.stop().await;
 }

@@ -123,6 +123,7 @@ impl BenchFarm {
             data: data.path().to_owned(),
             database,
             worker_program: program.file()?,
+            job_reader: Some(program.file()?),
             devices: vec!["cpu".to_owned()],
             workers: Some(workers),
             tile_edge_px: tile_px,

@@ -43,6 +43,7 @@ pub(crate) async fn measure(text: &[u8], devices: Vec<String>, jobs: usize, fram
         listen: ([127, 0, 0, 1], 0).into(),
         data: data.path().to_owned(),
         worker_program: current_executable()?,
+        job_reader: Some(current_executable()?),
         devices,
         ..Config::default()
     };

@@ -14,8 +14,7 @@ use crate::http::body::{self, RequestBody};
 use crate::http::error::ApiError;
 use crate::http::jobs::job_body;
 use crate::http::state::handle_group;
-use crate::job_cache::{JobCache, ParseReason};
-use crate::tile_plan::TilePlan;
+use crate::job_reader::JobReader;
 
 handle_group! {
     /// Handles of prices.
@@ -23,7 +22,7 @@ handle_group! {
         /// Has the prices of the operator.
         config: Arc<Config>,
         /// Parses job files.
-        jobs: Arc<JobCache>,
+        jobs: Arc<JobReader>,
         /// Measures jobs.
         estimator: Arc<Estimator>,
     }
@@ -62,10 +61,7 @@ pub(in crate::http) async fn price(
     let submitter = request.holder().name.clone();
     let (text, room) = job_body::text(&headers, request).await?;
     let edge_px = prices.config.tile_edge_px;
-    let plan = move |job: scene::Job| TilePlan::new(&job, edge_px);
-    let parsed =
-        prices.jobs.parse(ParseReason::Submitter(&submitter), text.clone(), move |parsed| parsed.map(plan)).await?;
-    let plan = parsed?;
+    let plan = prices.jobs.job(&submitter, text.clone(), false, edge_px).await?.plan;
     let text = String::from_utf8(text.into()).map_err(|error| ApiError::Internal(Box::new(error)))?;
     let parts = PriceParts { map, savings: savings.unwrap_or(true) };
     let price = prices.estimator.price(&submitter, text, plan, parts, &prices.config.rates).await?;

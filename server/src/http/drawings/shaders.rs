@@ -14,7 +14,7 @@ use crate::http::body::{self, RequestBody};
 use crate::http::error::ApiError;
 use crate::http::jobs::job_body::{self, JobBody};
 use crate::http::state::handle_group;
-use crate::job_cache::JobCache;
+use crate::job_reader::JobReader;
 use crate::preview_helper::PreviewHelper;
 
 /// Maximum width of a picture.
@@ -24,7 +24,7 @@ handle_group! {
     /// Handles of programs.
     Shaders {
         /// Checks job files.
-        jobs: Arc<JobCache>,
+        jobs: Arc<JobReader>,
         /// Makes programs.
         preview_helper: Arc<PreviewHelper>,
     }

@@ -4,7 +4,7 @@ use super::{ApiError, chain};
 use crate::api_keys::ApiKeyError;
 use crate::blobs::ContentError;
 use crate::db::DatabaseError;
-use crate::job_cache::JobLoadError;
+use crate::job_reader::{JobLoadError, Refusal};
 use crate::preview_helper::HelperError;
 use crate::retention::RetentionError;
 use crate::worker_sync::SyncError;
@@ -105,18 +105,16 @@ impl From<JobLoadError> for ApiError {
             JobLoadError::TooManyWaiting { name, limit } => {
                 Self::TooManyAtOnce { name, what: "jobs waiting to be read", limit }
             }
-            error @ (JobLoadError::Gone | JobLoadError::Refused(_) | JobLoadError::Thread) => {
+            JobLoadError::Refused(refusal) => refusal.into(),
+            error @ (JobLoadError::Gone | JobLoadError::Broken(_) | JobLoadError::Unexpected) => {
                 Self::Internal(Box::new(error))
             }
         }
     }
 }
 
-impl From<scene::ParseError> for ApiError {
-    fn from(refusal: scene::ParseError) -> Self {
-        match refusal {
-            scene::ParseError::NotJson(fault) => Self::NotJson(vec![(&fault).into()]),
-            scene::ParseError::Invalid(faults) => Self::WrongJob(faults.iter().map(Into::into).collect()),
-        }
+impl From<Refusal> for ApiError {
+    fn from(refusal: Refusal) -> Self {
+        if refusal.is_json { Self::WrongJob(refusal.errors) } else { Self::NotJson(refusal.errors) }
     }
 }

@@ -12,7 +12,6 @@ use crate::http::error::ApiError;
 use crate::http::jobs::job_id;
 use crate::http::jobs::merge_patch;
 use crate::http::jobs::submission::{Intake, Submission};
-use crate::job_cache::ParseReason;
 use crate::queue::Queue;
 
 /// Maximum size of changes; a larger change should be a new job file.
@@ -77,8 +76,8 @@ pub(in crate::http) async fn resubmit(
     let text = if changes.trim_ascii().is_empty() {
         text
     } else {
-        let reader = ParseReason::Submitter(&holder.name);
-        intake.jobs.run(reader, move || merge_patch::apply(&scene::plain_json(&text), &changes)).await??
+        let merge = move || merge_patch::apply(&scene::plain_json(&text), &changes);
+        intake.jobs.run(&holder.name, merge).await??
     };
     if text.len() > scene::limits::MAX_BODY_BYTES {
         return Err(ApiError::TooLarge { limit_bytes: scene::limits::MAX_BODY_BYTES as u64 });

@@ -3,12 +3,11 @@
 
 use axum::http::HeaderMap;
 use bytes::Bytes;
-use scene::Job;
 
 use crate::http::body::{self, RequestBody, Room};
 use crate::http::content_encoding::ContentEncoding;
 use crate::http::error::ApiError;
-use crate::job_cache::{JobCache, ParseReason};
+use crate::job_reader::JobReader;
 
 /// A valid job file.
 #[derive(Debug)]
@@ -28,27 +27,18 @@ pub(in crate::http) async fn text(headers: &HeaderMap, request: RequestBody) -> 
 
 /// Reads the job file of a request for one of its frames.
 pub(in crate::http) async fn read(
-    jobs: &JobCache,
+    jobs: &JobReader,
     headers: &HeaderMap,
     request: RequestBody,
     frame: u32,
 ) -> Result<JobBody, ApiError> {
     let submitter = request.holder().name.clone();
     let (text, room) = text(headers, request).await?;
-    let checked = text.clone();
-    let check = move |parsed: Result<Job, scene::ParseError>| check_frame(&checked, &parsed?, frame);
-    jobs.parse(ParseReason::Submitter(&submitter), text.clone(), check).await??;
-    let text = String::from_utf8(text.into()).map_err(|error| ApiError::Internal(Box::new(error)))?;
-    Ok(JobBody { text, _room: room })
-}
-
-fn check_frame(text: &[u8], job: &Job, frame: u32) -> Result<(), ApiError> {
-    let count = job.frames.count;
-    if frame >= count {
+    if let Err(count) = jobs.check_frame(&submitter, text.clone(), frame).await? {
         let frames =
             if count == 1 { "its only frame is 0".to_owned() } else { format!("its frames are 0 to {}", count - 1) };
         return Err(ApiError::WrongQuery(format!("the job has no frame {frame}: {frames}")));
     }
-    job.at(frame).map_err(|error| scene::error_in_frame(text, error))?;
-    Ok(())
+    let text = String::from_utf8(text.into()).map_err(|error| ApiError::Internal(Box::new(error)))?;
+    Ok(JobBody { text, _room: room })
 }

@@ -25,12 +25,11 @@ use crate::http::jobs::prefer::JobWaiter;
 use crate::http::jobs::{quota, submit_options};
 use crate::http::state::handle_group;
 use crate::http::workers::trace_context;
-use crate::job_cache::{JobCache, ParseReason};
+use crate::job_reader::{JobFacts, JobReader};
 use crate::queue::{NewJob, Queue, SubmitOutcome};
 use crate::shutdown::Shutdown;
 use crate::space_reserve::SpaceReserve;
 use crate::submissions::Submissions;
-use crate::tile_plan::TilePlan;
 use crate::webhooks::AddressPolicy;
 
 handle_group! {
@@ -53,7 +52,7 @@ handle_group! {
         /// Handles that decide whether a body is worth reading.
         gate: SubmissionGate,
         /// Parses job files.
-        jobs: Arc<JobCache>,
+        jobs: Arc<JobReader>,
         /// Addresses that webhooks may have.
         webhook_addresses: Arc<AddressPolicy>,
         /// Estimates jobs that are only validated.
@@ -143,44 +142,37 @@ impl Submission {
         room: Room,
     ) -> Result<Response, ApiError> {
         let Self { caller, uri, headers, submitter, query, keep, tile_seconds, based_on } = self;
-        let reader = ParseReason::Submitter(&submitter);
         let values = submit_options::values(&uri)?;
         let text = if values.is_empty() {
             text
         } else {
-            intake.jobs.run(reader, move || submit_options::with_values(&values, text)).await??
+            let changed = intake.jobs.set(&submitter, text, values).await?;
+            changed.map_err(ApiError::WrongQuery)?.into()
         };
         let limits = quota::limits(&intake.gate.config, &caller);
         let options = submit_options::read(&uri, &headers, &text, &intake.webhook_addresses, limits)?;
         let (dry_run, edge_px) = (query.dry_run, intake.gate.config.tile_edge_px);
+        let JobFacts { name, priority, plan, warnings, is_png, nodes, frames } =
+            intake.jobs.job(&submitter, text.clone(), !dry_run, edge_px).await?;
         let recorded = query.record || based_on.is_some();
-        let read = move |job: scene::Job| {
-            let plan = TilePlan::new(&job, edge_px);
-            let plan = if recorded { plan.recorded() } else { plan };
-            let (priority, warnings) = (job.priority, scene::warnings(&job));
-            // A large job takes hundreds of megabytes: a dry run drops it here, before another one is parsed.
-            // Cutting it into leaves takes as long as parsing it.
-            (plan, priority, warnings, (!dry_run).then(|| (scene::compiled_nodes(&job), job)))
-        };
-        let parsed = intake.jobs.parse(reader, text.clone(), move |parsed| parsed.map(read)).await?;
-        let (plan, priority, warnings, job) = parsed?;
+        let plan = if recorded { plan.recorded() } else { plan };
         quota::check_priority(&caller, priority)?;
-        let Some((nodes, job)) = job else {
+        if dry_run {
             let (tiles, rays) = (plan.tiles_total(), plan.rays_total());
             let estimate = intake.estimator.estimate(&submitter, into_utf8(text)?, plan).await;
             let frames = plan.frames.into();
             return Ok(Json(DryRun { valid: true, tiles, frames, rays, estimate, warnings }).into_response());
-        };
+        }
         let id = JobId::new();
         audit_log::describe(|record| record.job = Some(id));
         let new = NewJob {
             id,
-            name: job.name.clone(),
+            name,
             submitter: caller.name().to_owned(),
-            priority: job.priority,
+            priority,
             nodes,
             plan,
-            media_type: media_type(&job.image),
+            media_type: if is_png { "image/png" } else { "image/x-exr" },
             warnings,
             no_cache: submit_options::has_no_cache(&headers),
             retention: keep,
@@ -190,7 +182,7 @@ impl Submission {
             file_text: into_utf8(text)?,
         };
         trace_context::store_trace(&intake.gate.queue, id, &headers).await?;
-        let submitting = intake.submissions.accept(new, Arc::new(job), options, reader);
+        let submitting = intake.submissions.accept(new, frames, options);
         let (status, id) = match submitting.instrument(tracing::info_span!("submit", job = %id)).await? {
             SubmitOutcome::Created(_) => (StatusCode::CREATED, id),
             SubmitOutcome::Replayed(id) => (StatusCode::OK, id),
@@ -227,12 +219,4 @@ async fn recorded_job(queue: &Queue, caller: &Caller, id: &str) -> Result<JobId,
 /// Body of a submission.
 fn into_utf8(text: bytes::Bytes) -> Result<String, ApiError> {
     String::from_utf8(text.into()).map_err(|error| ApiError::Internal(Box::new(error)))
-}
-
-/// The media type of a job's pictures.
-fn media_type(image: &scene::ImageSpec) -> &'static str {
-    match image.format {
-        scene::Format::Png => "image/png",
-        scene::Format::Exr => "image/x-exr",
-    }
 }

@@ -1,7 +1,6 @@
 //! Options of a submission, read from headers and query: `Idempotency-Key`, webhooks.
 
 use axum::http::{HeaderMap, Uri, header};
-use bytes::Bytes;
 use reqwest::Url;
 
 use crate::http::auth::Caller;
@@ -96,16 +95,6 @@ pub(in crate::http) fn values(uri: &Uri) -> Result<Vec<(String, String)>, ApiErr
         )));
     }
     Ok(values)
-}
-
-/// Text of a job with these values. A text that is not UTF-8 is rejected when it is parsed.
-pub(in crate::http) fn with_values(values: &[(String, String)], text: Bytes) -> Result<Bytes, ApiError> {
-    let Ok(mut changed) = std::str::from_utf8(&text).map(str::to_owned) else { return Ok(text) };
-    for (path, value) in values {
-        changed = scene::set_value(&changed, path, value)
-            .map_err(|message| ApiError::WrongQuery(format!("could not set {path}: {message}")))?;
-    }
-    Ok(changed.into())
 }
 
 /// Whether the request is a replay, which adds no job to the queue.

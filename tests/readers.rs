@@ -1,0 +1,76 @@
+//! The processes that read job files: what a submitter wrote ends at most one of them, and delays no other submitter.
+
+use std::time::{Duration, Instant};
+
+use rustix::process::Signal;
+use serde_json::json;
+
+use crate::jobs;
+use crate::support::{Farm, eventually, is_alive, readers, send_signal, succeed};
+
+fn tiny(seed: u64) -> String {
+    jobs::seeded(&jobs::sized(&jobs::named("csg"), 8, 1), seed).to_string()
+}
+
+#[test]
+fn a_small_text_that_takes_long_to_read_is_refused_and_delays_no_other_user() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let data = folder.path().join("data");
+    let word = data.to_str().expect("plain");
+    let key = |name| succeed(&["key", "new", name, "--scope", "submit", "--data", word]).trim().to_owned();
+    let (anna, bert) = (key("anna"), key("bert"));
+    let farm = Farm::start_on(folder.path(), &["--workers", "0"]);
+    let text = jobs::of_noisy_copies(900_000).to_string();
+    let submit = |key: &str, text: &str| {
+        let bearer = format!("Bearer {key}");
+        farm.send("POST", "/v1/jobs?dry_run=true", &[("authorization", &bearer)], text.as_bytes().to_vec())
+    };
+    std::thread::scope(|scope| {
+        let costly: Vec<_> = (0..2).map(|_| scope.spawn(|| submit(&anna, &text))).collect();
+        std::thread::sleep(Duration::from_millis(500));
+        let start = Instant::now();
+        let bearer = format!("Bearer {bert}");
+        let answer = farm.send("POST", "/v1/jobs", &[("authorization", &bearer)], tiny(1).into());
+        let waited = start.elapsed();
+        assert_eq!(answer.status, 201, "{}", answer.text());
+        // Each of the two takes a process for 0.9 s of a core in a debug build, and other tests run.
+        assert!(waited < Duration::from_secs(5), "{waited:?}");
+        for answer in costly {
+            let answer = answer.join().expect("a response");
+            let problem = answer.problem(422, "wrong_job");
+            assert!(problem["errors"][0]["message"].as_str().expect("text").contains("s to read"), "{problem}");
+        }
+    });
+    assert_eq!(farm.get("/livez").status, 200);
+}
+
+#[test]
+fn readers_may_be_killed_at_any_time() {
+    let farm = Farm::start(&["--workers", "1"]);
+    let first = farm.accept(&tiny(0));
+    farm.succeeded(&first);
+    let ids: Vec<String> = (1..40)
+        .map(|seed| {
+            for reader in readers(farm.process()) {
+                send_signal(reader, Signal::KILL);
+            }
+            farm.accept(&tiny(seed))
+        })
+        .collect();
+    for id in &ids {
+        farm.succeeded(id);
+    }
+    let problem = farm.post(&json!({ "scene": 1 }).to_string()).problem(422, "wrong_job");
+    assert!(!problem["errors"].as_array().expect("a list").is_empty(), "{problem}");
+}
+
+#[test]
+fn a_killed_server_leaves_no_reader() {
+    let mut farm = Farm::start(&["--workers", "0"]);
+    farm.accept(&tiny(0));
+    let idle = readers(farm.process());
+    assert!(!idle.is_empty(), "one has read the job");
+    send_signal(farm.process(), Signal::KILL);
+    eventually("the server is dead", || farm.has_ended().then_some(()));
+    eventually("its readers are dead", || idle.iter().all(|&process| !is_alive(process)).then_some(()));
+}
