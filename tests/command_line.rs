@@ -5,7 +5,7 @@ use std::path::Path;
 use std::process::{Output, Stdio};
 
 use rustix::process::Signal;
-use serde_json::Value;
+use serde_json::{Value, json};
 
 use crate::jobs;
 use crate::support::{Farm, eventually, finish, run, sdfarm, send_signal, succeed, text, wait};
@@ -89,10 +89,30 @@ fn values_of_a_job_are_set_for_one_render() {
 }
 
 #[test]
-fn layers_in_a_png_are_rejected() {
-    let folder = folder_with(&jobs::as_exr(&jobs::quick()));
-    assert_misuse(&run_in(folder.path(), &["render", "job.json", "-o", "a.png"]), "layers");
-    assert_eq!(names_in(folder.path()), ["job.json"]);
+fn what_a_quick_render_cannot_have_is_left_out_with_a_warning() {
+    let mut job = jobs::as_exr(&jobs::quick());
+    job["scene"]["integrator"] = json!({ "path": {} });
+    for (key, value) in [("denoise", json!(true)), ("reweight_fireflies", json!(true)), ("samples", json!(16))] {
+        job["image"][key] = value;
+    }
+    job["image"]["layers"].as_array_mut().expect("a list").push(json!("noisy"));
+    let folder = folder_with(&job);
+    let render = |flags: &[&str]| {
+        let output = run_in(folder.path(), &[&["render", "job.json"], flags].concat());
+        assert!(output.status.success(), "{flags:?}: {}", text(&output.stderr));
+        text(&output.stderr)
+    };
+    let printed = render(&["-o", "a.png", "--samples", "1"]);
+    for left_out in ["image.denoise is left out", "image.reweight_fireflies is left out", "the layers are left out"] {
+        assert!(printed.contains(left_out), "{printed}");
+    }
+    let printed = render(&["-o", "b.exr", "--samples", "4"]);
+    assert!(
+        printed.contains("needs 16 samples") && !printed.contains("denoise is") && !printed.contains("layer"),
+        "{printed}"
+    );
+    let printed = render(&["-o", "c.exr", "--samples", "1"]);
+    assert!(printed.contains("the layer noisy is left out"), "{printed}");
 }
 
 #[test]

@@ -86,7 +86,7 @@ pub(crate) fn check_header(path: &Path, job: &Value) -> Option<usize> {
     Some(text(&output.stdout).trim().parse().expect("a number of positions"))
 }
 
-/// Names of the channels of a job's EXR with all layers but those of mattes and motion.
+/// Names of the channels of a job's EXR with all layers but mattes and motion.
 fn wanted_names(job: &Value) -> Vec<String> {
     let names = [
         "R", "G", "B", "A", "Z", "N.X", "N.Y", "N.Z", "P.X", "P.Y", "P.Z", "albedo.R", "albedo.G", "albedo.B", "id",

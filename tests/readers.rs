@@ -17,8 +17,9 @@ fn a_small_text_that_takes_long_to_read_is_refused_and_delays_no_other_user() {
     let folder = tempfile::tempdir().expect("a folder");
     let data = folder.path().join("data");
     let word = data.to_str().expect("plain");
-    let key = |name| succeed(&["key", "new", name, "--scope", "submit", "--data", word]).trim().to_owned();
-    let (anna, bert) = (key("anna"), key("bert"));
+    let key = |name, scope| succeed(&["key", "new", name, "--scope", scope, "--data", word]).trim().to_owned();
+    key("admin", "admin");
+    let (anna, bert) = (key("anna", "submit"), key("bert", "submit"));
     let farm = Farm::start_on(folder.path(), &["--workers", "0"]);
     let text = jobs::of_noisy_copies(900_000).to_string();
     let submit = |key: &str, text: &str| {

@@ -209,6 +209,9 @@ impl ApiKeys {
 
     /// Revokes the key with this id, or all keys of this name, and ends their open requests.
     pub(crate) async fn revoke(&self, id_or_name: &str) -> Result<Vec<ApiKeyView>, ApiKeyError> {
+        if id_or_name.contains('\0') {
+            return Err(ApiKeyError::Unknown(id_or_name.to_owned()));
+        }
         let (which, now_ms) = (id_or_name.to_owned(), self.clock.wall_ms());
         let revoked = self
             .store

@@ -113,7 +113,7 @@ impl JobReader {
         }
     }
 
-    /// What a job is, of which `accept` says whether it is to be accepted; `edge_px` is the operator's edge of a tile.
+    /// Reads a job, with the facts for its acceptance if `accept`; `edge_px` is the operator's edge of a tile.
     pub(crate) async fn job(
         &self,
         submitter: &str,
@@ -163,7 +163,7 @@ impl JobReader {
         }
     }
 
-    /// What a frame of a job of the queue is: known, or read from the job's file.
+    /// Facts of a frame of the queue's job: known, or read from the job's file.
     pub(crate) async fn frame(&self, queue: &Queue, number: i64, frame: u32) -> Result<Arc<FrameFacts>, JobLoadError> {
         if let Some(known) = self.find(number, frame) {
             return Ok(known);
@@ -274,7 +274,7 @@ fn answered(answer: Answer) -> Result<Answer, JobLoadError> {
     }
 }
 
-/// What a file takes too much of, and the fix.
+/// Error of a file that takes too much, and the fix.
 fn excess(cost: Cost) -> String {
     match cost {
         Cost::Time => format!(

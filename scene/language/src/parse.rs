@@ -35,8 +35,8 @@ use crate::job::Job;
 use crate::json::{Outline, OutlineError, OutlineErrorKind, SyntaxError, Tree};
 use crate::lights::PlacedLight;
 use crate::limits::{
-    MAX_JSON_DEPTH, MAX_KEY_BYTES, MAX_LIGHTS, MAX_MATERIALS, MAX_NODE_DEPTH, MAX_PIXELS, MAX_RAYS, MAX_VALUES,
-    MIN_REWEIGHTED_SAMPLES,
+    MAX_JSON_DEPTH, MAX_KEY_BYTES, MAX_LIGHTS, MAX_MATERIALS, MAX_NAME_CHARS, MAX_NODE_DEPTH, MAX_PIXELS, MAX_RAYS,
+    MAX_VALUES, MIN_REWEIGHTED_SAMPLES,
 };
 use crate::sample_count::AdaptiveSamples;
 use crate::seek::{FrameTime, Seek};
@@ -302,8 +302,11 @@ fn faults_of_document(document: &JobDocument) -> SemanticErrors {
     let mut faults = SemanticErrors::new();
     let mut fault = |pointer: &str, message: String| faults.push((pointer.to_owned(), message));
     let JobDocument { schema: _, name, scene, image: _, frames: _, priority: _ } = document;
-    if let Some(message) = names::name_error(name) {
-        fault("/name", message);
+    if name.chars().count() > MAX_NAME_CHARS {
+        fault("/name", format!("is longer than {MAX_NAME_CHARS} characters"));
+    }
+    if name.contains('\0') {
+        fault("/name", "has the character \\u0000, which cannot be stored: leave it out".to_owned());
     }
     for (key, message) in scene.camera.errors() {
         fault(&format!("/scene/camera/{key}"), message.to_owned());

@@ -21,14 +21,14 @@ const FRAMES_BYTES: usize = 256 << 10;
 /// Question about a job file.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(crate) enum Question {
-    /// What the job is: [`Answer::Job`]. With what else a job is accepted with, if it is.
+    /// Facts of the job: [`Answer::Job`].
     Job {
         /// Whether it is to be accepted.
         accept: bool,
         /// Edge of a tile requested by the operator, in pixels.
         edge_px: Option<u32>,
     },
-    /// What frames from this one on are: [`Answer::Frames`], as many as are found in a short time.
+    /// Facts of frames from this one on: [`Answer::Frames`], as many as are found in a short time.
     Frames {
         /// The first frame.
         first: u32,
@@ -46,7 +46,7 @@ pub(crate) enum Question {
 pub(crate) enum Answer {
     /// The file is no valid job.
     Refused(Refusal),
-    /// What a job is.
+    /// Facts of a job.
     Job(Box<JobFacts>),
     /// Frames of a job.
     Frames(Vec<FrameFacts>),
@@ -71,7 +71,7 @@ pub(crate) struct Refusal {
     message: String,
 }
 
-/// What a job is.
+/// Facts of a job.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(crate) struct JobFacts {
     pub(crate) name: String,
@@ -85,7 +85,7 @@ pub(crate) struct JobFacts {
     pub(crate) frames: Vec<FrameFacts>,
 }
 
-/// What a frame of a job is.
+/// Facts of a frame of a job.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(crate) struct FrameFacts {
     pub(crate) frame: u32,

@@ -1,7 +1,7 @@
 //! The process that reads job files for a server: it gets a question and a text on standard input, answers on standard
 //! output, and ends when its input does.
 //!
-//! What a submitter wrote can at worst end this process.
+//! A submitter's text can at worst end this process.
 
 use std::io::{self, BufReader, BufWriter, Read, Write};
 

@@ -25,7 +25,7 @@ const MAX_ATTEMPTS: u32 = 5;
 /// Clock ticks per second of `/proc`, the same on all of Linux.
 const TICKS_PER_SECOND: u64 = 100;
 
-/// What the answer to a question may take.
+/// Limits of the answer to a question.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Limits {
     /// Memory, in bytes.
@@ -45,7 +45,7 @@ pub(super) enum NoAnswer {
     Broken(io::Error),
 }
 
-/// What a question took too much of.
+/// Resource that a question took too much of.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Cost {
     Time,

@@ -9,17 +9,17 @@ use crate::{cost_sample, drawing, price};
 /// Values of each option: its path, and one that changes what is rendered, stored or finished.
 const OPTIONS: [(&str, &str); 17] = [
     ("/image/width", "24"),
-    ("/image/height", "9"),
+    ("/image/height", "17"),
     ("/image/samples", "1"),
     ("/image/samples", "16"),
     ("/image/samples", r#"{ "adaptive": { "min": 16, "max": 64 } }"#),
     ("/image/seed", "7"),
-    ("/image/region", "[3, 2, 17, 11]"),
+    ("/image/region", "[3, 2, 20, 18]"),
     ("/image/format", r#""exr""#),
     ("/image/bits", "16"),
     ("/image/precision", r#""float""#),
     ("/image/exposure", "1"),
-    ("/image/tone_map", r#""aces""#),
+    ("/image/tone_map", r#""filmic""#),
     ("/image/denoise", "true"),
     ("/image/reweight_fireflies", "true"),
     ("/image/layers", r#"["depth", "object", "samples", "noisy"]"#),
@@ -35,7 +35,7 @@ fn job_with(options: &[(&str, &str)]) -> Option<(String, Job)> {
             "lights": [{ "point": { "position": [2, 3, 2], "group": "key" } }],
             "objects": [{ "shape": { "sphere": { "radius": 1 } } }],
         },
-        "image": { "width": 20, "height": 14, "samples": 4 },
+        "image": { "width": 40, "height": 32, "samples": 4 },
     });
     let mut set = |path: &str, value: &str| {
         let (parent, key) = path.rsplit_once('/').expect("a path");
@@ -76,7 +76,7 @@ fn check(options: &[(&str, &str)]) -> bool {
     price(&text, &job, 1, plan).unwrap_or_else(|error| panic!("{options:?}: {error:#}"));
     // Without time, a picture is drawn smaller and scaled up.
     for (samples, limit_ms) in [(1, 0), (16, 0), (1, 60_000), (16, 60_000)] {
-        let request = Drawing { width_px: 40, samples, layer: PictureLayer::Color, limit_ms };
+        let request = Drawing { width_px: 80, samples, layer: PictureLayer::Color, limit_ms };
         let HelperPicture { about, png } = drawing::draw(job.clone(), 0, &request)
             .unwrap_or_else(|error| panic!("{options:?} {samples} {limit_ms}: {error:#}"));
         assert!(png.starts_with(b"\x89PNG") && about.rendered_px > 0, "{options:?}");

@@ -37,11 +37,6 @@ pub(super) fn object_name_error(name: &str) -> Option<String> {
     if name.is_empty() {
         return Some("is empty: give the object a name, or leave \"name\" out".to_owned());
     }
-    name_error(name)
-}
-
-/// Error in a name, which may be empty.
-pub(super) fn name_error(name: &str) -> Option<String> {
     if name.chars().any(char::is_control) {
         return Some("has a line break or another control character: use letters, digits and signs".to_owned());
     }
