@@ -140,17 +140,21 @@ impl Process {
     }
 
     async fn answer(&mut self, request: &[u8], text: &[u8], limit: Duration) -> Result<Answer, NoAnswer> {
-        let used = self.used_time();
+        let mut start = None;
         let exchanged = {
             let exchange = exchange(&mut self.input, &mut self.output, request, text);
             tokio::pin!(exchange);
             loop {
                 match tokio::time::timeout(LOOK_INTERVAL, &mut exchange).await {
                     Ok(exchanged) => break exchanged,
-                    Err(_) if time_of(self.child.id()).saturating_sub(used) > limit => {
-                        return Err(NoAnswer::TooCostly(Cost::Time));
+                    Err(_) => {
+                        // Until the first look, it may have used a core all the time.
+                        let used = time_of(self.child.id());
+                        let start = *start.get_or_insert(used.saturating_sub(LOOK_INTERVAL));
+                        if used.saturating_sub(start) > limit {
+                            return Err(NoAnswer::TooCostly(Cost::Time));
+                        }
                     }
-                    Err(_) => {}
                 }
             }
         };
@@ -161,10 +165,6 @@ impl Process {
         self.child.start_kill().map_err(NoAnswer::Broken)?;
         let status = self.child.wait().await.map_err(NoAnswer::Broken)?;
         Err(no_answer(status))
-    }
-
-    fn used_time(&self) -> Duration {
-        time_of(self.child.id())
     }
 }
 
