@@ -1,6 +1,6 @@
 //! The processes that read job files: what a submitter wrote ends at most one of them, and delays no other submitter.
 
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use rustix::process::Signal;
 use serde_json::json;
@@ -29,13 +29,11 @@ fn a_small_text_that_takes_long_to_read_is_refused_and_delays_no_other_user() {
     std::thread::scope(|scope| {
         let costly: Vec<_> = (0..2).map(|_| scope.spawn(|| submit(&anna, &text))).collect();
         std::thread::sleep(Duration::from_millis(500));
-        let start = Instant::now();
         let bearer = format!("Bearer {bert}");
         let answer = farm.send("POST", "/v1/jobs", &[("authorization", &bearer)], tiny(1).into());
-        let waited = start.elapsed();
         assert_eq!(answer.status, 201, "{}", answer.text());
-        // Each of the two takes a process for 0.9 s of a core in a debug build, and other tests run.
-        assert!(waited < Duration::from_secs(5), "{waited:?}");
+        // They have occupied every process for a moment, and are then read one after the other.
+        assert!(costly.iter().all(|costly| !costly.is_finished()), "the other user did not wait for them");
         for answer in costly {
             let answer = answer.join().expect("a response");
             let problem = answer.problem(422, "wrong_job");

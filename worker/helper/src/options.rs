@@ -6,6 +6,9 @@ use serde_json::{Value, json};
 
 use crate::{cost_sample, drawing, price};
 
+/// Limit of times that so small pictures never take, even on a busy machine.
+const ENOUGH_MS: u64 = 60_000;
+
 /// Values of each option: its path, and one that changes what is rendered, stored or finished.
 const OPTIONS: [(&str, &str); 17] = [
     ("/image/width", "24"),
@@ -70,12 +73,12 @@ fn job_with(options: &[(&str, &str)]) -> Option<(String, Job)> {
 /// Everything that is drawn and measured of a job for those who ask what it looks like and what it costs.
 fn check(options: &[(&str, &str)]) -> bool {
     let Some((text, job)) = job_with(options) else { return false };
-    let cost = cost_sample::sample(&job, 1, 40).unwrap_or_else(|error| panic!("{options:?}: {error:#}"));
+    let cost = cost_sample::sample(&job, 1, ENOUGH_MS).unwrap_or_else(|error| panic!("{options:?}: {error:#}"));
     assert!(cost.rays > 0 && cost.encode_seconds_per_pixel > 0.0, "{options:?}: {cost:?}");
-    let plan = PricePlan { sample_ms: 20, map_ms: 20, savings_ms: 0 };
+    let plan = PricePlan { sample_ms: ENOUGH_MS, map_ms: ENOUGH_MS, savings_ms: 0 };
     price(&text, &job, 1, plan).unwrap_or_else(|error| panic!("{options:?}: {error:#}"));
     // Without time, a picture is drawn smaller and scaled up.
-    for (samples, limit_ms) in [(1, 0), (16, 0), (1, 60_000), (16, 60_000)] {
+    for (samples, limit_ms) in [(1, 0), (16, 0), (1, ENOUGH_MS), (16, ENOUGH_MS)] {
         let request = Drawing { width_px: 80, samples, layer: PictureLayer::Color, limit_ms };
         let HelperPicture { about, png } = drawing::draw(job.clone(), 0, &request)
             .unwrap_or_else(|error| panic!("{options:?} {samples} {limit_ms}: {error:#}"));
