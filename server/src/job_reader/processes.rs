@@ -145,16 +145,14 @@ impl Process {
             let exchange = exchange(&mut self.input, &mut self.output, request, text);
             tokio::pin!(exchange);
             loop {
-                match tokio::time::timeout(LOOK_INTERVAL, &mut exchange).await {
-                    Ok(exchanged) => break exchanged,
-                    Err(_) => {
-                        // Until the first look, it may have used a core all the time.
-                        let used = time_of(self.child.id());
-                        let start = *start.get_or_insert(used.saturating_sub(LOOK_INTERVAL));
-                        if used.saturating_sub(start) > limit {
-                            return Err(NoAnswer::TooCostly(Cost::Time));
-                        }
-                    }
+                if let Ok(exchanged) = tokio::time::timeout(LOOK_INTERVAL, &mut exchange).await {
+                    break exchanged;
+                }
+                // Until the first look, it may have used a core all the time.
+                let used = time_of(self.child.id());
+                let start = *start.get_or_insert(used.saturating_sub(LOOK_INTERVAL));
+                if used.saturating_sub(start) > limit {
+                    return Err(NoAnswer::TooCostly(Cost::Time));
                 }
             }
         };
