@@ -48,9 +48,16 @@ const MAX_KNOWN_BYTES: usize = 8 << 20;
 /// Maximum number of files that one submitter waits to have read.
 const MAX_WAITING: usize = 256;
 
+/// How a file is read.
+#[derive(Clone, Copy, Debug)]
+enum Lane {
+    BesideOthers,
+    Alone,
+}
+
 /// Reason for which a job is read.
 #[derive(Clone, Copy, Debug)]
-pub(crate) enum ParseReason<'a> {
+enum ParseReason<'a> {
     /// A request of this caller.
     Submitter(&'a str),
     /// A claim of work of the job with this number.
@@ -121,7 +128,7 @@ impl JobReader {
         accept: bool,
         edge_px: Option<u32>,
     ) -> Result<JobFacts, JobLoadError> {
-        match self.ask(ParseReason::Submitter(submitter), Question::Job { accept, edge_px }, text).await? {
+        match self.ask(submitter, Question::Job { accept, edge_px }, text).await? {
             Answer::Job(facts) => Ok(*facts),
             _ => Err(JobLoadError::Unexpected),
         }
@@ -134,7 +141,7 @@ impl JobReader {
         text: Bytes,
         frame: u32,
     ) -> Result<Result<(), u32>, JobLoadError> {
-        match self.ask(ParseReason::Submitter(submitter), Question::Frame(frame), text).await? {
+        match self.ask(submitter, Question::Frame(frame), text).await? {
             Answer::Fine => Ok(Ok(())),
             Answer::NoFrame(count) => Ok(Err(count)),
             _ => Err(JobLoadError::Unexpected),
@@ -143,7 +150,7 @@ impl JobReader {
 
     /// A job's text, formatted.
     pub(crate) async fn format(&self, submitter: &str, text: Bytes) -> Result<String, JobLoadError> {
-        match self.ask(ParseReason::Submitter(submitter), Question::Format, text).await? {
+        match self.ask(submitter, Question::Format, text).await? {
             Answer::Text(text) => Ok(text),
             _ => Err(JobLoadError::Unexpected),
         }
@@ -156,7 +163,7 @@ impl JobReader {
         text: Bytes,
         values: Vec<(String, String)>,
     ) -> Result<Result<String, String>, JobLoadError> {
-        match self.ask(ParseReason::Submitter(submitter), Question::Set(values), text).await? {
+        match self.ask(submitter, Question::Set(values), text).await? {
             Answer::Text(text) => Ok(Ok(text)),
             Answer::WrongValue(message) => Ok(Err(message)),
             _ => Err(JobLoadError::Unexpected),
@@ -168,17 +175,22 @@ impl JobReader {
         if let Some(known) = self.find(number, frame) {
             return Ok(known);
         }
-        let reason = ParseReason::Claim(number);
-        let place = self.turn(reason).await?;
-        // Another claim may have read the job in the meantime.
-        if let Some(known) = self.find(number, frame) {
-            return Ok(known);
+        for lane in [Lane::BesideOthers, Lane::Alone] {
+            // A claim that waits keeps no text, and another one may have read the job in the meantime.
+            let _place = self.turn(lane, ParseReason::Claim(number)).await?;
+            if let Some(known) = self.find(number, frame) {
+                return Ok(known);
+            }
+            let text = Bytes::from(queue.file_of(number).await?.ok_or(JobLoadError::Gone)?);
+            match self.ask_in(lane, Question::Frames { first: frame }, text, Some(number)).await? {
+                Some(Answer::Frames(frames)) => {
+                    self.insert(number, frames);
+                    break;
+                }
+                Some(_) => return Err(JobLoadError::Unexpected),
+                None => {}
+            }
         }
-        let text = Bytes::from(queue.file_of(number).await?.ok_or(JobLoadError::Gone)?);
-        let Answer::Frames(frames) = self.ask_at(place, reason, Question::Frames { first: frame }, text).await? else {
-            return Err(JobLoadError::Unexpected);
-        };
-        self.insert(number, frames);
         self.find(number, frame).ok_or(JobLoadError::Unexpected)
     }
 
@@ -204,47 +216,49 @@ impl JobReader {
         self.known.lock().expect("no holder panics").frames.get(&(number, frame)).cloned()
     }
 
-    async fn ask(&self, reason: ParseReason<'_>, question: Question, text: Bytes) -> Result<Answer, JobLoadError> {
-        let place = self.turn(reason).await?;
-        self.ask_at(place, reason, question, text).await
-    }
-
-    /// Asks at this place, and again alone if that takes long.
-    async fn ask_at(
-        &self,
-        place: QueueTurn,
-        reason: ParseReason<'_>,
-        question: Question,
-        text: Bytes,
-    ) -> Result<Answer, JobLoadError> {
-        let job = match reason {
-            ParseReason::Submitter(_) => None,
-            ParseReason::Claim(number) => Some(number),
-        };
-        if text.len() <= LARGE_FILE_BYTES {
-            match self.processes.ask(question.clone(), text.clone(), job, BESIDE_OTHERS).await {
-                Ok(answer) => return answered(answer),
-                Err(NoAnswer::Broken(error)) => return Err(JobLoadError::Broken(error)),
-                Err(NoAnswer::TooCostly(_) | NoAnswer::Ended) => {}
+    async fn ask(&self, submitter: &str, question: Question, text: Bytes) -> Result<Answer, JobLoadError> {
+        for lane in [Lane::BesideOthers, Lane::Alone] {
+            let _place = self.turn(lane, ParseReason::Submitter(submitter)).await?;
+            if let Some(answer) = self.ask_in(lane, question.clone(), text.clone(), None).await? {
+                return Ok(answer);
             }
         }
-        drop(place);
-        let _place = match reason {
-            ParseReason::Submitter(name) => enter(&self.alone, name).await?,
-            ParseReason::Claim(number) => enter(&self.claims_alone, &number.to_string()).await?,
+        Err(JobLoadError::Unexpected)
+    }
+
+    /// Asks in a lane; `None` if the file must be read alone.
+    async fn ask_in(
+        &self,
+        lane: Lane,
+        question: Question,
+        text: Bytes,
+        job: Option<i64>,
+    ) -> Result<Option<Answer>, JobLoadError> {
+        let limits = match lane {
+            Lane::BesideOthers if text.len() > LARGE_FILE_BYTES => return Ok(None),
+            Lane::BesideOthers => BESIDE_OTHERS,
+            Lane::Alone => ALONE,
         };
-        match self.processes.ask(question, text, job, ALONE).await {
-            Ok(answer) => answered(answer),
-            Err(NoAnswer::TooCostly(cost)) => Err(JobLoadError::Refused(Refusal::too_costly(excess(cost)))),
-            Err(NoAnswer::Ended) => Err(JobLoadError::Broken(std::io::Error::other("each was killed"))),
-            Err(NoAnswer::Broken(error)) => Err(JobLoadError::Broken(error)),
+        match (self.processes.ask(question, text, job, limits).await, lane) {
+            (Ok(Answer::Refused(refusal)), _) => Err(JobLoadError::Refused(refusal)),
+            (Ok(answer), _) => Ok(Some(answer)),
+            (Err(NoAnswer::Broken(error)), _) => Err(JobLoadError::Broken(error)),
+            (Err(NoAnswer::TooCostly(_) | NoAnswer::Ended), Lane::BesideOthers) => Ok(None),
+            (Err(NoAnswer::TooCostly(cost)), Lane::Alone) => {
+                Err(JobLoadError::Refused(Refusal::too_costly(excess(cost))))
+            }
+            (Err(NoAnswer::Ended), Lane::Alone) => {
+                Err(JobLoadError::Broken(std::io::Error::other("each process was killed")))
+            }
         }
     }
 
-    async fn turn(&self, reason: ParseReason<'_>) -> Result<QueueTurn, JobLoadError> {
-        match reason {
-            ParseReason::Submitter(name) => enter(&self.submitters, name).await,
-            ParseReason::Claim(job) => enter(&self.claims, &job.to_string()).await,
+    async fn turn(&self, lane: Lane, reason: ParseReason<'_>) -> Result<QueueTurn, JobLoadError> {
+        match (reason, lane) {
+            (ParseReason::Submitter(name), Lane::BesideOthers) => enter(&self.submitters, name).await,
+            (ParseReason::Submitter(name), Lane::Alone) => enter(&self.alone, name).await,
+            (ParseReason::Claim(job), Lane::BesideOthers) => enter(&self.claims, &job.to_string()).await,
+            (ParseReason::Claim(job), Lane::Alone) => enter(&self.claims_alone, &job.to_string()).await,
         }
     }
 
@@ -264,13 +278,6 @@ impl JobReader {
         };
         std::thread::Builder::new().name("body".to_owned()).spawn(run).map_err(JobLoadError::Broken)?;
         answer.await.map_err(|_| JobLoadError::Broken(std::io::Error::other("its thread panicked")))
-    }
-}
-
-fn answered(answer: Answer) -> Result<Answer, JobLoadError> {
-    match answer {
-        Answer::Refused(refusal) => Err(JobLoadError::Refused(refusal)),
-        answer => Ok(answer),
     }
 }
 
@@ -378,17 +385,18 @@ mod tests {
         let cores = std::thread::available_parallelism().map_or(1, usize::from);
         let mut occupied = Vec::new();
         for _ in 0..cores {
-            occupied.push(reader.turn(ParseReason::Submitter("anna")).await.expect("a place"));
+            occupied.push(reader.turn(Lane::BesideOthers, ParseReason::Submitter("anna")).await.expect("a place"));
         }
         let mut waiting = Box::pin(reader.run("anna", || 1));
         assert!(futures_util::poll!(&mut waiting).is_pending());
-        drop(reader.turn(ParseReason::Claim(7)).await.expect("claims have places of their own"));
+        drop(reader.turn(Lane::BesideOthers, ParseReason::Claim(7)).await.expect("claims have places of their own"));
         // A file that takes long gives its place back.
         let _alone = enter(&reader.alone, "anna").await.expect("the place");
         let large = Bytes::from(vec![b' '; LARGE_FILE_BYTES + 1]);
-        let place = occupied.pop().expect("a place");
-        let mut slow = Box::pin(reader.ask_at(place, ParseReason::Submitter("anna"), Question::Format, large));
-        assert!(futures_util::poll!(&mut slow).is_pending(), "one is read alone already");
+        drop(occupied.pop());
         assert_eq!(waiting.await.expect("a thread"), 1);
+        let mut slow = Box::pin(reader.format("anna", large));
+        assert!(futures_util::poll!(&mut slow).is_pending(), "one is read alone already");
+        assert_eq!(reader.run("anna", || 2).await.expect("a thread"), 2, "it waits at no other place");
     }
 }

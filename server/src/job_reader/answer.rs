@@ -138,69 +138,58 @@ impl Refusal {
 pub(super) struct LastJob(Option<(blake3::Hash, Job)>);
 
 impl LastJob {
-    /// Whether a job is kept.
-    pub(super) fn is_kept(&self) -> bool {
-        self.0.is_some()
-    }
-
     /// Answers a question about a job file.
     pub(super) fn answer(&mut self, question: &Question, text: &[u8]) -> Answer {
         self.try_answer(question, text).unwrap_or_else(|error| Answer::Refused((&error).into()))
     }
 
     fn try_answer(&mut self, question: &Question, text: &[u8]) -> Result<Answer, ParseError> {
-        let Question::Frames { first } = question else {
-            self.0 = None;
-            return about(question, text);
-        };
-        let hash = blake3::hash(text);
-        let known = self.0.take().filter(|(known, _)| *known == hash);
-        let job = match known {
-            Some((_, job)) => job,
-            None => scene::parse(text)?,
-        };
-        let frames = frames(&job, *first, MAX_FRAMES);
-        self.0 = Some((hash, job));
-        Ok(Answer::Frames(frames))
-    }
-}
-
-fn about(question: &Question, text: &[u8]) -> Result<Answer, ParseError> {
-    match question {
-        Question::Job { accept, edge_px } => {
-            let job = scene::parse(text)?;
-            let facts = JobFacts {
-                plan: TilePlan::new(&job, *edge_px),
-                priority: job.priority,
-                warnings: scene::warnings(&job),
-                is_png: job.image.format == Format::Png,
-                nodes: if *accept { scene::compiled_nodes(&job) } else { 0 },
-                frames: if *accept { frames(&job, 0, MAX_FIRST_FRAMES) } else { Vec::new() },
-                name: job.name,
-            };
-            Ok(Answer::Job(Box::new(facts)))
-        }
-        Question::Frames { first } => Ok(Answer::Frames(frames(&scene::parse(text)?, *first, MAX_FRAMES))),
-        Question::Frame(frame) => {
-            let job = scene::parse(text)?;
-            if *frame >= job.frames.count {
-                return Ok(Answer::NoFrame(job.frames.count));
+        let last = self.0.take();
+        match question {
+            Question::Job { accept, edge_px } => {
+                let job = scene::parse(text)?;
+                let facts = JobFacts {
+                    plan: TilePlan::new(&job, *edge_px),
+                    priority: job.priority,
+                    warnings: scene::warnings(&job),
+                    is_png: job.image.format == Format::Png,
+                    nodes: if *accept { scene::compiled_nodes(&job) } else { 0 },
+                    frames: if *accept { frames(&job, 0, MAX_FIRST_FRAMES) } else { Vec::new() },
+                    name: job.name,
+                };
+                Ok(Answer::Job(Box::new(facts)))
             }
-            job.at(*frame).map_err(|error| scene::error_in_frame(text, error))?;
-            Ok(Answer::Fine)
-        }
-        Question::Format => scene::format(text).map(Answer::Text),
-        Question::Set(values) => {
-            let Ok(mut changed) = std::str::from_utf8(text).map(str::to_owned) else {
-                return scene::parse(text).map(|_| Answer::Fine);
-            };
-            for (path, value) in values {
-                match scene::set_value(&changed, path, value) {
-                    Ok(text) => changed = text,
-                    Err(message) => return Ok(Answer::WrongValue(format!("could not set {path}: {message}"))),
+            Question::Frames { first } => {
+                let hash = blake3::hash(text);
+                let job = match last.filter(|(known, _)| *known == hash) {
+                    Some((_, job)) => job,
+                    None => scene::parse(text)?,
+                };
+                let frames = frames(&job, *first, MAX_FRAMES);
+                self.0 = Some((hash, job));
+                Ok(Answer::Frames(frames))
+            }
+            Question::Frame(frame) => {
+                let job = scene::parse(text)?;
+                if *frame >= job.frames.count {
+                    return Ok(Answer::NoFrame(job.frames.count));
                 }
+                job.at(*frame).map_err(|error| scene::error_in_frame(text, error))?;
+                Ok(Answer::Fine)
             }
-            Ok(Answer::Text(changed))
+            Question::Format => scene::format(text).map(Answer::Text),
+            Question::Set(values) => {
+                let Ok(mut changed) = std::str::from_utf8(text).map(str::to_owned) else {
+                    return scene::parse(text).map(|_| Answer::Fine);
+                };
+                for (path, value) in values {
+                    match scene::set_value(&changed, path, value) {
+                        Ok(text) => changed = text,
+                        Err(message) => return Ok(Answer::WrongValue(format!("could not set {path}: {message}"))),
+                    }
+                }
+                Ok(Answer::Text(changed))
+            }
         }
     }
 }

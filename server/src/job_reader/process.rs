@@ -13,8 +13,8 @@ use super::answer::{LastJob, Question};
 
 /// Stack size of the thread that reads, which nests as deep as a file.
 pub(super) const STACK_BYTES: usize = 16 << 20;
-/// A process that has more memory after an answer ends, unless it keeps a job.
-const MAX_IDLE_BYTES: u64 = 64 << 20;
+/// A process that has more memory after an answer ends, also if that is the job that it keeps.
+const MAX_IDLE_BYTES: u64 = 128 << 20;
 /// Seconds of its time after which a process ends by itself, beyond the limit at which the server ends it.
 const GRACE_SECONDS: u64 = 2;
 
@@ -48,7 +48,7 @@ fn answer_all() -> io::Result<()> {
         drop(text);
         write_part(&mut output, &serde_json::to_vec(&answer)?)?;
         output.flush()?;
-        if !last.is_kept() && resident_bytes() > MAX_IDLE_BYTES {
+        if resident_bytes() > MAX_IDLE_BYTES {
             break;
         }
     }
