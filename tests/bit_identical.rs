@@ -7,7 +7,7 @@ use std::fs;
 use std::process::{Child, Stdio};
 use std::sync::OnceLock;
 
-use serde_json::Value;
+use serde_json::{Value, json};
 
 use crate::exr_reader;
 use crate::jobs;
@@ -49,7 +49,11 @@ fn specimens(mut jobs: Vec<(String, Value)>) -> Vec<Specimen> {
     let is_full_size = std::env::var_os("SDFARM_FULL_SIZE").is_some_and(|wanted| wanted == "1");
     let mut specimens = Vec::new();
     for (name, job) in &mut jobs {
-        let job = if is_full_size { job.clone() } else { jobs::sized(job, WIDTH_PX, SAMPLES) };
+        let mut job = if is_full_size { job.clone() } else { jobs::sized(job, WIDTH_PX, SAMPLES) };
+        // Frame 0 is compared, so a farm need not render the others.
+        if let Some(frames) = job.get_mut("frames") {
+            frames["count"] = json!(1);
+        }
         specimens.push(specimen(name, "png", jobs::as_png(&job)));
         specimens.push(specimen(name, "exr", jobs::as_exr(&job)));
     }

@@ -90,12 +90,11 @@ pub(super) fn find(
         }
         savings.push(saving(&candidate, share, core_seconds, Some(change)));
     }
+    if job.image.region.is_none() {
+        savings.push(smaller(job, core_seconds));
+    }
     savings.sort_by(|left, right| right.saves_share.total_cmp(&left.saves_share));
     savings.truncate(MAX_SAVINGS);
-    if savings.len() < MAX_SAVINGS && job.image.region.is_none() {
-        savings.push(smaller(job, core_seconds));
-        savings.sort_by(|left, right| right.saves_share.total_cmp(&left.saves_share));
-    }
     Ok(savings)
 }
 
@@ -301,6 +300,7 @@ mod tests {
         let samples = savings.iter().find(|saving| saving.pointer == "/image/samples").expect("it saves most");
         assert!((0.3..0.7).contains(&samples.saves_share), "{samples:?}");
         assert!(samples.change_levels.is_some_and(|change| change > 0.1), "{samples:?}");
+        assert!(savings.iter().any(|saving| saving.pointer == "/image/width"), "{savings:?}");
         assert!((samples.saves_seconds - 100.0 * samples.saves_share).abs() < 1.0, "{samples:?}");
     }
 }
