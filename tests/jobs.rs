@@ -92,6 +92,28 @@ pub(crate) fn quick() -> Value {
     as_png(&sized(&named("csg"), 96, 2))
 }
 
+/// A square of this many pixels and rays a pixel through 400 rough glass balls.
+pub(crate) fn of_long_tiles(edge: u64, samples: u64) -> Value {
+    let balls: Vec<Value> = (0..400)
+        .map(|number| {
+            let by = [f64::from(number % 20) / 10.0 - 1.0, f64::from(number / 20) / 10.0 - 1.0, 0.0];
+            json!({ "translate": { "by": by, "child": { "sphere": { "radius": 0.06 } } } })
+        })
+        .collect();
+    json!({
+        "scene": {
+            "camera": { "position": [0, 0, 3], "look_at": [0, 0, 0] },
+            "background": { "color": [0.5, 0.6, 0.8] },
+            "integrator": { "path": { "max_bounces": 12 } },
+            "objects": [{
+                "shape": { "union": { "of": balls } },
+                "material": { "surface": { "transmission": 1, "ior": 1.5, "roughness": 0.3 } }
+            }]
+        },
+        "image": { "width": edge, "height": edge, "samples": samples }
+    })
+}
+
 /// Job with more than 4 Mi rays, the most in one batch of a worker of unknown speed: its frames are stitched. Its rays
 /// are as cheap as rays can be.
 pub(crate) fn many_rays() -> Value {

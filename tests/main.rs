@@ -22,6 +22,7 @@ mod faults;
 mod first_steps;
 mod follow;
 mod fuzz;
+mod giving_way;
 mod job_files;
 mod jobs;
 mod kills;

@@ -69,6 +69,14 @@ pub struct RegisterResponse {
     /// Maximum number of batches in one response; a worker may request more than one only if this is larger.
     #[serde(default = "one_batch", skip_serializing_if = "is_one_batch")]
     pub max_batches: u32,
+    /// Whether the server says that other submitters wait: only then a worker may say that it could work beside.
+    #[serde(default, skip_serializing_if = "is_false")]
+    pub gives_way: bool,
+}
+
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde passes a reference")]
+fn is_false(value: &bool) -> bool {
+    !*value
 }
 
 /// Maximum number of batches in one response.
@@ -115,6 +123,10 @@ pub struct SyncRequest {
     /// Maximum number of batches that it requests; more than [`RegisterResponse::max_batches`] are taken as that.
     #[serde(default = "one_batch", skip_serializing_if = "is_one_batch")]
     pub max_batches: u32,
+    /// The worker has rendered one batch for long, and could render another beside it: the server says whether a submitter
+    /// waits of whom the worker holds nothing, and grants no other work.
+    #[serde(default, skip_serializing_if = "is_false")]
+    pub beside: bool,
     /// How long the server may wait before it responds, in milliseconds; longer than 30 s, or than a third of a
     /// lease, is taken as that.
     pub wait_ms: u64,
@@ -265,6 +277,10 @@ pub struct SyncResponse {
     /// Further batches, if more than one was requested.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub more: Vec<TracedBatch>,
+    /// A submitter waits of whom the worker holds nothing, and no other worker is free; said to a worker that could work
+    /// beside.
+    #[serde(default, skip_serializing_if = "is_false")]
+    pub others_wait: bool,
 }
 
 /// Batch with its trace.

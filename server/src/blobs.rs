@@ -236,17 +236,18 @@ impl BlobStore {
         self.sweep_lock.read().await
     }
 
-    /// Stores a stream of bytes if they match the hash `name`; otherwise stores nothing. To store what is stored already
-    /// is a success.
+    /// Stores a stream of at most `max_bytes` if they match the hash `name`; otherwise stores nothing. To store what is stored
+    /// already is a success.
     pub(crate) async fn put(
         &self,
         kind: ContentKind,
         name: &ContentHash,
         bytes: impl Stream<Item = io::Result<Bytes>> + Unpin,
+        max_bytes: u64,
     ) -> Result<(), ContentError> {
         let failed = self.failed_on("write", kind, name);
         fail_point::trigger(FailPoint::StorePut).map_err(fail_point_error).map_err(&failed)?;
-        let (incoming, path) = (Incoming::new(kind, name, bytes), self.path(kind, name));
+        let (incoming, path) = (Incoming::new(kind, name, bytes, max_bytes), self.path(kind, name));
         match &self.backend {
             Backend::Folder(folder) => folder.put(kind, &path, incoming, failed).await,
             Backend::Objects(objects) => {

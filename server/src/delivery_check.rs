@@ -19,7 +19,7 @@ pub(crate) const HEAD_BYTES: u64 = 160 << 10;
 /// Number of bytes at a file's end that a check reads.
 pub(crate) const TAIL_BYTES: u64 = 12;
 /// Size of a blob's header, in bytes.
-const BLOB_HEADER_BYTES: usize = 28;
+pub(crate) const BLOB_HEADER_BYTES: usize = 28;
 /// Bytes that a picture may have in addition to twice its uncompressed pixels, and to [`ROW_BYTES`] for each row.
 const PICTURE_OVERHEAD_BYTES: u64 = 256 << 10;
 /// Bytes that a picture may have for each row in addition to its pixels: filters, and tables of blocks.
@@ -134,14 +134,13 @@ impl ExpectedPicture {
         }
     }
 
-    /// Maximum plausible size: twice that of its pixels, because compression makes noise a little larger.
+    /// Maximum plausible size.
     fn max_bytes(&self) -> u64 {
         let pixel_bytes = match &self.format {
             PictureFormat::Png { opaque, bits } => (if *opaque { 3 } else { 4 }) * u64::from(bits / 8),
             PictureFormat::Exr(channels) => channels.iter().map(|channel| channel.sample.bytes()).sum(),
         };
-        let pixels = Rect::full(self.width_px, self.height_px).pixels();
-        2 * pixel_bytes * pixels + ROW_BYTES * u64::from(self.height_px) + PICTURE_OVERHEAD_BYTES
+        max_picture_bytes(pixel_bytes, self.width_px, self.height_px)
     }
 
     fn expect_size(&self, width_px: u32, height_px: u32) -> Result<(), String> {
@@ -158,6 +157,13 @@ impl ExpectedPicture {
             None => Err("the picture has no provenance".to_owned()),
         }
     }
+}
+
+/// Maximum plausible size of a picture: twice that of its pixels, because compression makes noise a little larger.
+pub(crate) fn max_picture_bytes(pixel_bytes: u64, width_px: u32, height_px: u32) -> u64 {
+    2 * pixel_bytes * Rect::full(width_px, height_px).pixels()
+        + ROW_BYTES * u64::from(height_px)
+        + PICTURE_OVERHEAD_BYTES
 }
 
 /// Checks the ends of a tile's blob: see `worker::blob` for its format.

@@ -81,6 +81,7 @@ mod startup;
 mod submissions;
 mod telemetry;
 mod tile_plan;
+mod upload_ledger;
 mod virtual_queue;
 mod webhooks;
 mod worker_sync;

@@ -10,9 +10,11 @@ use std::sync::atomic::Ordering;
 use std::time::Duration;
 
 use tokio::sync::mpsc;
+use tokio::time::Instant;
 use tokio_util::sync::CancellationToken;
 
 use crate::blobs::BlobStore;
+use crate::clock::monotonic_now;
 use crate::counters::ServerCounters;
 use crate::db::DatabaseError;
 use crate::orphans::{OrphanCandidates, Orphans};
@@ -27,6 +29,9 @@ pub(crate) use orphan_sweep::OrphanSweep;
 const LEASE_CHECK_INTERVAL: Duration = Duration::from_secs(1);
 /// Interval at which rows and folders are cleaned up.
 const CLEANUP_INTERVAL: Duration = Duration::from_mins(10);
+/// Age from which unreported files are deleted while the disk is full, and the interval.
+const SPACE_SWEEP_AGE: Duration = Duration::from_secs(10);
+const SPACE_SWEEP_INTERVAL: Duration = Duration::from_secs(5);
 /// Delay after a piece of a large change that failed.
 const FAILED_PIECE_DELAY: Duration = Duration::from_secs(1);
 
@@ -95,6 +100,7 @@ impl Maintenance {
         mut candidates: mpsc::UnboundedReceiver<OrphanCandidates>,
         end: &CancellationToken,
     ) {
+        let mut swept_for_space_at: Option<Instant> = None;
         let mut lease_check = tokio::time::interval(LEASE_CHECK_INTERVAL);
         lease_check.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
         let mut cleanup = tokio::time::interval(CLEANUP_INTERVAL);
@@ -102,7 +108,10 @@ impl Maintenance {
             let done = tokio::select! {
                 () = end.cancelled() => return,
                 Some(found) = candidates.recv() => self.sweep.sweep_in_pieces(found.kind, &found.hashes).await,
-                _ = lease_check.tick() => self.leases.expire().await,
+                _ = lease_check.tick() => match self.leases.expire().await {
+                    Ok(()) => self.make_room(&mut swept_for_space_at).await,
+                    Err(error) => Err(error),
+                },
                 _ = cleanup.tick() => self.clean_up(end).await,
             };
             if let Err(error) = done {
@@ -113,7 +122,18 @@ impl Maintenance {
 
     async fn clean_up(&self, end: &CancellationToken) -> Result<(), DatabaseError> {
         self.cleanup.clean_up(end).await?;
-        self.sweep.sweep_unreported().await
+        self.sweep.sweep_unreported(self.cleanup.content.orphan_age()).await
+    }
+
+    /// While the disk is full, deletes what no worker has reported as soon as it cannot be reported any more.
+    async fn make_room(&self, swept_at: &mut Option<Instant>) -> Result<(), DatabaseError> {
+        let now = monotonic_now();
+        let is_due = swept_at.is_none_or(|swept_at| now - swept_at >= SPACE_SWEEP_INTERVAL);
+        if !is_due || !self.leases.reserve.is_released() || self.cleanup.content.is_shared() {
+            return Ok(());
+        }
+        *swept_at = Some(now);
+        self.sweep.sweep_unreported(SPACE_SWEEP_AGE).await
     }
 }
 

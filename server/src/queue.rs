@@ -58,7 +58,8 @@ pub(crate) use tiles::reported::{RejectedResult, ReportedTile};
 pub(crate) use verification::VerificationPolicy;
 pub(crate) use workers::changes::{WorkerChange, WorkerChangeOutcome};
 pub(crate) use workers::minutes::Rendered;
-pub(crate) use workers::{LeaseNeed, NewWorker, Registration};
+pub(crate) use workers::needs::{LeaseNeed, UploadNeed};
+pub(crate) use workers::{NewWorker, Registration};
 
 /// Result of a transition.
 type Result<T> = std::result::Result<T, DatabaseError>;
@@ -236,7 +237,7 @@ impl Queue {
         let (count, woken) = self
             .database
             .write(Durability::Relaxed, move |connection| {
-                Box::pin(async move { verification::discard_expired(connection, context).await })
+                Box::pin(async move { verification::expire(connection, context).await })
             })
             .await?;
         self.wake(woken);

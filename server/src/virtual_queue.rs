@@ -159,6 +159,7 @@ fn sync_input(worker: WorkerId, rays_per_second: Option<RaysPerSecond>, reports:
         rejected: Vec::new(),
         checked: None,
         wants_work: true,
+        beside: false,
         shutting_down: false,
         opening: None,
         max_batches: 1,

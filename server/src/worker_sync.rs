@@ -15,6 +15,7 @@ use crate::orphans::Orphans;
 use crate::preview_helper::PreviewHelper;
 use crate::queue::{NextWork, Queue, SyncInput, SyncOutcome};
 use crate::space_reserve::SpaceReserve;
+use crate::upload_ledger::UploadLedger;
 pub(crate) use frame_openings::FrameOpenings;
 pub(crate) use result_check::ResultCheck;
 
@@ -38,6 +39,8 @@ pub(crate) struct WorkerSync {
     pub(crate) results: ResultCheck,
     /// Opening of the frames that the queue has reached.
     pub(crate) openings: FrameOpenings,
+    /// Unreported bytes of worker keys.
+    pub(crate) ledger: Arc<UploadLedger>,
     /// Space set aside for a full disk.
     pub(crate) reserve: Arc<SpaceReserve>,
     /// Takes what the results have replaced.
@@ -57,8 +60,10 @@ impl WorkerSync {
         turn.wants_work &= !self.reserve.is_released();
         let worker = turn.worker;
         let again = turn.without_reports();
+        let reported = turn.reported_content();
         let taken = self.queue.turn(turn).await?;
         drop(gate);
+        self.ledger.reported(&again.owner, &reported);
         let Some(mut synced) = taken else { return Ok(None) };
         self.count(&synced);
         self.orphans.sweep_later(ContentKind::Blob, std::mem::take(&mut synced.orphans));

@@ -46,6 +46,7 @@ mod api {
     mod tiles;
     mod verification;
     mod webhooks;
+    mod witnesses;
     mod worker_changes;
     mod worker_keys;
 }

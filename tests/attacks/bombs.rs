@@ -26,6 +26,7 @@ pub(super) fn attacks() -> Vec<Attack> {
             name: "a track of 9,000 keys in a shape that is used 40,000 times, or in a group",
             run: shared_tracks,
         },
+        Attack { name: "few pixels of very many rays", run: long_tiles },
         Attack { name: "small texts that take long, or much memory, to read", run: costly_texts },
     ]
 }
@@ -61,6 +62,17 @@ fn heavy_pixel(attacker: &Attacker<'_>) {
     let mut job = heavy(json!([{ "shape": { "union": { "smooth": 0.1, "of": balls } }, "material": glass }]));
     job["image"] = json!({ "width": 1, "height": 1, "samples": 65_536 });
     submit_each(attacker, &[job]);
+}
+
+fn long_tiles(attacker: &Attacker<'_>) {
+    let job = jobs::of_long_tiles(32, 65_536);
+    let ids: Vec<_> = (0..4).filter_map(|seed| attacker.submit(&jobs::seeded(&job, seed))).collect();
+    while attacker.goes_on() {
+        std::thread::sleep(super::PAUSE);
+    }
+    for id in ids {
+        attacker.send("POST", &format!("/v1/jobs/{id}/cancel"), "");
+    }
 }
 
 fn value(json: &str) -> Value {

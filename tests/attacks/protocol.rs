@@ -48,6 +48,7 @@ pub(super) fn attacks() -> Vec<Attack> {
         Attack { name: "thousands of workers", run: many_workers },
         Attack { name: "a worker that renews and never delivers", run: holder },
         Attack { name: "a worker that fails every tile", run: failing },
+        Attack { name: "workers of one key that fail every tile, and register again", run: accomplices },
         Attack { name: "a worker that delivers something else than pictures", run: liar },
         Attack { name: "a worker that speaks for others", run: impostor },
         Attack { name: "thousands of blobs that no tile asked for", run: blobs },
@@ -89,6 +90,7 @@ fn full_sync(worker: WorkerId) -> SyncRequest {
         ],
         records: vec![TileRecord { lease: LeaseId::new(), hash: "0".repeat(64), size_bytes: 1, kept: true }],
         wants_work: true,
+        beside: true,
         max_batches: 1,
         wait_ms: 1,
         shutting_down: false,
@@ -161,7 +163,14 @@ fn sync(attacker: &Attacker<'_>, request: &SyncRequest) -> Option<SyncResponse> 
 }
 
 fn asking(worker: WorkerId, held_leases: Vec<LeaseId>, reports: Vec<LeaseReport>) -> SyncRequest {
-    SyncRequest { held_leases, reports, records: Vec::new(), metrics: WorkerMetrics::default(), ..full_sync(worker) }
+    SyncRequest {
+        held_leases,
+        reports,
+        records: Vec::new(),
+        metrics: WorkerMetrics::default(),
+        beside: false,
+        ..full_sync(worker)
+    }
 }
 
 fn leases(response: &SyncResponse) -> Vec<LeaseId> {
@@ -199,6 +208,20 @@ fn holder(attacker: &Attacker<'_>) {
 fn failing(attacker: &Attacker<'_>) {
     work(attacker, "failing", |lease| {
         Some(LeaseReport { lease, outcome: LeaseOutcome::Failed { message: "\u{1b}[31mno".to_owned() } })
+    });
+}
+
+fn accomplices(attacker: &Attacker<'_>) {
+    attacker.flood(4, |number| {
+        let Some(worker) = register(attacker, &format!("accomplice-{number}")) else { return };
+        let mut reports = Vec::new();
+        for _ in 0..10 {
+            let Some(response) = sync(attacker, &asking(worker, Vec::new(), std::mem::take(&mut reports))) else {
+                return;
+            };
+            let failed = |lease| LeaseReport { lease, outcome: LeaseOutcome::Failed { message: "no".to_owned() } };
+            reports.extend(leases(&response).into_iter().map(failed));
+        }
     });
 }
 

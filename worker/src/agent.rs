@@ -4,16 +4,19 @@
 //! Stateless: if it is killed at any instant, its tiles are leased again.
 
 mod back_off;
+mod beside;
 mod changes;
 mod device_use;
 mod executor;
 mod job_cache;
 mod metrics;
+mod pending_sync;
 mod rendering;
 mod server_client;
 mod session;
 mod stitching;
 mod store_access;
+mod throughput;
 mod upload;
 
 use std::io::Read;

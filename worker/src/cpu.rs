@@ -179,6 +179,10 @@ impl Renderer for CpuRenderer {
         self.threads()
     }
 
+    fn beside(&self) -> Result<Option<Arc<dyn Renderer>>, RenderError> {
+        Ok(Some(Arc::new(self.sharing(self.threads())?)))
+    }
+
     fn render(
         &self,
         run: &TileRequest<'_>,

@@ -12,7 +12,8 @@ use scene::visits::Visited;
 
 use tape::{EvaluatorError, InvalidTape, Unavailable};
 
-/// Renders tiles on one device. Each render has exclusive use of it until it ends, or calls `on_device_free`.
+/// Renders tiles on one device. Each render has exclusive use of it until it ends, or calls `on_device_free`; only the
+/// renders of [`Renderer::beside`] share it.
 ///
 /// The pixels depend only on the tiles requested: all renderers are bit-identical.
 pub trait Renderer: Send + Sync {
@@ -86,6 +87,12 @@ pub trait Renderer: Send + Sync {
     /// Preferred number of tiles per call, at least 1.
     fn preferred_tiles(&self) -> usize {
         1
+    }
+
+    /// Another renderer on the device, whose renders run at the same time as this one's and share its power; `None` if the
+    /// device has none.
+    fn beside(&self) -> Result<Option<Arc<dyn Renderer>>, RenderError> {
+        Ok(None)
     }
 
     /// Number of threads that may encode, at least 1.

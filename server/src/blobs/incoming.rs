@@ -19,7 +19,7 @@ pub(super) enum Piece {
 /// Content that a client sends.
 pub(super) struct Incoming<'a, S> {
     bytes: S,
-    kind: ContentKind,
+    max_bytes: u64,
     name: &'a ContentHash,
     hasher: blake3::Hasher,
     size_bytes: u64,
@@ -28,16 +28,17 @@ pub(super) struct Incoming<'a, S> {
 
 impl<'a, S: Stream<Item = io::Result<Bytes>> + Unpin> Incoming<'a, S> {
     /// Content that should have this name.
-    pub(super) fn new(kind: ContentKind, name: &'a ContentHash, bytes: S) -> Self {
-        Self { bytes, kind, name, hasher: blake3::Hasher::new(), size_bytes: 0, part: BytesMut::new() }
+    pub(super) fn new(kind: ContentKind, name: &'a ContentHash, bytes: S, max_bytes: u64) -> Self {
+        let max_bytes = max_bytes.min(kind.max_bytes());
+        Self { bytes, max_bytes, name, hasher: blake3::Hasher::new(), size_bytes: 0, part: BytesMut::new() }
     }
 
     /// Next piece; an error if the content is too large or is not what its name says. There is none after the last.
     pub(super) async fn piece(&mut self) -> Result<Piece, ContentError> {
         while let Some(chunk) = self.bytes.try_next().await.map_err(ContentError::Broken)? {
             self.size_bytes += chunk.len() as u64;
-            if self.size_bytes > self.kind.max_bytes() {
-                return Err(ContentError::TooLarge { limit_bytes: self.kind.max_bytes() });
+            if self.size_bytes > self.max_bytes {
+                return Err(ContentError::TooLarge { limit_bytes: self.max_bytes });
             }
             self.hasher.update(&chunk);
             self.part.extend_from_slice(&chunk);

@@ -42,7 +42,7 @@ fn content(seed: u8, size_bytes: usize) -> Bytes {
 
 async fn put(store: &BlobStore, kind: ContentKind, bytes: &Bytes) -> ContentHash {
     let name = name(bytes);
-    store.put(kind, &name, chunks(bytes)).await.expect("stores");
+    store.put(kind, &name, chunks(bytes), u64::MAX).await.expect("stores");
     name
 }
 
@@ -122,14 +122,14 @@ async fn content_is_stored_once_and_read_in_ranges(store: &BlobStore) {
 async fn wrong_bytes_are_rejected(store: &BlobStore) {
     let before = names(store, PICTURE).await;
     for size_bytes in [5, 3 * WRITE_CHUNK_BYTES + 5, LARGE_BYTES] {
-        let wrong = store.put(PICTURE, &name(b"other"), chunks(&content(2, size_bytes))).await;
+        let wrong = store.put(PICTURE, &name(b"other"), chunks(&content(2, size_bytes)), u64::MAX).await;
         assert!(matches!(wrong, Err(ContentError::Mismatch { .. })), "{wrong:?}");
         let broken = chunks(&content(2, size_bytes)).chain(futures_util::stream::iter([Err(io::Error::other("cut"))]));
-        let broken = store.put(PICTURE, &name(&content(2, size_bytes)), broken).await;
+        let broken = store.put(PICTURE, &name(&content(2, size_bytes)), broken, u64::MAX).await;
         assert!(matches!(broken, Err(ContentError::Broken(_))), "{broken:?}");
     }
     let too_large = futures_util::stream::repeat(content(2, 1 << 20)).map(Ok);
-    let too_large = store.put(BLOB, &name(b"other"), too_large).await;
+    let too_large = store.put(BLOB, &name(b"other"), too_large, u64::MAX).await;
     assert!(matches!(too_large, Err(ContentError::TooLarge { .. })), "{too_large:?}");
     assert_eq!(names(store, PICTURE).await, before, "a rejected write leaves nothing");
     assert!(names(store, BLOB).await.is_empty());
@@ -355,7 +355,7 @@ async fn an_outage_is_temporary() {
     let (stored, other) = (put(&store, PICTURE, &bytes).await, content(13, LARGE_BYTES));
     s3.stop();
     let attempts = [
-        store.put(PICTURE, &name(&other), chunks(&other)).await.expect_err("it is away"),
+        store.put(PICTURE, &name(&other), chunks(&other), u64::MAX).await.expect_err("it is away"),
         store.get(PICTURE, &stored, None).await.map(drop).expect_err("it is away"),
         store.file_state(PICTURE, &stored, 300_000).await.map(drop).expect_err("it is away"),
         store.size_bytes(PICTURE).await.map(drop).expect_err("it is away"),

@@ -143,7 +143,7 @@ async fn copy(source: &BlobStore, target: &BlobStore, kind: ContentKind, name: &
     let Some(name) = ContentHash::parse(name) else { return Ok(Copied::Missing) };
     let Some((size_bytes, bytes)) = source.get(kind, &name, None).await? else { return Ok(Copied::Missing) };
     // The target compares the bytes with their name.
-    match target.put(kind, &name, bytes.map_err(io::Error::other)).await {
+    match target.put(kind, &name, bytes.map_err(io::Error::other), u64::MAX).await {
         Ok(()) => Ok(Copied::Now(size_bytes)),
         Err(ContentError::Mismatch { .. } | ContentError::TooLarge { .. }) => Ok(Copied::Missing),
         Err(error) => Err(error),

@@ -152,6 +152,11 @@ table::errors! {
     ForeignWorker(String) => FORBIDDEN "foreign_worker" "The worker belongs to another key";
     #[error("no worker of this key has a lease that needs this: register a worker with this key, and claim work first")]
     NoLease => FORBIDDEN "no_lease" "The key has no lease that needs this";
+    #[error(
+        "the leases of this key need {limit_bytes} bytes, and its workers have sent twice as many without reporting them: report \
+         results, and send only what a lease asks for"
+    )]
+    UnneededBytes { limit_bytes: u64 } => PAYLOAD_TOO_LARGE "unneeded_bytes" "The key's leases need fewer bytes";
     #[error("the worker renders picture version {found}, the server requires {wanted}: run the same release of both")]
     WrongPictureVersion { found: u32, wanted: u32 }
         => UNPROCESSABLE_ENTITY "wrong_picture_version" "The worker has another picture version";

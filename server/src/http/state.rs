@@ -27,6 +27,7 @@ use crate::signed_links::LinkSigner;
 use crate::space_reserve::SpaceReserve;
 use crate::submissions::Submissions;
 use crate::telemetry::Telemetry;
+use crate::upload_ledger::UploadLedger;
 use crate::webhooks::AddressPolicy;
 use crate::worker_sync::WorkerSync;
 
@@ -96,6 +97,8 @@ handles_of_state! {
     submissions: Submissions,
     /// Metrics and status.
     telemetry: Arc<Telemetry>,
+    /// Unreported bytes of worker keys.
+    upload_ledger: Arc<UploadLedger>,
     /// Addresses that webhooks may have.
     webhook_addresses: Arc<AddressPolicy>,
     /// Syncs of workers.

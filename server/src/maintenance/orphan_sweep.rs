@@ -46,10 +46,10 @@ impl OrphanSweep {
         Ok(())
     }
 
-    /// Deletes old content that no worker has reported.
-    pub(super) async fn sweep_unreported(&self) -> Result<(), DatabaseError> {
+    /// Deletes content of at least this age that no worker has reported.
+    pub(super) async fn sweep_unreported(&self, min_age: Duration) -> Result<(), DatabaseError> {
         for kind in ContentKind::ALL {
-            let names = match self.unreported_hashes(kind).await {
+            let names = match self.unreported_hashes(kind, min_age).await {
                 Ok(names) => names,
                 Err(error) => {
                     tracing::warn!(%error, ?kind, "could not list a folder");
@@ -134,8 +134,8 @@ impl OrphanSweep {
         }
     }
 
-    async fn unreported_hashes(&self, kind: ContentKind) -> object_store::Result<Vec<String>> {
-        let (now_seconds, min_age_seconds) = (self.queue.wall_seconds(), self.content.orphan_age().as_secs());
+    async fn unreported_hashes(&self, kind: ContentKind, min_age: Duration) -> object_store::Result<Vec<String>> {
+        let (now_seconds, min_age_seconds) = (self.queue.wall_seconds(), min_age.as_secs());
         self.content
             .list(kind)
             .try_filter_map(async |meta| {

@@ -5,6 +5,7 @@ pub(super) mod batch_size;
 pub(super) mod claim;
 pub(super) mod deliver;
 pub(super) mod ends;
+mod others;
 pub(super) mod straggler;
 pub(super) mod sync;
 
@@ -105,26 +106,53 @@ impl Counters {
     }
 }
 
+/// Witness against a tile: the owner of all its leases that failed or were lost. Workers of one key are one witness, which
+/// kills no tile that another could render.
+#[derive(Clone, Debug, PartialEq, Eq)]
+struct Blame(Option<String>);
+
+impl Blame {
+    /// The name of several owners, or of the pool, which is trusted.
+    const CONFIRMED: &str = "";
+
+    fn is_confirmed(&self) -> bool {
+        self.0.as_deref() == Some(Self::CONFIRMED)
+    }
+
+    /// After one more failure on a worker of this owner.
+    fn confirmed_by(self, owner: &str, is_pool: bool) -> Self {
+        let is_same = self.0.as_ref().is_none_or(|known| known == owner);
+        Self(Some(if is_same && !is_pool { owner.to_owned() } else { Self::CONFIRMED.to_owned() }))
+    }
+}
+
 /// A live lease and its tile. A lease whose job has ended is not live, even before it is voided.
 #[derive(Clone, Debug)]
 pub(super) struct LiveLease {
     pub(super) lease: String,
     pub(super) worker: String,
+    /// Owner of its worker.
+    pub(super) owner: String,
+    /// Whether its worker is one of the pool.
+    is_pool: bool,
     pub(super) tile: i64,
     pub(super) job: i64,
     pub(super) frame: u32,
     pub(super) stitch: bool,
     pub(super) granted_ms: i64,
     counters: Counters,
+    blame: Blame,
 }
 
 /// Columns of a [`LiveLease`], up to a condition.
 macro_rules! held_where {
     ($condition:literal) => {
         concat!(
-            "SELECT lease.id AS lease, lease.worker, tile.id AS tile, tile.job, tile.frame, tile.kind,
-                    lease.granted_ms, tile.errors, tile.crashes, tile.lost, tile.interrupts
+            "SELECT lease.id AS lease, lease.worker, coalesce(worker.owner, worker.id) AS owner, worker.pool, tile.id AS tile,
+                    tile.job, tile.frame, tile.kind, lease.granted_ms, tile.errors, tile.crashes, tile.lost,
+                    tile.interrupts, tile.blamed_by
              FROM lease JOIN tile ON tile.id = lease.tile JOIN job ON job.number = tile.job
+             JOIN worker ON worker.id = lease.worker
              WHERE @unindexed(lease.ended) IS NULL AND job.finished_at_ms IS NULL AND ",
             $condition
         )
@@ -137,6 +165,8 @@ impl LiveLease {
         Ok(Self {
             lease: row.get("lease")?,
             worker: row.get("worker")?,
+            owner: row.get("owner")?,
+            is_pool: row.get("pool")?,
             tile: row.get("tile")?,
             job: row.get("job")?,
             frame: row.get("frame")?,
@@ -148,6 +178,7 @@ impl LiveLease {
                 lost: row.get("lost")?,
                 interrupts: row.get("interrupts")?,
             },
+            blame: Blame(row.get("blamed_by")?),
         })
     }
 }
@@ -222,11 +253,24 @@ pub(super) async fn end_without_result(
         exclusion::record_error(connection, &held.worker, held.job, context).await?;
     }
     let counters = held.counters.incremented(cause);
+    let blame = match cause {
+        LeaseEnd::Failed | LeaseEnd::Crashed | LeaseEnd::Lost => {
+            held.blame.clone().confirmed_by(&held.owner, held.is_pool)
+        }
+        LeaseEnd::Rejected | LeaseEnd::Released => held.blame.clone(),
+    };
     if is_leased(connection, held.tile).await? {
-        store_counters(connection, held, counters).await?;
+        set_state(connection, held.tile, TileState::Leased, counters, &blame).await?;
         return Ok(Wake::default());
     }
-    match counters.decide(cause, spread(held.tile)) {
+    let mut decision = counters.decide(cause, spread(held.tile));
+    if decision == RetryDecision::Dead
+        && !blame.is_confirmed()
+        && exclusion::exclude_owner(connection, held, context).await?
+    {
+        decision = RetryDecision::Retry { delay_ms: 0 };
+    }
+    match decision {
         RetryDecision::Retry { delay_ms } => {
             let not_before_ms = if delay_ms == 0 { 0 } else { context.now_ms + delay_ms };
             let avoids = match cause {
@@ -234,11 +278,12 @@ pub(super) async fn end_without_result(
                 LeaseEnd::Rejected => true,
                 LeaseEnd::Crashed | LeaseEnd::Lost | LeaseEnd::Released => false,
             };
-            requeue(connection, held, counters, not_before_ms, avoids.then_some(held.worker.as_str())).await?;
+            let state = TileState::Ready { not_before_ms, avoid: avoids.then_some(held.worker.as_str()) };
+            set_state(connection, held.tile, state, counters, &blame).await?;
             Ok(Wake::WORK)
         }
         RetryDecision::Dead => {
-            mark_dead(connection, held, counters).await?;
+            set_state(connection, held.tile, TileState::Dead, counters, &blame).await?;
             let place = if held.stitch { "could not be stitched" } else { "could not be rendered" };
             let message = format!("frame {} {place}: {message}", held.frame);
             let job = crate::queue::job_id(connection, held.job).await?;
@@ -258,58 +303,48 @@ async fn is_leased(connection: &mut Connection, tile: i64) -> Result<bool> {
     Ok(live.is_some())
 }
 
-async fn requeue(
+/// State of a tile after one of its leases has ended.
+enum TileState<'a> {
+    /// Its duplicate lease is live.
+    Leased,
+    /// It may be leased from this time on, if possible not by the worker to avoid.
+    Ready {
+        not_before_ms: i64,
+        avoid: Option<&'a str>,
+    },
+    Dead,
+}
+
+/// Sets the state of a leased tile, and who speaks against it.
+async fn set_state(
     connection: &mut Connection,
-    held: &LiveLease,
+    tile: i64,
+    state: TileState<'_>,
     counters: Counters,
-    not_before_ms: i64,
-    avoid: Option<&str>,
+    blame: &Blame,
 ) -> Result<()> {
+    let (name, not_before_ms, avoid) = match state {
+        TileState::Leased => ("leased", 0, None),
+        TileState::Ready { not_before_ms, avoid } => ("ready", not_before_ms, avoid),
+        TileState::Dead => ("dead", 0, None),
+    };
     let done = db::query(
-        "UPDATE tile SET state = 'ready', not_before_ms = ?, avoid = coalesce(?, avoid),
-                         errors = ?, crashes = ?, lost = ?, interrupts = ?
+        "UPDATE tile SET state = ?, not_before_ms = ?, avoid = coalesce(?, avoid), errors = ?, crashes = ?, lost = ?,
+                         interrupts = ?, blamed_by = ?
          WHERE id = ? AND state = 'leased'",
     )
+    .bind(name)
     .bind(not_before_ms)
     .bind(avoid)
     .bind(counters.errors)
     .bind(counters.crashes)
     .bind(counters.lost)
     .bind(counters.interrupts)
-    .bind(held.tile)
+    .bind(blame.0.as_deref())
+    .bind(tile)
     .execute(connection)
     .await?;
-    expect_rows("tile: leased to ready", 1, done)
-}
-
-/// Updates the counters of a tile that stays leased.
-async fn store_counters(connection: &mut Connection, held: &LiveLease, counters: Counters) -> Result<()> {
-    let done = db::query(
-        "UPDATE tile SET errors = ?, crashes = ?, lost = ?, interrupts = ? WHERE id = ? AND state = 'leased'",
-    )
-    .bind(counters.errors)
-    .bind(counters.crashes)
-    .bind(counters.lost)
-    .bind(counters.interrupts)
-    .bind(held.tile)
-    .execute(connection)
-    .await?;
-    expect_rows("tile: counted", 1, done)
-}
-
-async fn mark_dead(connection: &mut Connection, held: &LiveLease, counters: Counters) -> Result<()> {
-    let done = db::query(
-        "UPDATE tile SET state = 'dead', errors = ?, crashes = ?, lost = ?, interrupts = ?
-         WHERE id = ? AND state = 'leased'",
-    )
-    .bind(counters.errors)
-    .bind(counters.crashes)
-    .bind(counters.lost)
-    .bind(counters.interrupts)
-    .bind(held.tile)
-    .execute(connection)
-    .await?;
-    expect_rows("tile: leased to dead", 1, done)
+    expect_rows("tile: lease ended", 1, done)
 }
 
 /// Renews live leases.
@@ -415,6 +450,17 @@ mod tests {
         );
         assert_eq!(delay(failed(2), LeaseEnd::Released, 1.0), 0);
         assert_eq!(delay(Counters { interrupts: 1000, ..Counters::default() }, LeaseEnd::Released, 1.0), 0);
+    }
+
+    #[test]
+    fn workers_of_one_owner_are_one_witness() {
+        let blame = Blame(None).confirmed_by("key", false);
+        assert_eq!(blame, Blame(Some("key".to_owned())));
+        assert!(!blame.clone().confirmed_by("key", false).is_confirmed());
+        assert!(blame.clone().confirmed_by("another", false).confirmed_by("key", false).is_confirmed());
+        assert!(
+            blame.confirmed_by("pool", true).is_confirmed() && Blame(None).confirmed_by("pool", true).is_confirmed()
+        );
     }
 
     #[test]

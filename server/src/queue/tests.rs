@@ -177,6 +177,7 @@ fn turn(worker: WorkerId) -> SyncInput {
         rejected: Vec::new(),
         checked: None,
         wants_work: false,
+        beside: false,
         shutting_down: false,
         opening: None,
         max_batches: 1,

@@ -2,6 +2,9 @@
 //! same bytes, so two different hashes show that one of them is wrong; a worker of the pool, or a third one, decides.
 //! The wrong one is quarantined, and what it delivered since its last confirmed result is undone (see `undo`).
 //!
+//! Workers of one key are one witness: while a worker of another owner is ready, none verifies a result of its own key. A
+//! result that no worker could verify yet waits until one can, behind all other work once it is old.
+//!
 //! A result counts at once, whether it is chosen or not. The leases of verifications are in a table of their own, so
 //! that they change no tile.
 
@@ -12,7 +15,7 @@ use crate::db;
 use proto::LeaseId;
 use proto::worker_protocol::{Batch, BatchWork};
 
-pub(super) use leases::{discard_expired, release_of, renew, reset_after_restart};
+pub(super) use leases::{expire, release_of, renew, reset_after_restart};
 pub(super) use verdict::{VerifierLease, deliver, live_leases, reject};
 
 use crate::queue::leases::claim::{self, ClaimRequest};
@@ -102,8 +105,7 @@ pub(super) async fn choose(
     .fetch_one(&mut *connection)
     .await?;
     let wanted = chosen.len();
-    let has_other_worker = worker.others_max_nodes >= 0;
-    let room = if has_other_worker { (MAX_PENDING - row.get::<i64>("pending")?).max(0) } else { 0 };
+    let room = (MAX_PENDING - row.get::<i64>("pending")?).max(0);
     chosen.truncate(usize::try_from(room).unwrap_or(usize::MAX));
     let skipped = (wanted - chosen.len()) as u64;
     if chosen.is_empty() {
@@ -141,27 +143,42 @@ pub(super) async fn choose(
     Ok((skipped, Wake::WORK))
 }
 
-/// Oldest result that this worker may verify: not its own; if a worker of the pool could verify it, only by the pool.
+/// Oldest result that this worker may verify: not its own; if a worker of the pool could verify it, only by the pool; one of
+/// its own key only if all who have spoken are of this key, and no worker of another is ready. Old ones are apart.
 const NEXT_SQL: &str = "
     SELECT verification.number, verification.job, frame, position, job.id, job.tile_seconds
     FROM verification JOIN job ON job.number = verification.job
+    JOIN worker AS me ON me.id = ?1
+    JOIN worker AS first ON first.id = verification.worker
+    LEFT JOIN worker AS second ON second.id = second_worker
     WHERE verifier IS NULL AND verification.worker <> ?1 AND second_worker IS DISTINCT FROM ?1
+      AND (verification.created_ms > ?3) = (?4 = 0) AND failed_by IS DISTINCT FROM ?1
+      AND (me.pool = 1
+           OR (first.owner IS DISTINCT FROM me.owner AND (second_worker IS NULL OR second.owner IS DISTINCT FROM me.owner))
+           OR (first.owner IS NOT DISTINCT FROM me.owner
+               AND (second_worker IS NULL OR second.owner IS NOT DISTINCT FROM me.owner)
+               AND NOT EXISTS (SELECT 1 FROM worker AS other
+                   WHERE other.state <> 'gone' AND other.state = 'ready' AND other.owner IS DISTINCT FROM me.owner)))
       AND (position = -1 OR job.nodes <= ?2)
       AND (position <> -1 OR NOT EXISTS (SELECT 1 FROM tile WHERE tile.job = verification.job
            AND tile.frame = verification.frame AND tile.kind = 'render' AND tile.blob IS NULL))
-      AND ((SELECT pool = 1 FROM worker WHERE id = ?1) OR NOT EXISTS (
+      AND (me.pool = 1 OR NOT EXISTS (
            SELECT 1 FROM worker AS own WHERE own.state <> 'gone' AND own.state = 'ready' AND own.pool = 1
+           AND own.id IS DISTINCT FROM failed_by
            AND (position = -1 OR coalesce(own.max_nodes, job.nodes) >= job.nodes)))
       AND (SELECT value = 0 FROM meta WHERE name = 'paused')
     ORDER BY verification.number LIMIT 1";
 
-/// Tiles of the same frame that this worker may verify.
+/// Tiles of the same frame that this worker may verify: of the same workers as the first of them.
 const TOGETHER_SQL: &str = "
-    SELECT number, tile.id, tile.position, tile.x_px, tile.y_px, tile.width_px, tile.height_px
+    SELECT verification.number, tile.id, tile.position, tile.x_px, tile.y_px, tile.width_px, tile.height_px
     FROM verification @join tile ON tile.job = verification.job AND tile.frame = verification.frame
                                 AND tile.position = verification.position
-    WHERE verification.job = ?2 AND verification.frame = ?3 AND verification.position >= 0 AND verifier IS NULL
-      AND verification.worker <> ?1 AND second_worker IS DISTINCT FROM ?1
+    JOIN verification AS next ON next.number = ?1 AND verification.worker = next.worker
+        AND verification.second_worker IS NOT DISTINCT FROM next.second_worker
+        AND verification.failed_by IS NOT DISTINCT FROM next.failed_by
+    WHERE verification.job = ?2 AND verification.frame = ?3 AND verification.position >= 0
+      AND verification.verifier IS NULL
     ORDER BY verification.position LIMIT ?4";
 
 /// Tiles of a frame.
@@ -169,14 +186,30 @@ const TILES_SQL: &str = "
     SELECT id, position, x_px, y_px, width_px, height_px FROM tile
     WHERE job = ? AND frame = ? AND kind = 'render' ORDER BY position";
 
+/// Which verifications a worker claims.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Age {
+    /// Recent results, before other work.
+    Recent,
+    /// Results that have waited for long, if there is no other work.
+    Old,
+}
+
 /// Claims a verification for a worker.
 pub(super) async fn claim(
     connection: &mut Connection,
     claimant: ClaimRequest,
+    age: Age,
     context: TransitionContext,
 ) -> Result<Option<Batch>> {
     let worker = claimant.worker.to_string();
-    let next = db::query(NEXT_SQL).bind(&worker).bind(claimant.max_nodes).fetch_optional(&mut *connection).await?;
+    let next = db::query(NEXT_SQL)
+        .bind(&worker)
+        .bind(claimant.max_nodes)
+        .bind(context.now_ms - leases::MAX_RECENT_MS)
+        .bind(age == Age::Old)
+        .fetch_optional(&mut *connection)
+        .await?;
     let Some(next) = next else { return Ok(None) };
     let (number, job): (i64, i64) = (next.get("number")?, next.get("job")?);
     let (frame, position): (u32, i64) = (next.get("frame")?, next.get("position")?);
@@ -196,7 +229,7 @@ pub(super) async fn claim(
         }
         _ => {
             let together = db::query(TOGETHER_SQL)
-                .bind(&worker)
+                .bind(number)
                 .bind(job)
                 .bind(frame)
                 .bind(MAX_TILES_TOGETHER)

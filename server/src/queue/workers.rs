@@ -3,14 +3,15 @@
 pub(super) mod changes;
 pub(super) mod exclusion;
 pub(super) mod minutes;
+pub(super) mod needs;
 pub(super) mod scaling;
 pub(super) mod speeds;
 pub(super) mod state;
 pub(super) mod views;
 
 use crate::db;
+use proto::WorkerId;
 use proto::worker_protocol::RegisterRequest;
-use proto::{JobId, WorkerId};
 
 use crate::queue::leases::{self, LeaseEnd};
 use crate::queue::{Connection, Queue, Result, TransitionContext, Wake, expect_rows, parse_column, verification};
@@ -54,10 +55,11 @@ pub(super) async fn register(
     .bind(new.request.max_nodes)
     .bind(context.generation)
     .bind(context.now_ms)
-    .bind(new.owner)
-    .execute(connection)
+    .bind(&new.owner)
+    .execute(&mut *connection)
     .await?;
     expect_rows("worker: registered", 1, made)?;
+    exclusion::quarantine_new(connection, &worker.to_string(), &new.owner, context).await?;
     Ok(Registration { worker })
 }
 
@@ -77,46 +79,6 @@ impl Queue {
         let row = row.fetch_optional(self.readers()).await?;
         row.map(|row| Ok((row.get("name")?, row.get("device")?))).transpose()
     }
-
-    /// Whether a worker of this owner holds a lease that needs the given content.
-    pub(crate) async fn has_lease(&self, owner: &str, needs: LeaseNeed<'_>) -> Result<bool> {
-        let (job, blob) = match needs {
-            LeaseNeed::Upload => (None, None),
-            LeaseNeed::JobFile(job) => (Some(job.to_string()), None),
-            LeaseNeed::Blob(hash) => (None, Some(hash)),
-        };
-        let found: Option<i64> = db::query_scalar(
-            "SELECT 1 FROM worker
-             @join lease ON lease.worker = worker.id AND lease.ended IS NULL
-             @join tile ON tile.id = lease.tile
-             WHERE worker.owner = ?1 AND worker.state <> 'gone'
-               AND (?2 IS NULL OR tile.job = (SELECT number FROM job WHERE id = ?2)
-                    OR ((SELECT based_on FROM job WHERE number = tile.job) IS NOT NULL
-                        AND (SELECT recorded = 1 FROM job WHERE id = ?2)))
-               AND (?3 IS NULL OR EXISTS (SELECT 1 FROM tile AS input WHERE input.blob = ?3 AND input.job = tile.job)
-                    OR ((SELECT based_on FROM job WHERE number = tile.job) IS NOT NULL
-                        AND EXISTS (SELECT 1 FROM tile AS kept WHERE (kept.record IS NOT NULL AND kept.record = ?3)
-                            OR (kept.blob = ?3 AND kept.record IS NOT NULL))))
-             LIMIT 1",
-        )
-        .bind(owner)
-        .bind(job)
-        .bind(blob)
-        .fetch_optional(self.readers())
-        .await?;
-        Ok(found.is_some())
-    }
-}
-
-/// Content that a lease gives access to.
-#[derive(Clone, Copy, Debug)]
-pub(crate) enum LeaseNeed<'a> {
-    /// Sending a blob or a picture.
-    Upload,
-    /// The file of the lease's job, or of a recorded one if that is based on another.
-    JobFile(JobId),
-    /// A blob of the lease's job, by its hash, or of a recorded tile if the job is based on another.
-    Blob(&'a str),
 }
 
 /// Asks the worker of this server's pool with this process id to drain; false if there is none yet.

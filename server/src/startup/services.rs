@@ -35,6 +35,7 @@ use crate::signed_links::LinkSigner;
 use crate::space_reserve::SpaceReserve;
 use crate::submissions::Submissions;
 use crate::telemetry::Telemetry;
+use crate::upload_ledger::UploadLedger;
 use crate::webhooks::{AddressPolicy, Signer, Webhooks};
 use crate::worker_sync::{FrameOpenings, ResultCheck, WorkerSync};
 
@@ -157,6 +158,7 @@ impl Foundation {
             rate_limits: Arc::clone(&rate_limits),
         };
         let jobs = Arc::new(JobReader::new(config.job_reader.clone()));
+        let upload_ledger = Arc::new(UploadLedger::new(self.content.orphan_age(), !self.content.is_shared()));
         let state = ApiState::new(Handles {
             alerts,
             api_keys,
@@ -174,7 +176,8 @@ impl Foundation {
             submissions: Submissions::new(queue.clone(), Arc::clone(&jobs)),
             telemetry,
             webhook_addresses,
-            worker_sync: Arc::new(self.worker_sync(&jobs, orphans.clone())),
+            worker_sync: Arc::new(self.worker_sync(&jobs, &upload_ledger, orphans.clone())),
+            upload_ledger,
             config: Arc::clone(&config),
             content: self.content,
             jobs,
@@ -239,11 +242,12 @@ impl Foundation {
         Telemetry::new(self.config.data.clone(), database, self.queue.clone(), content, counters)
     }
 
-    fn worker_sync(&self, jobs: &Arc<JobReader>, orphans: Orphans) -> WorkerSync {
+    fn worker_sync(&self, jobs: &Arc<JobReader>, ledger: &Arc<UploadLedger>, orphans: Orphans) -> WorkerSync {
         WorkerSync {
             queue: self.queue.clone(),
             results: ResultCheck::new(self.queue.clone(), Arc::clone(&self.content), Arc::clone(jobs)),
             openings: FrameOpenings::new(self.queue.clone(), Arc::clone(jobs)),
+            ledger: Arc::clone(ledger),
             reserve: Arc::clone(&self.reserve),
             orphans,
             preview_helper: Arc::clone(&self.preview_helper),

@@ -57,6 +57,7 @@ impl ResultCheck {
 
     /// Takes out the results whose bytes are wrong or missing; their tiles are requeued.
     pub(super) async fn check(&self, turn: &mut SyncInput) -> Result<(), SyncError> {
+        self.check_accusations(turn).await?;
         let delivers =
             |outcome: &LeaseOutcome| matches!(outcome, LeaseOutcome::Blob { .. } | LeaseOutcome::Picture { .. });
         let leases: Vec<LeaseId> =
@@ -99,6 +100,41 @@ impl ResultCheck {
             let hash = delivered.hash.chars().take(MAX_LOGGED_CHARACTERS).collect();
             turn.rejected.push(RejectedResult { lease: report.lease, hash, reason, is_wrong });
             last = Some((delivered, verdict));
+        }
+        turn.reports = kept;
+        Ok(())
+    }
+
+    /// Takes out the reports that blobs of a stitch are damaged if none of them is.
+    async fn check_accusations(&self, turn: &mut SyncInput) -> Result<(), SyncError> {
+        let mut kept = Vec::with_capacity(turn.reports.len());
+        for mut report in std::mem::take(&mut turn.reports) {
+            if let LeaseOutcome::BadBlobs { tiles } = &mut report.outcome {
+                let blobs = self.queue.stitch_blobs(turn.worker, report.lease, tiles).await?;
+                let is_known = !blobs.is_empty();
+                tiles.clear();
+                for (position, hash) in blobs {
+                    let name = ContentHash::parse(&hash);
+                    let is_intact = match &name {
+                        Some(name) => self.content.hash(ContentKind::Blob, name).await?.as_ref() == Some(&hash),
+                        None => false,
+                    };
+                    if !is_intact {
+                        tiles.push(position);
+                    }
+                }
+                if is_known && tiles.is_empty() {
+                    let reason = "it says that blobs are damaged which are intact".to_owned();
+                    turn.rejected.push(RejectedResult {
+                        lease: report.lease,
+                        hash: String::new(),
+                        reason,
+                        is_wrong: true,
+                    });
+                    continue;
+                }
+            }
+            kept.push(report);
         }
         turn.reports = kept;
         Ok(())

@@ -13,7 +13,7 @@ use proto::worker_protocol::{
     TileRecord, WorkerMetrics,
 };
 use proto::{JobId, LeaseId, Problem, Rect, WorkerId};
-use reqwest::{Client, Response, StatusCode};
+use reqwest::{Client, Method, Response, StatusCode};
 use serde_json::{Value, json};
 use server::{Clock, Config, ManualClock, Server};
 use tempfile::TempDir;
@@ -94,6 +94,15 @@ impl Farm {
         in_time(self.client.post(self.url(path)).body(body).send()).await.expect("the server responds")
     }
 
+    /// Sends a request with a key, if there is one.
+    async fn send_as(&self, key: Option<&str>, method: Method, path: &str, body: Vec<u8>) -> Response {
+        let mut request = self.client.request(method, self.url(path)).body(body);
+        if let Some(key) = key {
+            request = request.bearer_auth(key);
+        }
+        in_time(request.send()).await.expect("the server responds")
+    }
+
     /// Submits three jobs of many tiles, one after another by their priorities.
     pub(crate) async fn submit_three_large(&self) {
         for seed in 0..3 {
@@ -114,17 +123,22 @@ impl Farm {
     }
 
     pub(crate) async fn worker(&self, name: &str) -> Worker<'_> {
-        Worker::register(self, name, "cpu", None).await
+        Worker::register(self, None, name, "cpu", None).await
+    }
+
+    /// Worker whose requests have this key.
+    pub(crate) async fn worker_of(&self, key: &str, name: &str) -> Worker<'_> {
+        Worker::register(self, Some(key), name, "cpu", None).await
     }
 
     /// Worker that renders only scenes with at most this many nodes.
     pub(crate) async fn small_worker(&self, name: &str, max_nodes: u32) -> Worker<'_> {
-        Worker::register(self, name, "cpu", Some(max_nodes)).await
+        Worker::register(self, None, name, "cpu", Some(max_nodes)).await
     }
 
     /// Worker on a GPU that renders only scenes with at most this many nodes.
     pub(crate) async fn gpu_worker(&self, name: &str, max_nodes: u32) -> Worker<'_> {
-        Worker::register(self, name, "cuda:0", Some(max_nodes)).await
+        Worker::register(self, None, name, "cuda:0", Some(max_nodes)).await
     }
 }
 
@@ -179,6 +193,7 @@ struct LeasedTile {
 /// A worker that pretends to render.
 pub(crate) struct Worker<'a> {
     farm: &'a Farm,
+    key: Option<String>,
     jobs: Mutex<HashMap<JobId, Arc<scene::Job>>>,
     places: Mutex<HashMap<LeaseId, LeasedTile>>,
     pub(crate) id: WorkerId,
@@ -192,12 +207,13 @@ pub(crate) struct Said {
     pub(crate) results: Vec<LeaseReport>,
     pub(crate) records: Vec<TileRecord>,
     pub(crate) wants_work: bool,
+    pub(crate) beside: bool,
     pub(crate) wait: Duration,
     pub(crate) measured: WorkerMetrics,
 }
 
 impl<'a> Worker<'a> {
-    async fn register(farm: &'a Farm, name: &str, device: &str, max_nodes: Option<u32>) -> Self {
+    async fn register(farm: &'a Farm, key: Option<&str>, name: &str, device: &str, max_nodes: Option<u32>) -> Self {
         let hello = RegisterRequest {
             name: name.to_owned(),
             device: device.to_owned(),
@@ -205,14 +221,17 @@ impl<'a> Worker<'a> {
             max_nodes,
             process: 1,
         };
-        let welcome: RegisterResponse = read(
-            farm.post(worker_protocol::REGISTER_PATH, serde_json::to_string(&hello).expect("json")).await,
-            StatusCode::OK,
-        )
-        .await;
+        let hello = serde_json::to_vec(&hello).expect("json");
+        let registered = farm.send_as(key, Method::POST, worker_protocol::REGISTER_PATH, hello).await;
+        let welcome: RegisterResponse = read(registered, StatusCode::OK).await;
         assert_eq!(welcome.lease_ms, LEASE.as_millis() as u64);
         let (jobs, places) = Default::default();
-        Self { farm, jobs, places, id: welcome.worker, rays_per_second: None }
+        let key = key.map(ToOwned::to_owned);
+        Self { farm, key, jobs, places, id: welcome.worker, rays_per_second: None }
+    }
+
+    async fn send(&self, method: Method, path: &str, body: Vec<u8>) -> Response {
+        self.farm.send_as(self.key.as_deref(), method, path, body).await
     }
 
     pub(crate) async fn try_sync(&self, said: Said) -> Response {
@@ -223,12 +242,13 @@ impl<'a> Worker<'a> {
             reports: said.results,
             records: said.records,
             wants_work: said.wants_work,
+            beside: said.beside,
             max_batches: 1,
             wait_ms: said.wait.as_millis() as u64,
             shutting_down: false,
             metrics: said.measured,
         };
-        self.farm.post(worker_protocol::SYNC_PATH, serde_json::to_string(&request).expect("json")).await
+        self.send(Method::POST, worker_protocol::SYNC_PATH, serde_json::to_vec(&request).expect("json")).await
     }
 
     pub(crate) async fn sync(&self, said: Said) -> SyncResponse {
@@ -245,7 +265,8 @@ impl<'a> Worker<'a> {
         let job = if let Some(job) = known {
             job
         } else {
-            let text = in_time(self.farm.get(&worker_protocol::job_path(run.job)).await.bytes()).await;
+            let file = self.send(Method::GET, &worker_protocol::job_path(run.job), Vec::new()).await;
+            let text = in_time(file.bytes()).await;
             let Ok(job) = scene::parse(&text.expect("a body")) else { return };
             let job = Arc::new(job);
             self.jobs.lock().expect("no holder panics").insert(run.job, Arc::clone(&job));
@@ -281,7 +302,7 @@ impl<'a> Worker<'a> {
     }
 
     pub(crate) async fn put(&self, path: &str, bytes: Vec<u8>) -> Response {
-        in_time(self.farm.client.put(self.farm.url(path)).body(bytes).send()).await.expect("the server responds")
+        self.send(Method::PUT, path, bytes).await
     }
 
     /// Stores a picture with this text and reports it for these leases.

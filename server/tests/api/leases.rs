@@ -163,7 +163,10 @@ async fn tiles_of_damaged_blobs_are_rendered_again_without_losing_progress() {
         }
         worker.report(worker.results(&run).await).await;
     };
-    let bad = LeaseReport { lease: leases(&stitch)[0], outcome: LeaseOutcome::BadBlobs { tiles: vec![1, 3] } };
+    let BatchWork::Stitch { inputs, .. } = &stitch.work else { panic!("{stitch:?}") };
+    std::fs::remove_file(farm.folder.path().join("tiles").join(&inputs[1].hash)).expect("a blob");
+    std::fs::write(farm.folder.path().join("tiles").join(&inputs[3].hash), b"damaged").expect("a blob");
+    let bad = LeaseReport { lease: leases(&stitch)[0], outcome: LeaseOutcome::BadBlobs { tiles: vec![0, 1, 3] } };
     worker.report(vec![bad]).await;
     let reopened = farm.job(posted.id).await;
     assert_eq!(reopened.tiles.done, reopened.tiles.total - 2);
@@ -180,6 +183,29 @@ async fn tiles_of_damaged_blobs_are_rendered_again_without_losing_progress() {
         worker.report(worker.results(&run).await).await;
     }
     assert_eq!(again, [1, 3]);
+    assert_state(&farm, posted.id, JobState::Succeeded).await;
+    farm.stop().await;
+}
+
+#[tokio::test]
+async fn blobs_that_are_intact_are_not_rendered_again() {
+    let farm = Farm::start().await;
+    let posted = farm.submit(&job(1920, 1080, 4)).await;
+    let liar = farm.worker("liar").await;
+    for _ in 0..3 {
+        let stitch = loop {
+            let run = liar.claim().await.expect("work");
+            if matches!(run.work, BatchWork::Stitch { .. }) {
+                break run;
+            }
+            liar.report(liar.results(&run).await).await;
+        };
+        let outcome = LeaseOutcome::BadBlobs { tiles: vec![0, 1] };
+        liar.report(vec![LeaseReport { lease: leases(&stitch)[0], outcome }]).await;
+        assert_eq!(farm.job(posted.id).await.tiles.done, posted.tiles.total);
+    }
+    assert!(liar.claim().await.is_none(), "it is quarantined");
+    assert_eq!(farm.worker("honest").await.work_off().await, 1, "the stitch");
     assert_state(&farm, posted.id, JobState::Succeeded).await;
     farm.stop().await;
 }

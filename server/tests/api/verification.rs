@@ -6,7 +6,7 @@ use std::time::Duration;
 use proto::JobId;
 use proto::job::JobState;
 use proto::pool::{WorkerList, WorkerState};
-use proto::worker_protocol::{Batch, BatchWork};
+use proto::worker_protocol::{Batch, BatchWork, LeaseOutcome, LeaseReport};
 use reqwest::StatusCode;
 
 use super::fake_pictures::text_of;
@@ -163,14 +163,83 @@ async fn a_lied_stitch_is_found_while_its_blobs_are_kept() {
 }
 
 #[tokio::test]
-async fn a_single_worker_is_not_verified_but_counted() {
+async fn results_of_a_single_worker_are_verified_once_another_joins() {
     let farm = verifying().await;
-    let id = farm.submit(&small_job(1)).await.id;
-    let worker = farm.worker("only").await;
-    assert_eq!(worker.work_off().await, 1);
-    assert_state(&farm, id, JobState::Succeeded).await;
-    assert_eq!(metric(&farm, "sdfarm_results_unverified_total").await, 1);
-    assert!(farm.worker("late").await.claim().await.is_none());
+    let liar = farm.worker("only").await;
+    let wrong = farm.submit(&small_job(1)).await.id;
+    lie(&liar).await;
+    let right = farm.submit(&small_job(2)).await.id;
+    assert_eq!(liar.work_off().await, 1);
+    // Long after the lease of the wrong result would have been forgotten.
+    for _ in 0..300 {
+        farm.hand.advance(LEASE / 2);
+        assert!(liar.claim().await.is_none(), "it does not verify its own results");
+    }
+    assert_state(&farm, wrong, JobState::Succeeded).await;
+    let (second, third) = (farm.worker("second").await, farm.worker("third").await);
+    let new = farm.submit(&small_job(3)).await.id;
+    assert_eq!(second.claim().await.expect("work").job, new, "new work precedes old verifications");
+    let run = third.claim().await.expect("a verification");
+    assert_eq!(run.job, wrong);
+    third.report(third.results(&run).await).await;
+    let fourth = farm.worker("fourth").await;
+    while third.work_once().await || fourth.work_once().await {}
+    assert_eq!(state_of(&farm, &liar).await, WorkerState::Quarantined);
+    for id in [wrong, right] {
+        assert_state(&farm, id, JobState::Succeeded).await;
+        assert_eq!(text(&farm, id).await, truth(id));
+    }
+    farm.stop().await;
+}
+
+#[tokio::test]
+async fn an_old_stitch_is_verified_by_rendering_its_frame() {
+    let farm = verifying().await;
+    let id = farm.submit(&job(1920, 1080, 4)).await.id;
+    let liar = farm.worker("liar").await;
+    let run = loop {
+        let run = liar.claim().await.expect("work");
+        if matches!(run.work, BatchWork::Stitch { .. }) {
+            break run;
+        }
+        liar.report(liar.results(&run).await).await;
+    };
+    liar.report(liar.picture(&leases(&run), b"a lie").await).await;
+    for _ in 0..60 {
+        farm.hand.advance(LEASE / 2);
+        liar.sync(Said::default()).await;
+    }
+    // The server looks for old verifications every second.
+    let others = [farm.worker("second").await, farm.worker("third").await];
+    in_time(async {
+        while state_of(&farm, &liar).await != WorkerState::Quarantined {
+            for other in &others {
+                other.work_once().await;
+            }
+            tokio::time::sleep(Duration::from_millis(20)).await;
+        }
+    })
+    .await;
+    while others[0].work_once().await || others[1].work_once().await {}
+    assert_eq!(text(&farm, id).await, truth(id));
+    farm.stop().await;
+}
+
+#[tokio::test]
+async fn a_verifier_that_fails_is_not_asked_again() {
+    let farm = verifying().await;
+    let (one, failing) = (farm.worker("one").await, farm.worker("failing").await);
+    farm.submit(&small_job(1)).await;
+    one.work_once().await;
+    let run = failing.claim().await.expect("the verification");
+    let outcome = LeaseOutcome::Failed { message: "out of luck".to_owned() };
+    failing
+        .report(leases(&run).into_iter().map(|lease| LeaseReport { lease, outcome: outcome.clone() }).collect())
+        .await;
+    assert!(failing.claim().await.is_none() && one.claim().await.is_none());
+    assert_eq!(metric(&farm, "sdfarm_results_unverified_total").await, 0);
+    assert!(farm.worker("late").await.work_once().await);
+    assert_eq!(metric(&farm, "sdfarm_results_verified_total").await, 1);
     farm.stop().await;
 }
 

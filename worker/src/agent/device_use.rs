@@ -2,6 +2,7 @@
 //!
 //! Knows nothing of leases, tiles or results.
 
+use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use proto::JobId;
@@ -27,6 +28,53 @@ impl DeviceSlots {
     /// Waits for a slot in the pipeline of stages.
     pub(super) async fn stage(&self) -> SemaphorePermit<'_> {
         self.stages.acquire().await.expect("the semaphore is never closed")
+    }
+}
+
+/// Time in which batches shared the device, by which their time limits grow.
+#[derive(Debug, Default)]
+pub(super) struct SharedTime(Mutex<Sharing>);
+
+#[derive(Clone, Copy, Debug, Default)]
+struct Sharing {
+    /// Batches that render beside another.
+    beside: usize,
+    since: Option<Instant>,
+    ended: Duration,
+}
+
+impl SharedTime {
+    fn lock(&self) -> MutexGuard<'_, Sharing> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// A batch begins to render beside another, until the guard is dropped.
+    pub(super) fn begin(&self) -> impl Drop + '_ {
+        let mut sharing = self.lock();
+        sharing.beside += 1;
+        sharing.since.get_or_insert_with(Instant::now);
+        drop(sharing);
+        SharingGuard(self)
+    }
+
+    /// All of it until now.
+    pub(super) fn total(&self) -> Duration {
+        let sharing = *self.lock();
+        sharing.ended + sharing.since.map(|since| since.elapsed()).unwrap_or_default()
+    }
+}
+
+struct SharingGuard<'a>(&'a SharedTime);
+
+impl Drop for SharingGuard<'_> {
+    fn drop(&mut self) {
+        let mut sharing = self.0.lock();
+        sharing.beside = sharing.beside.saturating_sub(1);
+        if sharing.beside == 0
+            && let Some(since) = sharing.since.take()
+        {
+            sharing.ended += since.elapsed();
+        }
     }
 }
 

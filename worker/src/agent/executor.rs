@@ -15,7 +15,7 @@ use tokio::task::JoinError;
 use tokio_util::sync::CancellationToken;
 
 use super::back_off::BackOff;
-use super::device_use::DeviceSlots;
+use super::device_use::{DeviceSlots, SharedTime};
 use super::job_cache::{JobCache, JobFetchError};
 use super::rendering::TileTask;
 use super::server_client::ServerClient;
@@ -42,6 +42,8 @@ pub(super) enum BatchEvent {
         /// Its job, if it was a whole frame.
         frame_of: Option<JobId>,
     },
+    /// A batch in this lane beside another no longer needs the device.
+    RenderedBeside(usize),
     /// The device is lost, for this reason.
     DeviceLost(String),
     /// A cancelled render does not stop, so that only the end of this process frees the device.
@@ -118,8 +120,12 @@ pub(super) struct BatchExecutor {
     pub(super) encoders: Encoders,
     pub(super) device: DeviceSlots,
     /// Permits, each for one KiB of pixels.
-    pub(super) memory: Semaphore,
-    jobs: JobCache,
+    pub(super) memory: Arc<Semaphore>,
+    /// Time in which the device was shared by several batches.
+    pub(super) shared_time: Arc<SharedTime>,
+    /// Number of its lane, if it renders beside another.
+    lane: Option<usize>,
+    jobs: Arc<JobCache>,
     events: UnboundedSender<BatchEvent>,
 }
 
@@ -133,7 +139,25 @@ impl BatchExecutor {
         events: UnboundedSender<BatchEvent>,
     ) -> Self {
         let (device, memory) = (DeviceSlots::new(renderer.overlapping()), Semaphore::new(MEMORY_KIB as usize));
-        Self { link, store, scratch, renderer, encoders, device, memory, jobs: JobCache::default(), events }
+        let (memory, shared_time, jobs) = (Arc::new(memory), Arc::default(), Arc::default());
+        Self { link, store, scratch, renderer, encoders, device, memory, shared_time, lane: None, jobs, events }
+    }
+
+    /// Executes batches in a lane, with another renderer, at the same time as this one.
+    pub(super) fn beside(&self, lane: usize, renderer: Arc<dyn Renderer>) -> Self {
+        Self {
+            link: self.link.clone(),
+            store: self.store.clone(),
+            scratch: self.scratch.clone(),
+            device: DeviceSlots::new(renderer.overlapping()),
+            renderer,
+            encoders: self.encoders.clone(),
+            memory: self.memory.clone(),
+            shared_time: self.shared_time.clone(),
+            lane: Some(lane),
+            jobs: self.jobs.clone(),
+            events: self.events.clone(),
+        }
     }
 
     /// Number of batches, or tiles of a batch, delivered concurrently: one for each thread that encodes, and a few that
@@ -145,6 +169,7 @@ impl BatchExecutor {
 
     /// Executes a batch; every lease ends in a report, unless it was dropped.
     pub(super) async fn execute(self: Arc<Self>, run: Batch, holds: Vec<LeaseHandle>) {
+        let _shared = self.lane.map(|_| self.shared_time.begin());
         let job = tokio::select! {
             job = self.job(run.job) => job,
             () = all_dropped(&holds) => return self.send(BatchEvent::Rendered { took: None, frame_of: None }),
@@ -184,6 +209,12 @@ impl BatchExecutor {
     }
 
     pub(super) fn send(&self, event: BatchEvent) {
+        let event = match (self.lane, event) {
+            (Some(lane), BatchEvent::Rendered { .. }) => BatchEvent::RenderedBeside(lane),
+            // It has only a part of the device.
+            (Some(_), BatchEvent::Speed { .. }) => return,
+            (_, event) => event,
+        };
         // If the session has ended, no receiver is left.
         self.events.send(event).unwrap_or_default();
     }

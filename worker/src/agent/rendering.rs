@@ -14,7 +14,7 @@ use tokio::task::{JoinError, JoinSet, spawn_blocking};
 use tracing::Instrument;
 
 use super::changes::{Record, Recorded};
-use super::device_use::DeviceUse;
+use super::device_use::{DeviceUse, SharedTime};
 use super::executor::{
     BatchEvent, BatchExecutor, CancelOnDrop, FrameTask, LeaseHandle, MEMORY_KIB, all_dropped, chain, panic_message,
 };
@@ -242,7 +242,8 @@ impl BatchExecutor {
             assert_eq!(rendered.len(), runs.len(), "a renderer renders all tiles or none");
             Ok(rendered.into_iter().map(|pixels| Recorded::from((pixels, None))).collect())
         });
-        let (mut dropped, mut limit) = (pin!(all_dropped(&holds)), pin!(over_limit(frame.tile_seconds)));
+        let (mut dropped, mut limit) =
+            (pin!(all_dropped(&holds)), pin!(over_limit(frame.tile_seconds, &self.shared_time)));
         let mut on_device = None;
         let over_limit = loop {
             tokio::select! {
@@ -293,10 +294,19 @@ impl BatchExecutor {
     }
 }
 
-/// Waits until the time limit of a tile has passed; returns the message of its failure.
-async fn over_limit(tile_seconds: Option<u32>) -> String {
+/// Waits until the time limit of a tile has passed, without the time in which it shared the device; returns the message of
+/// its failure.
+async fn over_limit(tile_seconds: Option<u32>, shared: &SharedTime) -> String {
     let Some(limit) = tile_seconds else { return std::future::pending().await };
-    tokio::time::sleep(Duration::from_secs(limit.into())).await;
+    let (start, shared_before) = (Instant::now(), shared.total());
+    loop {
+        let used = start.elapsed().saturating_sub(shared.total().saturating_sub(shared_before));
+        let left = Duration::from_secs(limit.into()).saturating_sub(used);
+        if left.is_zero() {
+            break;
+        }
+        tokio::time::sleep(left).await;
+    }
     format!(
         "rendering a tile took longer than its limit of {limit} s: use fewer samples or a simpler scene, smaller tiles \
          (`sdfarm serve --tile`), or a higher limit (`sdfarm submit --tile-seconds`, at most that of `sdfarm serve \

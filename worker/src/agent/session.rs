@@ -2,11 +2,9 @@
 //! new batches, and drops revoked leases. It renders nothing itself.
 
 use std::collections::HashMap;
-use std::pin::Pin;
 use std::sync::Arc;
 use std::time::Duration;
 
-use proto::bounded::RaysPerSecond;
 use proto::worker_protocol::{
     Batch, BatchWork, LeaseOutcome, LeaseReport, RegisterResponse, SyncRequest, SyncResponse, TileRecord, TracedBatch,
 };
@@ -19,11 +17,14 @@ use tracing::Instrument;
 
 use super::AgentConfig;
 use super::back_off::BackOff;
+use super::beside::Beside;
 use super::executor::{BatchEvent, BatchExecutor, LeaseHandle};
 use super::metrics::MetricsBuffer;
+use super::pending_sync::PendingSync;
 use super::rendering::milliseconds;
 use super::server_client::{ServerClient, ServerError};
 use super::store_access::StoreAccess;
+use super::throughput::ThroughputEstimate;
 use crate::image::Encoders;
 use crate::renderer::Renderer;
 
@@ -68,8 +69,9 @@ pub(super) struct Session {
     /// Stored so that `events` never closes.
     _events: UnboundedSender<BatchEvent>,
     runs: JoinSet<()>,
-    /// Number of batches still rendering.
+    /// Number of batches still rendering, without those beside them.
     rendering: usize,
+    beside: Beside,
     /// How long the last batch used the device, if it was short.
     last_short_batch: Option<Duration>,
     /// Job of the last batch rendered, if it was a whole frame.
@@ -101,43 +103,6 @@ pub(super) struct Session {
     store_back_off: BackOff,
 }
 
-/// Rendered rays and their time; older measurements have less weight.
-#[derive(Clone, Copy, Debug, Default)]
-struct ThroughputEstimate {
-    rays: f64,
-    seconds: f64,
-}
-
-impl ThroughputEstimate {
-    /// Measurements older than about this have almost no weight.
-    const DECAY_SECONDS: f64 = 4.0;
-    /// Added to the measured time, so that one very short first batch does not produce a huge speed estimate.
-    const PRIOR_SECONDS: f64 = 0.05;
-
-    fn update(&mut self, rays: f64, seconds: f64) {
-        let fade = (1.0 - seconds / Self::DECAY_SECONDS).max(0.0);
-        *self = Self { rays: self.rays * fade + rays, seconds: self.seconds * fade + seconds };
-    }
-
-    fn rays_per_second(self) -> Option<RaysPerSecond> {
-        let is_measured = self.seconds > 0.0 && self.rays > 0.0;
-        is_measured.then(|| RaysPerSecond::new(self.rays / (self.seconds + Self::PRIOR_SECONDS))).flatten()
-    }
-}
-
-struct PendingSync {
-    request: SyncRequest,
-    start: Instant,
-    answer: Pin<Box<dyn Future<Output = Result<SyncResponse, ServerError>> + Send>>,
-}
-
-impl PendingSync {
-    /// Whether the call may be dropped: it reports nothing, and its response cannot grant anything.
-    fn is_heartbeat(&self) -> bool {
-        self.request.reports.is_empty() && !self.request.wants_work
-    }
-}
-
 impl Session {
     pub(super) fn new(
         config: &AgentConfig,
@@ -154,6 +119,7 @@ impl Session {
             BatchExecutor::new(link.clone(), store, renderer, encoders, config.scratch.clone(), sender.clone());
         let now = Instant::now();
         Self {
+            beside: Beside::new(welcome.gives_way),
             lease: Duration::from_millis(welcome.lease_ms),
             registration: welcome,
             grace: config.grace,
@@ -206,7 +172,7 @@ impl Session {
             let (holding, is_quiet) = (!self.holds.is_empty(), call.is_none() || has_heartbeat);
             let (next_at, give_up_at) = (self.next_instant(has_heartbeat), self.leases_expire_at());
             tokio::select! {
-                (answered, answer) = response_of(&mut call) => match answer {
+                (answered, answer) = PendingSync::response_of(&mut call) => match answer {
                     Ok(reply) => self.on_response(&answered, reply),
                     Err(error) if error.is_not_found() => break Ok(SessionEnd::NotRegistered),
                     Err(error) if error.is_transient() => self.on_failure(answered, &error),
@@ -249,11 +215,23 @@ impl Session {
     /// Whether a report must be sent before an open heartbeat returns.
     fn must_sync(&self, now: Instant) -> bool {
         now >= self.retry_at
-            && (self.wants_work(now) || !(self.pending_reports.is_empty() || self.is_batching_reports(now)))
+            && (self.wants_work(now)
+                || self.wants_work_beside(now)
+                || !(self.pending_reports.is_empty() || self.is_batching_reports(now)))
     }
 
     fn wants_work(&self, now: Instant) -> bool {
         self.room() > 0 && (self.holds.is_empty() || !self.awaits_change) && !self.draining && now >= self.claim_after
+    }
+
+    /// Whether a batch of another submitter could be rendered beside one that takes long, and there may be one.
+    fn wants_work_beside(&self, now: Instant) -> bool {
+        self.rendering > 0 && self.beside.wants_work(now) && !self.draining && now >= self.claim_after
+    }
+
+    /// Time from which the batches of other submitters may be rendered beside one that renders.
+    fn gives_way_at(&self) -> Option<Instant> {
+        self.beside.gives_way_at().filter(|_| self.rendering > 0 && !self.draining)
     }
 
     /// Whether reports wait for reports of unfinished leases.
@@ -280,12 +258,17 @@ impl Session {
             // Reports may make work ready: the last tile of a frame creates its stitch.
             self.awaits_change &= results.is_empty();
         }
-        let wants_work = self.wants_work(now);
+        let gives_way_at = self.gives_way_at().filter(|_| !self.wants_work(now));
+        let beside = gives_way_at.is_some_and(|at| now >= at);
+        let wants_work = self.wants_work(now) || beside && self.wants_work_beside(now);
         // The server responds to results at once, so that a lost call is noticed.
         let wait = match (results.is_empty(), wants_work) {
             (true, true) if self.holds.is_empty() => self.lease / 3,
             (true, false) if now < self.claim_after => (self.lease / 6).min(self.claim_after - now),
-            (true, false) => self.lease / 6,
+            (true, false) => {
+                let gives_way_in = gives_way_at.filter(|_| !beside).map(|at| at - now);
+                gives_way_in.map_or(self.lease / 6, |wait| wait.min(self.lease / 6))
+            }
             (true, true) | (false, _) => Duration::ZERO,
         };
         if !results.is_empty() {
@@ -298,6 +281,7 @@ impl Session {
             records: self.records_of(&results),
             reports: results,
             wants_work,
+            beside,
             max_batches: self.room().clamp(1, self.registration.max_batches.max(1)),
             wait_ms: wait.as_millis() as u64,
             shutting_down: false,
@@ -305,7 +289,7 @@ impl Session {
         };
         // A waiting call starts only after a pause since the previous one.
         self.heartbeat_at = now + wait.max(MIN_SYNC_INTERVAL);
-        Some(self.call(request, wait + TIMEOUT_MARGIN))
+        Some(PendingSync::new(&self.link, request, wait + TIMEOUT_MARGIN))
     }
 
     /// Number of further batches that would start rendering soon. Of short frames of one job several are requested in one
@@ -318,14 +302,9 @@ impl Session {
             let most = if self.registration.max_batches > 1 && is_stream { MAX_AHEAD } else { 2 };
             (ahead as usize).clamp(2, most)
         });
-        let delivering = self.runs.len().saturating_sub(self.rendering);
+        let delivering = self.runs.len().saturating_sub(self.rendering + self.beside.rendering());
         let deliverable = self.workbench.max_uploads().saturating_sub(delivering);
         if self.rendering > most / 2 { 0 } else { (most - self.rendering).min(deliverable) as u32 }
-    }
-
-    fn call(&self, request: SyncRequest, timeout: Duration) -> PendingSync {
-        let (link, sent) = (self.link.clone(), request.clone());
-        PendingSync { request, start: Instant::now(), answer: Box::pin(async move { link.sync(&sent, timeout).await }) }
     }
 
     /// Time of the next call without a new event.
@@ -374,13 +353,19 @@ impl Session {
             tracing::info!("the server drains this worker");
             self.draining = true;
         }
-        self.awaits_change = call.request.wants_work && reply.batch.is_none();
+        let is_beside = call.request.beside && call.request.wants_work;
+        if is_beside {
+            self.beside.answered(reply.batch.is_some());
+        } else {
+            self.beside.heard(reply.others_wait);
+            self.awaits_change = call.request.wants_work && reply.batch.is_none();
+        }
         if let Some(run) = reply.batch {
             // Soon a waiting call will be open, and its response would name revoked leases.
             self.heartbeat_at = self.heartbeat_at.min(Instant::now() + MIN_SYNC_INTERVAL);
-            self.accept_batch(run, reply.trace);
+            self.accept_batch(run, reply.trace, is_beside);
             for TracedBatch { batch, trace } in reply.more {
-                self.accept_batch(batch, trace);
+                self.accept_batch(batch, trace, is_beside);
             }
         }
     }
@@ -399,21 +384,26 @@ impl Session {
         }
     }
 
-    fn accept_batch(&mut self, run: Batch, trace: Option<String>) {
+    fn accept_batch(&mut self, run: Batch, trace: Option<String>, is_beside: bool) {
         let holds: Vec<LeaseHandle> = run.leases().map(|(lease, tile)| LeaseHandle::new(lease, tile)).collect();
         if self.draining {
             self.pending_reports.extend(holds.iter().map(|hold| hold.report(LeaseOutcome::Released)));
             return;
         }
-        let is_frame = matches!(run.work, BatchWork::Render { whole_frame: true, .. });
-        self.accepted_frame_of = is_frame.then_some(run.job);
         self.holds.extend(holds.iter().map(|hold| (hold.lease, hold.clone())));
-        self.rendering += 1;
+        self.beside.batch_begins();
+        let lane = if is_beside { self.beside.take_lane(&self.workbench) } else { None };
+        let executor = lane.unwrap_or_else(|| {
+            let is_frame = matches!(run.work, BatchWork::Render { whole_frame: true, .. });
+            self.accepted_frame_of = is_frame.then_some(run.job);
+            self.rendering += 1;
+            self.workbench.clone()
+        });
         let span = tracing::info_span!("batch", job = %run.job, frame = run.frame, worker = %self.registration.worker);
         if let Some(trace) = trace {
             proto::trace_context::set_parent(&span, &trace);
         }
-        self.runs.spawn(self.workbench.clone().execute(run, holds).instrument(span));
+        self.runs.spawn(executor.execute(run, holds).instrument(span));
     }
 
     fn on_event(&mut self, event: BatchEvent) {
@@ -436,6 +426,7 @@ impl Session {
                     self.rendered_frame_of = frame_of;
                 }
             }
+            BatchEvent::RenderedBeside(lane) => self.beside.free(lane),
             BatchEvent::DeviceLost(reason) => self.broken = Some(SessionEnd::DeviceLost(reason)),
             BatchEvent::Stuck(reason) => self.broken = Some(SessionEnd::Stuck(reason)),
             BatchEvent::Speed { rays, seconds } => self.speed.update(rays, seconds),
@@ -454,6 +445,7 @@ impl Session {
             // No work is in progress for leases that are still held then.
             self.release_leases();
             self.rendering = 0;
+            self.beside.free_all();
         }
     }
 
@@ -477,6 +469,7 @@ impl Session {
             records: self.records_of(&self.pending_reports),
             reports: std::mem::take(&mut self.pending_reports),
             wants_work: false,
+            beside: false,
             max_batches: 1,
             wait_ms: 0,
             shutting_down: true,
@@ -485,16 +478,5 @@ impl Session {
         if let Err(error) = self.link.sync(&request, FINAL_SYNC_TIMEOUT).await {
             tracing::debug!(%error, "the last sync failed; the released tiles will be leased again");
         }
-    }
-}
-
-/// Waits for a call's response; never returns if there is no call.
-async fn response_of(call: &mut Option<PendingSync>) -> (PendingSync, Result<SyncResponse, ServerError>) {
-    match call {
-        Some(open) => {
-            let answer = open.answer.as_mut().await;
-            (call.take().expect("it is open"), answer)
-        }
-        None => std::future::pending().await,
     }
 }

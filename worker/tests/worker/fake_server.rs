@@ -198,7 +198,8 @@ async fn register(State(shared): State<Shared>, Json(hello): Json<RegisterReques
         let worker = WorkerId::new();
         farm.workers.insert(worker);
         let max_batches = farm.max_batches.max(1);
-        Json(RegisterResponse { worker, lease_ms: farm.lease_ms, folders: None, max_batches }).into_response()
+        Json(RegisterResponse { worker, lease_ms: farm.lease_ms, folders: None, max_batches, gives_way: false })
+            .into_response()
     })
 }
 
@@ -233,6 +234,7 @@ async fn sync(State(shared): State<Shared>, Json(sync): Json<SyncRequest>) -> Re
                 drain: false,
                 trace: None,
                 more: Vec::new(),
+                others_wait: false,
             })
             .into_response();
         }
@@ -262,6 +264,7 @@ fn answer(shared: &Shared, sync: &SyncRequest) -> Option<SyncResponse> {
         drain,
         trace: None,
         more,
+        others_wait: false,
     })
 }
 

@@ -130,7 +130,8 @@ async fn errors_name_the_object_and_the_cure() {
     let opened = Settings::from_env(&location, &bucket).with(&endpoint.serve().await).without_retries();
     let data = data();
     let store = BlobStore::with_bucket(&location, Bucket::S3(opened), data.path(), MIN_OBJECT_SWEEP_AGE);
-    let error = store.put(PICTURE, &name(b"x"), chunks(&Bytes::from_static(b"x"))).await.expect_err("it fails");
+    let error =
+        store.put(PICTURE, &name(b"x"), chunks(&Bytes::from_static(b"x")), u64::MAX).await.expect_err("it fails");
     let words = error.to_string();
     let key = format!("the store s3://renders/farm could not write pictures/{}; ", name(b"x").as_str());
     assert!(words.starts_with(&key) && words.ends_with(BucketFault::Unavailable.cure()), "{words}");

@@ -117,7 +117,7 @@ mod tests {
 
     /// Errors that no described route documents: of requests that reach no route, of the workers' routes, and of the
     /// server itself.
-    const UNDOCUMENTED: [ErrorKind; 13] = [
+    const UNDOCUMENTED: [ErrorKind; 14] = [
         ErrorKind::WrongRequest,
         ErrorKind::UnknownRoute,
         ErrorKind::WrongMethod,
@@ -127,6 +127,7 @@ mod tests {
         ErrorKind::WrongToken,
         ErrorKind::ForeignWorker,
         ErrorKind::NoLease,
+        ErrorKind::UnneededBytes,
         ErrorKind::WrongPictureVersion,
         ErrorKind::WrongBytes,
         ErrorKind::UnknownBlob,

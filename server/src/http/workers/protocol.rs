@@ -25,11 +25,13 @@ use crate::http::error::ApiError;
 use crate::http::jobs::job_id;
 use crate::http::state::handle_group;
 use crate::http::workers::trace_context;
+use crate::orphans::Orphans;
 use crate::pool::Pool;
-use crate::queue::{LeaseNeed, NewWorker, NextWork, Queue, SyncInput, SyncOutcome};
+use crate::queue::{LeaseNeed, NewWorker, NextWork, Queue, SyncInput, SyncOutcome, UploadNeed};
 use crate::shutdown::Shutdown;
 use crate::space_reserve::SpaceReserve;
 use crate::telemetry::Telemetry;
+use crate::upload_ledger::UploadLedger;
 use crate::worker_sync::WorkerSync;
 
 /// Maximum size of a registration; valid ones are smaller.
@@ -78,6 +80,10 @@ handle_group! {
         content: Arc<BlobStore>,
         /// Says whether there is room.
         reserve: Arc<SpaceReserve>,
+        /// Bounds what a key sends.
+        ledger: Arc<UploadLedger>,
+        /// Takes what a key has sent and not reported.
+        orphans: Orphans,
     }
 }
 
@@ -100,7 +106,7 @@ pub(in crate::http) async fn register(
     tracing::info!(%worker, %name, pool, "worker registered");
     let folders = if pool { folders(&registrar.content) } else { None };
     let lease_ms = registrar.queue.lease_ms().unsigned_abs();
-    Ok(Json(RegisterResponse { worker, lease_ms, folders, max_batches: MAX_BATCHES }))
+    Ok(Json(RegisterResponse { worker, lease_ms, folders, max_batches: MAX_BATCHES, gives_way: true }))
 }
 
 /// Folders that a pool worker writes to directly; `None` if the store is no folder, or a folder's name is not UTF-8.
@@ -134,6 +140,7 @@ pub(in crate::http) async fn sync(
         rejected: Vec::new(),
         checked: None,
         wants_work: request.wants_work,
+        beside: request.beside,
         max_batches: request.max_batches.clamp(1, MAX_BATCHES),
         shutting_down: request.shutting_down,
         opening: None,
@@ -146,12 +153,16 @@ pub(in crate::http) async fn sync(
         // Subscribes before the first attempt, so that no wake signal is missed.
         work.as_mut().enable();
         news.as_mut().enable();
-        let prompt = turn.has_reports();
+        let prompt = turn.has_reports() || turn.beside && turn.wants_work;
         let again = turn.without_reports();
         let begun = monotonic_now();
-        let Some(synced) = syncs.worker_sync.sync(turn).await? else {
+        let Some(mut synced) = syncs.worker_sync.sync(turn).await? else {
             return Err(unknown_worker(&syncs.queue, again.worker).await?);
         };
+        let could_work_beside = again.beside && !again.wants_work;
+        if could_work_beside && !prompt {
+            synced.others_wait = syncs.queue.others_wait(again.worker).await?;
+        }
         if let Some(metrics) = metrics.take() {
             syncs.telemetry.record_metrics(again.worker, &metrics).await;
         }
@@ -168,11 +179,23 @@ pub(in crate::http) async fn sync(
             return Ok(Json(reply(&syncs.telemetry, again.worker, synced).await));
         }
         let wake = synced.retry_in().map_or(deadline, |wait| deadline.min(now + wait));
-        tokio::select! {
-            () = &mut work, if again.wants_work => {}
-            () = &mut news => {}
-            () = tokio::time::sleep_until(wake) => {}
-            () = syncs.shutdown.closing().cancelled() => {}
+        loop {
+            tokio::select! {
+                () = &mut work, if again.wants_work || could_work_beside => {
+                    if again.wants_work {
+                        break;
+                    }
+                    work.set(signals.work.notified());
+                    work.as_mut().enable();
+                    if syncs.queue.others_wait(again.worker).await? {
+                        synced.others_wait = true;
+                        return Ok(Json(reply(&syncs.telemetry, again.worker, synced).await));
+                    }
+                }
+                () = &mut news => break,
+                () = tokio::time::sleep_until(wake) => break,
+                () = syncs.shutdown.closing().cancelled() => break,
+            }
         }
         turn = again;
     }
@@ -221,7 +244,14 @@ async fn reply(telemetry: &Telemetry, worker: WorkerId, synced: SyncOutcome) -> 
         let trace = trace_context::batch_traceparent(telemetry, worker, &batch).await;
         more.push(TracedBatch { batch, trace });
     }
-    SyncResponse { batch: run, revoked_leases: synced.revoked_leases, drain: synced.drain, trace, more }
+    SyncResponse {
+        batch: run,
+        revoked_leases: synced.revoked_leases,
+        drain: synced.drain,
+        trace,
+        more,
+        others_wait: synced.others_wait,
+    }
 }
 
 /// Returns the JSON of a job, as it was submitted.
@@ -242,17 +272,44 @@ impl Uploads {
         caller: &Caller,
         kind: ContentKind,
         hash: String,
+        headers: &HeaderMap,
         request: RequestBody,
     ) -> Result<StatusCode, ApiError> {
         let name = ContentHash::parse(&hash).ok_or_else(|| ApiError::WrongHash(hash.clone()))?;
-        check_lease(&self.queue, caller, LeaseNeed::Upload).await?;
+        let need = match caller.key() {
+            Some(key) => Some((key, self.queue.upload_need(key.id()).await?)),
+            None => None,
+        };
+        let max_bytes = match &need {
+            Some((_, need)) if *need == UploadNeed::default() => return Err(ApiError::NoLease),
+            Some((_, need)) if kind == ContentKind::Picture => need.picture_bytes,
+            Some((_, need)) => need.blob_bytes,
+            None => u64::MAX,
+        };
         if self.reserve.is_released() {
             return Err(ApiError::DiskFull);
         }
+        let length = headers.get(header::CONTENT_LENGTH).and_then(|length| length.to_str().ok()?.parse().ok());
+        let size_bytes: u64 = length.unwrap_or(max_bytes).min(max_bytes);
+        let reservation = match need {
+            Some((key, need)) => {
+                let limit_bytes = need.total_bytes;
+                let reserved = self.ledger.reserve(key.id(), (kind, hash.clone()), size_bytes, need);
+                let mut reserved = reserved.ok_or(ApiError::UnneededBytes { limit_bytes })?;
+                for (kind, name) in std::mem::take(&mut reserved.replaces) {
+                    self.orphans.sweep_later(kind, vec![name]);
+                }
+                Some(reserved)
+            }
+            None => None,
+        };
         let (bytes, _room) = request.into_stream(WRITE_CHUNK_BYTES)?;
         let bytes = bytes.map_err(std::io::Error::other);
         let span = tracing::info_span!("store", ?kind, %hash);
-        self.content.put(kind, &name, bytes).instrument(span).await?;
+        self.content.put(kind, &name, bytes, max_bytes).instrument(span).await?;
+        if let Some(reservation) = reservation {
+            reservation.stored();
+        }
         fail_point::trigger_infallible(match kind {
             ContentKind::Blob => FailPoint::BlobStored,
             ContentKind::Picture => FailPoint::PictureStored,
@@ -266,9 +323,10 @@ pub(in crate::http) async fn put_blob(
     State(uploads): State<Uploads>,
     caller: Caller,
     Path(hash): Path<String>,
+    headers: HeaderMap,
     request: RequestBody,
 ) -> Result<StatusCode, ApiError> {
-    uploads.put(&caller, ContentKind::Blob, hash, request).await
+    uploads.put(&caller, ContentKind::Blob, hash, &headers, request).await
 }
 
 /// Stores a frame's picture; it is durable when the response is sent.
@@ -276,9 +334,10 @@ pub(in crate::http) async fn put_picture(
     State(uploads): State<Uploads>,
     caller: Caller,
     Path(hash): Path<String>,
+    headers: HeaderMap,
     request: RequestBody,
 ) -> Result<StatusCode, ApiError> {
-    uploads.put(&caller, ContentKind::Picture, hash, request).await
+    uploads.put(&caller, ContentKind::Picture, hash, &headers, request).await
 }
 
 /// Returns a tile's blob.

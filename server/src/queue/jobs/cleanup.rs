@@ -210,7 +210,7 @@ async fn requeue_piece(connection: &mut Connection, job: i64, context: Transitio
         let dead = row_count(tiles.iter().filter(|(_, is_dead)| *is_dead).count());
         db::query(
             "UPDATE tile SET state = 'ready', not_before_ms = 0, avoid = NULL, errors = 0, crashes = 0, lost = 0,
-                             interrupts = 0, blob = NULL, blob_bytes = NULL, record = NULL, record_bytes = NULL, kept = 0
+                             interrupts = 0, blamed_by = NULL, blob = NULL, blob_bytes = NULL, record = NULL, record_bytes = NULL, kept = 0
              WHERE id IN (SELECT value FROM @numbers(?))",
         )
         .bind(json_numbers(tiles.iter().map(|(tile, _)| *tile)))

@@ -18,7 +18,7 @@ const MIN_TRIAL_BATCH: Duration = Duration::from_millis(5);
 /// A worker gets its part of what is left divided by this.
 const SHARED_ROUNDS: f64 = 2.0;
 /// Maximum pixel data for which one worker gets a complete frame.
-const MAX_WHOLE_FRAME_BYTES: u64 = 256 << 20;
+pub(in crate::queue) const MAX_WHOLE_FRAME_BYTES: u64 = 256 << 20;
 
 /// Ready tile, with the data that the batch size depends on.
 #[derive(Clone, Copy, Debug)]

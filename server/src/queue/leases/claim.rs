@@ -20,7 +20,7 @@ use crate::queue::{Connection, Result, TransitionContext, expect_rows, parse_col
 use crate::tile_plan::TilePlan;
 
 /// Job with something to claim, by priority and age. A test checks that this query needs no full scan.
-const NEXT_JOB_SQL: &str = include_str!("next_job.sql");
+pub(super) const NEXT_JOB_SQL: &str = include_str!("next_job.sql");
 
 /// Ready tiles of the job's first frame that has some, or that frame's stitch.
 const NEXT_TILES_SQL: &str = include_str!("next_tiles.sql");
@@ -43,6 +43,8 @@ pub(in crate::queue) struct ClaimRequest {
     pub(in crate::queue) max_nodes: i64,
     /// Largest scene that some other ready worker renders, in nodes; -1 if there is no other worker.
     pub(in crate::queue) others_max_nodes: i64,
+    /// Whether it takes only work of submitters of whom it holds nothing.
+    pub(in crate::queue) beside: bool,
 }
 
 /// A new lease on a tile.
@@ -85,7 +87,7 @@ pub(in crate::queue) struct ClaimableJob {
     pub(in crate::queue) id: JobId,
     plan: TilePlan,
     frames_opened: u32,
-    nodes: i64,
+    pub(super) nodes: i64,
     /// Time limit for rendering a tile.
     pub(in crate::queue) tile_seconds: u32,
     /// Whether its tiles are recorded.
@@ -98,7 +100,7 @@ pub(in crate::queue) struct ClaimableJob {
 }
 
 impl ClaimableJob {
-    fn read(row: &Row) -> Result<Self> {
+    pub(super) fn read(row: &Row) -> Result<Self> {
         let id: String = row.get("id")?;
         Ok(Self {
             number: row.get("number")?,
@@ -125,18 +127,21 @@ impl ClaimableJob {
 /// Condition for the tiles that a claim may take: the back-off has ended, the scene is small enough for the
 /// worker, and the tile need not avoid this worker unless no other worker could render it.
 pub(in crate::queue) struct ClaimFilter {
-    now_ms: i64,
+    pub(super) now_ms: i64,
     pub(in crate::queue) worker: String,
     /// Largest scene that some other worker renders, in nodes; -1 if there is no other worker.
-    others_max_nodes: i64,
+    pub(super) others_max_nodes: i64,
     /// Largest scene that this worker renders, in nodes.
-    max_nodes: i64,
+    pub(super) max_nodes: i64,
+    /// Whether it takes only work of submitters of whom it holds nothing.
+    pub(super) beside: bool,
 }
 
 impl ClaimFilter {
-    /// Binds the parameters ?1 to ?4, which all statements of a claim share.
+    /// Binds the parameters ?1 to ?5, which all statements of a claim share.
     pub(in crate::queue) fn bind(&self, statement: &'static str) -> Statement {
-        db::query(statement).bind(self.now_ms).bind(&self.worker).bind(self.others_max_nodes).bind(self.max_nodes)
+        let statement = db::query(statement).bind(self.now_ms).bind(&self.worker);
+        statement.bind(self.others_max_nodes).bind(self.max_nodes).bind(self.beside)
     }
 }
 
@@ -151,8 +156,12 @@ pub(in crate::queue) async fn claim(
         worker: claimant.worker.to_string(),
         others_max_nodes: claimant.others_max_nodes,
         max_nodes: claimant.max_nodes,
+        beside: claimant.beside,
     };
     let Some(row) = view.bind(NEXT_JOB_SQL).fetch_optional(&mut *connection).await? else {
+        if claimant.beside {
+            return Ok(ClaimOutcome::Nothing(None));
+        }
         return claim_straggler(connection, &view, claimant, context).await;
     };
     let job = ClaimableJob::read(&row)?;
@@ -177,7 +186,8 @@ pub(in crate::queue) async fn claim(
 
 /// Whether there is work for a worker that can render any scene and need avoid none.
 pub(in crate::queue) async fn has_work(readers: &Readers, now_ms: i64) -> Result<bool> {
-    let anyone = ClaimFilter { now_ms, worker: String::new(), others_max_nodes: ANY_NODES, max_nodes: ANY_NODES };
+    let (worker, others_max_nodes, max_nodes) = (String::new(), ANY_NODES, ANY_NODES);
+    let anyone = ClaimFilter { now_ms, worker, others_max_nodes, max_nodes, beside: false };
     Ok(anyone.bind(NEXT_JOB_SQL).fetch_optional(readers).await?.is_some())
 }
 

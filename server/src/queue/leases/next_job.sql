@@ -18,4 +18,8 @@ SELECT number, id, width_px, height_px, samples, pixel_bytes, edge_px, frames_to
                       WHERE strike.job = job.number AND strike.worker = other.id AND until_ms > ?1)))
      ORDER BY coalesce(place, number * 1048576), number LIMIT 1)
  WHERE share.jobs > 0
+   AND (?5 = 0 OR NOT EXISTS (SELECT 1 FROM lease @index(lease_live_by_worker)
+        @join tile AS held ON held.id = lease.tile @join job AS mine ON mine.number = held.job
+        WHERE lease.worker = ?2 AND lease.ended IS NULL
+          AND (mine.submitter = share.submitter OR mine.priority > share.priority)))
  ORDER BY share.priority DESC, share.served_us, share.submitter LIMIT 1

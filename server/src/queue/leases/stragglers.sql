@@ -1,5 +1,5 @@
 SELECT tile.job, tile.frame, tile.kind, old.worker, old.granted_ms
- FROM (SELECT tile, worker, granted_ms FROM lease WHERE ended IS NULL ORDER BY granted_ms LIMIT ?5) AS old
+ FROM (SELECT tile, worker, granted_ms FROM lease WHERE ended IS NULL ORDER BY granted_ms LIMIT ?6) AS old
  @join tile ON tile.id = old.tile
  @join job ON job.number = tile.job
  WHERE old.worker <> ?2 AND job.paused = 0 AND job.finished_at_ms IS NULL AND (tile.kind = 'stitch' OR job.nodes <= ?4)

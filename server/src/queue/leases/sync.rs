@@ -7,15 +7,16 @@ use proto::bounded::RaysPerSecond;
 use proto::worker_protocol::{Batch, LeaseReport, TileRecord};
 use proto::{LeaseId, WorkerId};
 
+use crate::blobs::ContentKind;
 use crate::queue::frames::open;
 use crate::queue::leases;
 use crate::queue::leases::claim::{self, ClaimOutcome, ClaimRequest};
 use crate::queue::leases::deliver;
 use crate::queue::leases::{LeaseEnd, LeaseGrant};
-use crate::queue::servers::doomed::CheckedNames;
+use crate::queue::servers::doomed::{CheckedNames, content_of};
 use crate::queue::tiles::recorded;
 use crate::queue::tiles::reported::{self, RejectedResult};
-use crate::queue::verification::{self, VerificationOutcome, VerifierLease};
+use crate::queue::verification::{self, Age, VerificationOutcome, VerifierLease};
 use crate::queue::workers::minutes::Rendered;
 use crate::queue::workers::state::{self, WorkerState, WorkerStatus};
 use crate::queue::{Connection, FrameOpening, Result, TransitionContext, Wake, workers};
@@ -49,6 +50,8 @@ pub(crate) struct SyncInput {
     pub(crate) checked: Option<CheckedNames>,
     /// Whether the worker requests a batch.
     pub(crate) wants_work: bool,
+    /// Whether only a batch of a submitter of whom it holds nothing: it renders it beside another.
+    pub(crate) beside: bool,
     /// Maximum number of batches that it requests.
     pub(crate) max_batches: u32,
     /// Whether the worker is shutting down.
@@ -63,6 +66,12 @@ impl SyncInput {
     /// Whether it contains results, so that its commit must be durable before the response.
     pub(crate) fn has_reports(&self) -> bool {
         !self.reports.is_empty() || !self.rejected.is_empty()
+    }
+
+    /// Kinds and hashes of the bytes that its results and their records refer to.
+    pub(crate) fn reported_content(&self) -> Vec<(ContentKind, String)> {
+        let results = self.reports.iter().filter_map(|report| content_of(&report.outcome));
+        results.chain(self.records.iter().map(|record| (ContentKind::Blob, record.hash.clone()))).collect()
     }
 
     /// The same sync after its results have been recorded.
@@ -99,6 +108,8 @@ pub(crate) struct SyncOutcome {
     pub(crate) rejected: u64,
     /// Results that counted.
     pub(crate) rendered: Rendered,
+    /// Whether a submitter waits of whom the worker holds nothing, and no other worker is free.
+    pub(crate) others_wait: bool,
     /// Changes of verifications.
     pub(crate) verification: VerificationOutcome,
     pub(in crate::queue) woken: Wake,
@@ -107,7 +118,7 @@ pub(crate) struct SyncOutcome {
 impl SyncOutcome {
     /// Whether the worker must get the response at once.
     pub(crate) fn needs_response(&self) -> bool {
-        !self.revoked_leases.is_empty() || matches!(self.next, NextWork::Run(_))
+        self.others_wait || !self.revoked_leases.is_empty() || matches!(self.next, NextWork::Run(_))
     }
 
     /// The outcome of a sync whose claim failed.
@@ -224,6 +235,7 @@ pub(in crate::queue) async fn sync(
         rejected: turn.rejected.len() as u64,
         rendered: delivered.rendered,
         verification,
+        others_wait: false,
         woken,
     }))
 }
@@ -280,10 +292,12 @@ async fn claim_work(
         rays_per_second: turn.rays_per_second,
         max_nodes: worker.max_nodes,
         others_max_nodes: worker.others_max_nodes,
+        beside: turn.beside,
     };
     // A worker does not verify what it has just delivered.
     if worker.has_verifications
-        && let Some(batch) = verification::claim(connection, claimant, context).await?
+        && !turn.beside
+        && let Some(batch) = verification::claim(connection, claimant, Age::Recent, context).await?
     {
         return Ok((NextWork::Run(batch), Vec::new()));
     }
@@ -313,5 +327,13 @@ async fn claim_work(
             break NextWork::Nothing(None);
         }
     };
+    if worker.has_verifications
+        && !turn.beside
+        && first.is_none()
+        && matches!(reason, NextWork::Nothing(_))
+        && let Some(batch) = verification::claim(connection, claimant, Age::Old, context).await?
+    {
+        return Ok((NextWork::Run(batch), Vec::new()));
+    }
     Ok((first.map_or(reason, NextWork::Run), more))
 }

@@ -70,12 +70,14 @@ pub(in crate::queue) async fn recover(connection: &mut Connection, start: &Start
 /// Deletes leases that ended long ago, after the makers of their tiles are recorded, and workers that are gone and have
 /// none: at most `limit` of each. Returns whether there may be more.
 pub(in crate::queue) async fn tidy(connection: &mut Connection, limit: i64) -> Result<bool> {
-    let old: Vec<String> =
-        db::query_scalar("SELECT id FROM lease WHERE ended IS NOT NULL AND id < ? ORDER BY id LIMIT ?")
-            .bind(min_kept_id(uuid::Uuid::now_v7()))
-            .bind(limit)
-            .fetch_all(&mut *connection)
-            .await?;
+    let old: Vec<String> = db::query_scalar(
+        "SELECT id FROM lease WHERE ended IS NOT NULL AND id < ? AND id NOT IN (SELECT lease FROM verification)
+             ORDER BY id LIMIT ?",
+    )
+    .bind(min_kept_id(uuid::Uuid::now_v7()))
+    .bind(limit)
+    .fetch_all(&mut *connection)
+    .await?;
     let leases = row_count(old.len());
     let old = json_list(old);
     makers::record(connection, &old).await?;

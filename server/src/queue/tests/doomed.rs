@@ -36,7 +36,7 @@ impl Content {
 
     async fn put(&self, store: &BlobStore) {
         let bytes = futures_util::stream::iter([Ok(self.bytes.clone())]);
-        store.put(KIND, &self.name, bytes).await.expect("stores");
+        store.put(KIND, &self.name, bytes, u64::MAX).await.expect("stores");
     }
 }
 

@@ -98,7 +98,7 @@ async fn undone_tiles_have_their_events_and_no_progress() {
     assert_eq!(rendered.last().map(String::as_str), Some("progress"));
     let newest = bench.queue.newest_event().await.expect("reads");
     let undo = bench.queue.database.write(db::Durability::Relaxed, move |connection| {
-        Box::pin(async move { undo::undo_unconfirmed(connection, &worker.to_string()).await })
+        Box::pin(async move { undo::undo_unconfirmed(connection, &worker.to_string(), None).await })
     });
     undo.await.expect("undoes");
     assert_eq!(events(&bench, job, newest).await, vec!["tile"; done]);

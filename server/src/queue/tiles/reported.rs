@@ -10,7 +10,7 @@ use crate::db;
 use crate::queue::leases::{self, LeaseEnd};
 use crate::queue::workers::exclusion;
 use crate::queue::{
-    Connection, Queue, Result, TransitionContext, Wake, json_list, parse_column, verification, workers,
+    Connection, Queue, Result, TransitionContext, Wake, json_list, json_numbers, parse_column, verification, workers,
 };
 
 /// Tile of a live lease.
@@ -90,6 +90,29 @@ impl Queue {
             Ok((parse_column("lease.id", &id, |id| id.parse().ok())?, tile))
         });
         tiles.collect()
+    }
+}
+
+impl Queue {
+    /// Positions and blobs of these tiles of a frame, if the lease is a live one of this worker for the frame's stitch.
+    pub(crate) async fn stitch_blobs(
+        &self,
+        worker: WorkerId,
+        lease: LeaseId,
+        positions: &[u32],
+    ) -> Result<Vec<(u32, String)>> {
+        let rows = db::query(
+            "SELECT input.position, input.blob FROM lease JOIN tile ON tile.id = lease.tile
+             JOIN tile AS input ON input.job = tile.job AND input.frame = tile.frame AND input.kind = 'render'
+             WHERE lease.ended IS NULL AND lease.worker = ?1 AND lease.id = ?2 AND tile.kind = 'stitch'
+               AND input.blob IS NOT NULL AND input.position IN (SELECT value FROM @numbers(?3))",
+        )
+        .bind(worker.to_string())
+        .bind(lease.to_string())
+        .bind(json_numbers(positions.iter().map(|position| i64::from(*position))))
+        .fetch_all(self.readers())
+        .await?;
+        rows.iter().map(|row| Ok((row.get("position")?, row.get("blob")?))).collect()
     }
 }
 

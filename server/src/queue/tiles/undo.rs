@@ -1,6 +1,6 @@
 //! Undoes what a worker delivered: its tiles are rendered again, and the pictures made from them are forgotten.
 //!
-//! It goes back as far as ended leases are kept, which is an hour.
+//! It goes back as far as ended leases are kept, which is an hour, and longer for results that wait to be verified.
 
 use crate::db;
 use std::collections::{BTreeMap, BTreeSet};
@@ -11,17 +11,22 @@ use crate::queue::servers::repair;
 use crate::queue::tiles::results;
 use crate::queue::{Connection, Result, expect_rows};
 
-/// Undoes all results of a worker under leases that were granted after that of its last confirmed result. Returns the
-/// hashes of the pictures that are forgotten.
-pub(in crate::queue) async fn undo_unconfirmed(connection: &mut Connection, worker: &str) -> Result<Vec<String>> {
+/// Undoes all results of a worker under leases that were granted after that of its last confirmed result, or from that of
+/// a wrong one on. Returns the hashes of the pictures that are forgotten.
+pub(in crate::queue) async fn undo_unconfirmed(
+    connection: &mut Connection,
+    worker: &str,
+    wrong_lease: Option<&str>,
+) -> Result<Vec<String>> {
     let rows = db::query(
         "SELECT tile.id, tile.job, tile.frame, tile.kind, tile.state, frame.state AS frame_state, frame.picture
          FROM lease @index(lease_by_worker) JOIN tile ON tile.id = lease.tile
          JOIN frame ON frame.job = tile.job AND frame.number = tile.frame
          WHERE lease.worker = ?1 AND lease.ended = 'done'
-           AND lease.id > coalesce((SELECT verified_lease FROM worker WHERE id = ?1), '')",
+           AND (lease.id > coalesce((SELECT verified_lease FROM worker WHERE id = ?1), '') OR lease.id >= ?2)",
     )
     .bind(worker)
+    .bind(wrong_lease)
     .fetch_all(&mut *connection)
     .await?;
     let mut pictures = BTreeSet::new();

@@ -5,12 +5,16 @@ use std::collections::HashSet;
 
 use proto::LeaseId;
 
+use crate::queue::leases::batch_size;
 use crate::queue::{Connection, Result, TransitionContext, Wake, expect_rows, json_list, json_numbers};
 
 /// A lease granted in a response that the worker never received is released after this time.
 const UNHEARD_LEASE_MS: i64 = 2000;
-/// A result that no worker could verify for this long is given up, for example because no third worker decides.
-const MAX_AGE_MS: i64 = 600_000;
+/// A result that no worker could verify for this long is old.
+pub(super) const MAX_RECENT_MS: i64 = 600_000;
+
+/// A result whose verification failed this many times is given up.
+const MAX_FAILURES: i64 = 3;
 
 /// Leases results to a verifier: number of the verification, lease, and position of the tile.
 pub(super) async fn grant(
@@ -116,32 +120,53 @@ pub(super) async fn release_all(connection: &mut Connection, leases: &[String]) 
     release(connection, &numbers).await
 }
 
-/// Releases overdue verifications, and gives up those that no worker could verify for long; returns their number.
-pub(in crate::queue) async fn discard_expired(
-    connection: &mut Connection,
-    context: TransitionContext,
-) -> Result<(u64, Wake)> {
-    let rows = db::query(
-        "SELECT number, verifier IS NULL AS old FROM verification
-         WHERE expires_ms <= ? OR (verifier IS NULL AND created_ms <= ?)",
+/// Releases overdue verifications. Old pictures of stitches are verified by rendering their frames again, because their
+/// blobs are not kept for longer; pictures of frames too large for it are given up, and their number returned.
+pub(in crate::queue) async fn expire(connection: &mut Connection, context: TransitionContext) -> Result<(u64, Wake)> {
+    let expired: Vec<i64> = db::query_scalar("SELECT number FROM verification WHERE expires_ms <= ?")
+        .bind(context.now_ms)
+        .fetch_all(&mut *connection)
+        .await?;
+    let old_ms = context.now_ms - MAX_RECENT_MS;
+    db::query(
+        "UPDATE verification SET position = -2 WHERE position = -1 AND verifier IS NULL AND created_ms <= ?
+         AND (SELECT width_px * height_px * pixel_bytes <= ? FROM job WHERE job.number = verification.job)",
     )
-    .bind(context.now_ms)
-    .bind(context.now_ms - MAX_AGE_MS)
-    .fetch_all(&mut *connection)
+    .bind(old_ms)
+    .bind(crate::queue::row_count(batch_size::MAX_WHOLE_FRAME_BYTES as usize))
+    .execute(&mut *connection)
     .await?;
-    let (mut expired, mut old) = (Vec::new(), Vec::new());
-    for row in &rows {
-        let list = if row.get("old")? { &mut old } else { &mut expired };
-        list.push(row.get("number")?);
+    let given_up = db::query("DELETE FROM verification WHERE position = -1 AND verifier IS NULL AND created_ms <= ?")
+        .bind(old_ms)
+        .execute(&mut *connection)
+        .await?
+        .rows_affected();
+    if given_up > 0 {
+        tracing::warn!(
+            count = given_up,
+            "pictures of large frames could not be verified: no other worker stitched them again in time"
+        );
     }
-    if !old.is_empty() {
-        tracing::warn!(count = old.len(), "results could not be verified: no other worker rendered them again in time");
-        db::query("DELETE FROM verification WHERE number IN (SELECT value FROM @numbers(?))")
-            .bind(json_numbers(old.iter().copied()))
-            .execute(&mut *connection)
-            .await?;
+    Ok((given_up, release(connection, &expired).await?))
+}
+
+/// Records that a verifier failed: another is asked. A result whose verification fails again and again is given up; returns
+/// the number of those.
+pub(super) async fn fail(connection: &mut Connection, numbers: &[i64], worker: &str) -> Result<(u64, Wake)> {
+    if numbers.is_empty() {
+        return Ok((0, Wake::default()));
     }
-    Ok((old.len() as u64, release(connection, &expired).await?))
+    let woken = release(connection, numbers).await?;
+    db::query(
+        "UPDATE verification SET failures = failures + 1, failed_by = ? WHERE number IN (SELECT value FROM @numbers(?))",
+    )
+    .bind(worker)
+    .bind(json_numbers(numbers.iter().copied()))
+    .execute(&mut *connection)
+    .await?;
+    let given_up =
+        db::query("DELETE FROM verification WHERE failures >= ?").bind(MAX_FAILURES).execute(connection).await?;
+    Ok((given_up.rows_affected(), woken))
 }
 
 /// Releases all verifications at startup, because the clock starts at zero; every remote worker counts as new.

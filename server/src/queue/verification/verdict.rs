@@ -114,7 +114,7 @@ pub(in crate::queue) async fn deliver(
             cases.entry(lease.case.number).or_insert((&lease.case, verified));
         }
     }
-    let (mut released, mut dropped, mut result_hashes) = (Vec::new(), Vec::new(), Vec::new());
+    let (mut released, mut failed, mut result_hashes) = (Vec::new(), Vec::new(), Vec::new());
     for (number, (case, verified)) in cases {
         match verified {
             LeaseOutcome::Blob { hash, .. } if case.position >= 0 => result_hashes.push((case, hash)),
@@ -125,12 +125,15 @@ pub(in crate::queue) async fn deliver(
             | LeaseOutcome::BadBlobs { .. }
             | LeaseOutcome::Failed { .. } => {
                 // Nothing can be said about the result: its blobs may be gone, or the verifier fails.
-                dropped.push(number);
-                outcome.skipped += 1;
+                failed.push(number);
             }
         }
     }
     woken.add(leases::release(connection, &released).await?);
+    let (given_up, wake) = leases::fail(connection, &failed, &worker.id).await?;
+    outcome.skipped += given_up;
+    woken.add(wake);
+    let mut dropped = Vec::new();
     let is_plain =
         |(case, hash): &(&Case, &String)| case.decide(hash, worker.is_pool) == Verdict::Confirmed { wrong: None };
     if result_hashes.iter().all(is_plain) {
@@ -210,15 +213,18 @@ async fn conclude(
     drop_cases(connection, &[case.number]).await?;
     let mut woken = Wake::default();
     for wrong in wrong {
-        woken.add(condemn(connection, &wrong, context, outcome).await?);
+        let since = if wrong == case.first.worker { Some(case.lease.as_str()) } else { None };
+        woken.add(condemn(connection, &wrong, since, context, outcome).await?);
     }
     Ok(woken)
 }
 
-/// Quarantines a worker whose result was wrong, and undoes what it delivered since its last confirmed result.
+/// Quarantines a worker whose result was wrong, and undoes what it delivered since its last confirmed result, or since the
+/// lease of the wrong one if that is older.
 async fn condemn(
     connection: &mut Connection,
     worker: &str,
+    since: Option<&str>,
     context: TransitionContext,
     outcome: &mut VerificationOutcome,
 ) -> Result<Wake> {
@@ -231,7 +237,7 @@ async fn condemn(
     ] {
         db::query(statement).bind(worker).execute(&mut *connection).await?;
     }
-    let undone = undo::undo_unconfirmed(connection, worker).await?;
+    let undone = undo::undo_unconfirmed(connection, worker, since).await?;
     woken.add(Wake { work: true, news: true });
     outcome.forgotten.extend(undone);
     Ok(woken)

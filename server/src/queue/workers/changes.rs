@@ -58,7 +58,14 @@ async fn change(connection: &mut Connection, worker: WorkerId, change: WorkerCha
     let changed = db::query(change.statement()).bind(&id).execute(&mut *connection).await?;
     if changed.rows_affected() > 0 {
         if change == WorkerChange::Release {
-            db::query("DELETE FROM strike WHERE worker = ?").bind(&id).execute(connection).await?;
+            // Also of the workers that were quarantined with it, or were registered before it.
+            db::query(
+                "DELETE FROM strike WHERE worker = ?1 OR worker IN (SELECT id FROM worker AS same
+                     WHERE same.pool = 0 AND same.owner = (SELECT owner FROM worker WHERE id = ?1 AND pool = 0))",
+            )
+            .bind(&id)
+            .execute(connection)
+            .await?;
         }
         tracing::info!(%worker, state = change.target(), "an administrator changed a worker's state");
         return Ok(WorkerChangeOutcome::Done);

@@ -3,6 +3,10 @@
 //!
 //! Both happen only if another worker can do the work, so that a single worker never stops the farm. A worker that
 //! delivers something else than was asked for is quarantined whatever others there are.
+//!
+//! Workers of one key are one witness: if a tile fails on them alone, and another owner's worker could render it, all of
+//! them are excluded from the job instead of the job failing. A key that has been quarantined so gets no work by registering
+//! new workers.
 
 use std::collections::BTreeSet;
 
@@ -82,6 +86,81 @@ pub(in crate::queue) async fn record_error(
     quarantine(connection, worker, context).await
 }
 
+/// Excludes all remote workers of a lease's owner from its job if a worker of another owner, or of the pool, could render its
+/// tile; returns whether one could.
+pub(in crate::queue) async fn exclude_owner(
+    connection: &mut Connection,
+    held: &LiveLease,
+    context: TransitionContext,
+) -> Result<bool> {
+    let has_other_witness: Option<i64> = db::query_scalar(
+        "SELECT 1 FROM worker JOIN job ON job.number = ?1
+         WHERE worker.state <> 'gone' AND worker.state = 'ready' AND (worker.pool = 1 OR worker.owner IS DISTINCT FROM ?2)
+           AND (?3 <> 0 OR coalesce(worker.max_nodes, job.nodes) >= job.nodes)
+           AND NOT EXISTS (SELECT 1 FROM strike WHERE strike.job = ?1 AND strike.worker = worker.id AND until_ms > ?4)
+         LIMIT 1",
+    )
+    .bind(held.job)
+    .bind(&held.owner)
+    .bind(held.stitch)
+    .bind(context.now_ms)
+    .fetch_optional(&mut *connection)
+    .await?;
+    if has_other_witness.is_none() {
+        return Ok(false);
+    }
+    let job = crate::queue::job_id(connection, held.job).await?;
+    tracing::warn!(owner = %held.owner, %job, "only workers of one owner failed in a job; they are excluded from the job");
+    db::query(
+        "INSERT INTO strike (job, worker, errors, until_ms)
+         SELECT CAST(?1 AS BIGINT), id, CAST(?3 AS BIGINT), CAST(?4 AS BIGINT) FROM worker
+         WHERE state <> 'gone' AND pool = 0 AND owner = ?2
+         ON CONFLICT (job, worker) DO UPDATE SET errors = excluded.errors, until_ms = excluded.until_ms",
+    )
+    .bind(held.job)
+    .bind(&held.owner)
+    .bind(ERRORS_BEFORE_EXCLUSION)
+    .bind(context.now_ms + EXCLUSION_MS)
+    .execute(&mut *connection)
+    .await?;
+    let workers: Vec<String> =
+        db::query_scalar("SELECT id FROM worker WHERE state <> 'gone' AND state = 'ready' AND pool = 0 AND owner = ?")
+            .bind(&held.owner)
+            .fetch_all(&mut *connection)
+            .await?;
+    for worker in &workers {
+        quarantine(connection, worker, context).await?;
+    }
+    Ok(true)
+}
+
+/// Quarantines a new remote worker if most of its owner's known workers are excluded from too many jobs: otherwise a failing
+/// key would get work by registering again.
+pub(in crate::queue) async fn quarantine_new(
+    connection: &mut Connection,
+    worker: &str,
+    owner: &str,
+    context: TransitionContext,
+) -> Result<()> {
+    let quarantined = db::query(
+        "UPDATE worker SET state = 'quarantined' WHERE id = ?1 AND pool = 0
+         AND (SELECT 2 * count(*) FILTER (WHERE exclusions >= ?4) > count(*) FROM (
+              SELECT (SELECT count(*) FROM strike JOIN job ON job.number = strike.job
+                      WHERE strike.worker = same.id AND until_ms > ?3 AND job.state <> 'failed') AS exclusions
+              FROM worker AS same WHERE same.owner = ?2 AND same.pool = 0 AND same.id <> ?1) AS known)
+         AND EXISTS (SELECT 1 FROM worker AS other
+              WHERE other.state <> 'gone' AND other.state = 'ready' AND other.id <> ?1)",
+    )
+    .bind(worker)
+    .bind(owner)
+    .bind(context.now_ms)
+    .bind(EXCLUSIONS_BEFORE_QUARANTINE)
+    .execute(connection)
+    .await?;
+    log_quarantine(quarantined, worker, "most workers of its key failed in too many jobs");
+    Ok(())
+}
+
 /// Quarantines a worker that is excluded from three jobs or more, unless it is the last ready worker.
 async fn quarantine(connection: &mut Connection, worker: &str, context: TransitionContext) -> Result<()> {
     let quarantined = db::query(
@@ -147,7 +226,7 @@ fn log_quarantine(quarantined: db::Changed, worker: &str, reason: &str) {
             code = "worker_quarantined",
             worker,
             reason,
-            "a worker gets no more work: check its device and release or restart it, or revoke its key"
+            "a worker gets no more work: check its device and release it (`sdfarm workers release`), or revoke its key"
         );
     }
 }

@@ -89,9 +89,9 @@ const WORKER_SQL: &str = "
                OR EXISTS (SELECT 1 FROM worker AS other WHERE other.state <> 'gone' AND other.pool = 0
                           AND other.seen_ms <= ?4 AND other.id <> ?1) AS is_anything_overdue,
            (SELECT min(number) FROM verification) IS NOT NULL AS has_verifications,
-           lease.id AS lease, lease.worker, lease.granted_ms, lease.charged_us, lease.charged_priority,
+           coalesce(worker.owner, worker.id) AS owner, lease.id AS lease, lease.worker, lease.granted_ms, lease.charged_us, lease.charged_priority,
            tile.id AS tile, tile.job, tile.frame, tile.kind, tile.position, tile.rays, tile.errors, tile.crashes, tile.lost,
-           tile.interrupts, job.submitter, job.finished_at_ms IS NULL AS is_open, frame.tiles_total AS frame_tiles,
+           tile.interrupts, tile.blamed_by, job.submitter, job.finished_at_ms IS NULL AS is_open, frame.tiles_total AS frame_tiles,
            EXISTS (SELECT 1 FROM lease AS other
                    WHERE other.tile = tile.id AND other.ended IS NULL AND other.id <> lease.id) AS has_duplicate
     FROM worker

@@ -1,0 +1,65 @@
+//! A batch that takes long gives way: another submitter's job is rendered beside it, and it loses nothing.
+
+use std::time::{Duration, Instant};
+
+use crate::jobs;
+use crate::support::{Farm, eventually, finish, sdfarm, succeed};
+
+/// A picture of one tile that takes long, and one that takes no time.
+fn long(samples: u64) -> String {
+    jobs::as_png(&jobs::of_long_tiles(32, samples)).to_string()
+}
+
+fn tiny(seed: u64) -> String {
+    jobs::seeded(&jobs::sized(&jobs::named("csg"), 8, 1), seed).to_string()
+}
+
+#[test]
+fn a_tile_that_takes_minutes_delays_no_other_submitter_and_goes_on() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let data = folder.path().join("data");
+    let word = data.to_str().expect("plain");
+    let key = |name, scope| succeed(&["key", "new", name, "--scope", scope, "--data", word]).trim().to_owned();
+    let admin = format!("Bearer {}", key("admin", "admin"));
+    let [anna, bert] = ["anna", "bert"].map(|name| format!("Bearer {}", key(name, "submit,read")));
+    let farm = Farm::start_on(folder.path(), &["--workers", "1"]);
+    let submit = |key: &str, job: String| {
+        let answer = farm.send("POST", "/v1/jobs", &[("authorization", key)], job.into_bytes());
+        assert_eq!(answer.status, 201, "{}", answer.text());
+        answer.json()["id"].as_str().expect("an id").to_owned()
+    };
+    let state = |id: &str| {
+        let answer = farm.send("GET", &format!("/v1/jobs/{id}"), &[("authorization", &admin)], Vec::new());
+        answer.json()["state"].as_str().expect("a state").to_owned()
+    };
+    // Its tile takes minutes; the other one's, some seconds longer than a batch that gives way.
+    let endless = submit(&anna, long(65_536));
+    eventually("the long tile renders", || (state(&endless) == "running").then_some(()));
+    std::thread::sleep(Duration::from_secs(1));
+    for seed in 0..2 {
+        let (start, small) = (Instant::now(), submit(&bert, tiny(seed)));
+        eventually("another submitter's job ends", || (state(&small) == "succeeded").then_some(()));
+        assert!(start.elapsed() < Duration::from_secs(20), "it took {:?}", start.elapsed());
+        assert_eq!(state(&endless), "running");
+    }
+    let cancelled = farm.send("POST", &format!("/v1/jobs/{endless}/cancel"), &[("authorization", &admin)], Vec::new());
+    assert_eq!(cancelled.status, 200, "{}", cancelled.text());
+
+    // A picture beside which others were rendered has the bytes that it has alone.
+    let job = long(2_048);
+    let (begun, shared) = (Instant::now(), submit(&anna, job.clone()));
+    let mut beside = 0;
+    while state(&shared) != "succeeded" {
+        assert!(begun.elapsed() < Duration::from_mins(5), "it does not end");
+        let small = submit(&bert, tiny(10 + beside));
+        eventually("another submitter's job ends", || (state(&small) == "succeeded").then_some(()));
+        beside += 1;
+    }
+    let image = farm.send("GET", &format!("/v1/jobs/{shared}/image"), &[("authorization", &admin)], Vec::new());
+    let alone = folder.path().join("alone.png");
+    let mut render = sdfarm(&["render", "-", "-o"]);
+    render.arg(&alone);
+    let output = finish(render, job.as_bytes());
+    assert!(output.status.success());
+    assert!(std::fs::read(alone).expect("a picture") == image.body, "beside {beside} others it has other bytes");
+}

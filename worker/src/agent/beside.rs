@@ -1,0 +1,106 @@
+//! Batches that are rendered beside one that takes long, so that no submitter waits for another's. The long one is not handed
+//! back: that would lose its samples, or need a second way to store them.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use tokio::time::Instant;
+
+use super::executor::BatchExecutor;
+
+/// After this time a batch gives way: batches of other submitters are rendered at the same time.
+const GIVE_WAY_AFTER: Duration = Duration::from_secs(2);
+/// Maximum number of batches beside one, each of another submitter.
+const MAX_BESIDE: usize = 3;
+/// Time after which work is requested again, if there was none.
+const PAUSE: Duration = Duration::from_secs(1);
+
+/// Lanes of a device for batches beside the first.
+pub(super) struct Beside {
+    /// Whether the server and the device support it.
+    is_possible: bool,
+    lanes: Vec<Lane>,
+    /// When the last batch began.
+    begun: Option<Instant>,
+    /// Whether the server has said that a submitter waits.
+    others_wait: bool,
+    not_before: Option<Instant>,
+}
+
+struct Lane {
+    executor: Arc<BatchExecutor>,
+    is_busy: bool,
+}
+
+impl Beside {
+    pub(super) fn new(is_offered: bool) -> Self {
+        Self { is_possible: is_offered, lanes: Vec::new(), begun: None, others_wait: false, not_before: None }
+    }
+
+    /// Number of lanes that render.
+    pub(super) fn rendering(&self) -> usize {
+        self.lanes.iter().filter(|lane| lane.is_busy).count()
+    }
+
+    /// A batch begins, in the device's own lane or beside it.
+    pub(super) fn batch_begins(&mut self) {
+        self.begun = Some(Instant::now());
+    }
+
+    /// Time from which the last batch gives way, if another can be rendered beside it.
+    pub(super) fn gives_way_at(&self) -> Option<Instant> {
+        let has_lane = self.is_possible && self.rendering() < MAX_BESIDE;
+        let given_way = self.begun.filter(|_| has_lane)? + GIVE_WAY_AFTER;
+        Some(self.not_before.map_or(given_way, |not_before| given_way.max(not_before)))
+    }
+
+    /// Whether work may be requested now, because the server has said that a submitter waits.
+    pub(super) fn wants_work(&self, now: Instant) -> bool {
+        self.others_wait && self.gives_way_at().is_some_and(|at| now >= at)
+    }
+
+    /// The server has said whether a submitter waits.
+    pub(super) fn heard(&mut self, others_wait: bool) {
+        self.others_wait = others_wait;
+    }
+
+    /// A request for work has had this answer.
+    pub(super) fn answered(&mut self, has_batch: bool) {
+        self.others_wait = false;
+        self.not_before = (!has_batch).then(|| Instant::now() + PAUSE);
+    }
+
+    /// A free lane for a batch, which is busy from now on; `None` if the device has none.
+    pub(super) fn take_lane(&mut self, main: &BatchExecutor) -> Option<Arc<BatchExecutor>> {
+        if let Some(lane) = self.lanes.iter_mut().find(|lane| !lane.is_busy) {
+            lane.is_busy = true;
+            return Some(lane.executor.clone());
+        }
+        let renderer = main.renderer.beside().unwrap_or_else(|error| {
+            tracing::warn!(%error, "could not make a renderer for other submitters' batches");
+            None
+        });
+        let Some(renderer) = renderer else {
+            self.is_possible = false;
+            return None;
+        };
+        let executor = Arc::new(main.beside(self.lanes.len(), renderer));
+        self.lanes.push(Lane { executor: executor.clone(), is_busy: true });
+        Some(executor)
+    }
+
+    /// A lane has rendered its batch.
+    pub(super) fn free(&mut self, lane: usize) {
+        if let Some(lane) = self.lanes.get_mut(lane) {
+            lane.is_busy = false;
+        }
+    }
+
+    /// Nothing renders any more.
+    pub(super) fn free_all(&mut self) {
+        for lane in &mut self.lanes {
+            lane.is_busy = false;
+        }
+        self.begun = None;
+    }
+}
