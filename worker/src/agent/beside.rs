@@ -70,23 +70,26 @@ impl Beside {
         self.not_before = (!has_batch).then(|| Instant::now() + PAUSE);
     }
 
-    /// A free lane for a batch, which is busy from now on; `None` if the device has none.
-    pub(super) fn take_lane(&mut self, main: &BatchExecutor) -> Option<Arc<BatchExecutor>> {
-        if let Some(lane) = self.lanes.iter_mut().find(|lane| !lane.is_busy) {
-            lane.is_busy = true;
-            return Some(lane.executor.clone());
+    /// Whether there is a free lane, or could be made one: work is requested only then.
+    pub(super) fn has_lane(&mut self, main: &BatchExecutor) -> bool {
+        if self.lanes.iter().any(|lane| !lane.is_busy) {
+            return true;
         }
         let renderer = main.renderer.beside().unwrap_or_else(|error| {
             tracing::warn!(%error, "could not make a renderer for other submitters' batches");
             None
         });
-        let Some(renderer) = renderer else {
-            self.is_possible = false;
-            return None;
-        };
-        let executor = Arc::new(main.beside(self.lanes.len(), renderer));
-        self.lanes.push(Lane { executor: executor.clone(), is_busy: true });
-        Some(executor)
+        self.is_possible &= renderer.is_some();
+        let executor = renderer.map(|renderer| Arc::new(main.beside(self.lanes.len(), renderer)));
+        self.lanes.extend(executor.map(|executor| Lane { executor, is_busy: false }));
+        self.is_possible
+    }
+
+    /// A free lane for a batch, which is busy from now on.
+    pub(super) fn take_lane(&mut self) -> Option<Arc<BatchExecutor>> {
+        let lane = self.lanes.iter_mut().find(|lane| !lane.is_busy)?;
+        lane.is_busy = true;
+        Some(lane.executor.clone())
     }
 
     /// A lane has rendered its batch.

@@ -259,7 +259,7 @@ impl Session {
             self.awaits_change &= results.is_empty();
         }
         let gives_way_at = self.gives_way_at().filter(|_| !self.wants_work(now));
-        let beside = gives_way_at.is_some_and(|at| now >= at);
+        let beside = gives_way_at.is_some_and(|at| now >= at) && self.beside.has_lane(&self.workbench);
         let wants_work = self.wants_work(now) || beside && self.wants_work_beside(now);
         // The server responds to results at once, so that a lost call is noticed.
         let wait = match (results.is_empty(), wants_work) {
@@ -392,7 +392,7 @@ impl Session {
         }
         self.holds.extend(holds.iter().map(|hold| (hold.lease, hold.clone())));
         self.beside.batch_begins();
-        let lane = if is_beside { self.beside.take_lane(&self.workbench) } else { None };
+        let lane = if is_beside { self.beside.take_lane() } else { None };
         let executor = lane.unwrap_or_else(|| {
             let is_frame = matches!(run.work, BatchWork::Render { whole_frame: true, .. });
             self.accepted_frame_of = is_frame.then_some(run.job);
