@@ -85,19 +85,21 @@ impl UploadLedger {
         }
         owners.retain(|_, uploads| !uploads.is_empty());
         let uploads = owners.entry(owner.to_owned()).or_default();
-        uploads.retain(|upload| upload.name != name);
         // The leases of some uploads have ended, for example because their job was cancelled.
         let needed_bytes = uploads.iter().map(|upload| upload.needed_bytes).fold(need.total_bytes, u64::max);
-        let mut unreported_bytes: u64 = uploads.iter().map(|upload| upload.size_bytes).sum();
-        let mut replaces = Vec::new();
-        while unreported_bytes.saturating_add(size_bytes) > needed_bytes.saturating_mul(SLACK) {
-            let is_deletable = |upload: &Upload| self.deletes && upload.is_stored && now - upload.at >= DELETABLE;
-            let oldest = uploads.remove(uploads.iter().position(is_deletable)?);
-            unreported_bytes -= oldest.size_bytes;
-            replaces.push(oldest.name);
+        let others = || uploads.iter().filter(|upload| upload.name != name);
+        let mut sum_bytes = others().map(|upload| upload.size_bytes).fold(size_bytes, u64::saturating_add);
+        let is_deletable = |upload: &&Upload| self.deletes && upload.is_stored && now - upload.at >= DELETABLE;
+        let (mut oldest, mut replaces) = (others().filter(is_deletable), Vec::new());
+        while sum_bytes > needed_bytes.saturating_mul(SLACK) {
+            let upload = oldest.next()?;
+            sum_bytes -= upload.size_bytes;
+            replaces.push(upload.name.clone());
         }
-        let needed_bytes = need.total_bytes;
-        uploads.push(Upload { name: name.clone(), size_bytes, needed_bytes, is_stored: false, at: now });
+        // If it is stored already, its bytes stay when this upload fails.
+        let is_stored = uploads.iter().any(|upload| upload.name == name && upload.is_stored);
+        uploads.retain(|upload| upload.name != name && !replaces.contains(&upload.name));
+        uploads.push(Upload { name: name.clone(), size_bytes, needed_bytes: need.total_bytes, is_stored, at: now });
         Some(Reservation { ledger: self, owner: owner.to_owned(), name, replaces })
     }
 
@@ -170,6 +172,18 @@ mod tests {
         drop(reserved);
         reserve(DELETABLE, "c", 2, 1).expect("room").stored();
         assert!(reserve(2 * DELETABLE, "d", 1, 1).expect("for the old one").replaces == [blob("c")]);
+    }
+
+    #[test]
+    fn stored_bytes_count_after_a_refused_or_broken_upload() {
+        let (ledger, start) = (UploadLedger::new(KEPT, true), monotonic_now());
+        let reserve = |later, hash, size_bytes| ledger.reserve_at(start + later, "key", blob(hash), size_bytes, NEED);
+        reserve(Duration::ZERO, "a", 20).expect("room").stored();
+        drop(reserve(Duration::ZERO, "a", 20).expect("the same again"));
+        reserve(DELETABLE, "b", 20).expect("room").stored();
+        assert!(reserve(DELETABLE, "c", 30).is_none(), "only the first may be deleted for it");
+        let reserved = reserve(DELETABLE, "d", 20).expect("for the first");
+        assert_eq!(reserved.replaces, [blob("a")], "it has been counted all the time");
     }
 
     #[test]
