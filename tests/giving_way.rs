@@ -1,7 +1,9 @@
 //! A batch that takes long gives way: another submitter's job is rendered beside it, and it loses nothing.
 
+use std::process::Command;
 use std::time::{Duration, Instant};
 
+use crate::fake_cuda;
 use crate::jobs;
 use crate::support::{Farm, eventually, finish, sdfarm, succeed};
 
@@ -16,13 +18,26 @@ fn tiny(seed: u64) -> String {
 
 #[test]
 fn a_tile_that_takes_minutes_delays_no_other_submitter_and_goes_on() {
+    check(sdfarm(&["serve"]), "cpu", &long(65_536), &long(2_048));
+}
+
+#[test]
+fn a_gpu_gives_way_as_well() {
+    // The stand-in is one thread of a CPU.
+    let of = |samples| jobs::as_png(&jobs::sized(&jobs::named("csg"), 32, samples)).to_string();
+    check(fake_cuda::on_machine_with_gpu(sdfarm(&["serve"])), "cuda", &of(65_536), &of(4_096));
+}
+
+/// Another submitter's jobs end beside a tile that takes minutes, and beside one that takes some seconds longer than a batch
+/// that gives way.
+fn check(serve: Command, device: &str, endless: &str, shared_job: &str) {
     let folder = tempfile::tempdir().expect("a folder");
     let data = folder.path().join("data");
     let word = data.to_str().expect("plain");
     let key = |name, scope| succeed(&["key", "new", name, "--scope", scope, "--data", word]).trim().to_owned();
     let admin = format!("Bearer {}", key("admin", "admin"));
     let [anna, bert] = ["anna", "bert"].map(|name| format!("Bearer {}", key(name, "submit,read")));
-    let farm = Farm::start_on(folder.path(), &["--workers", "1"]);
+    let farm = Farm::start_by(serve, folder.path(), &["--workers", "1", "--device", device]);
     let submit = |key: &str, job: String| {
         let answer = farm.send("POST", "/v1/jobs", &[("authorization", key)], job.into_bytes());
         assert_eq!(answer.status, 201, "{}", answer.text());
@@ -32,8 +47,7 @@ fn a_tile_that_takes_minutes_delays_no_other_submitter_and_goes_on() {
         let answer = farm.send("GET", &format!("/v1/jobs/{id}"), &[("authorization", &admin)], Vec::new());
         answer.json()["state"].as_str().expect("a state").to_owned()
     };
-    // Its tile takes minutes; the other one's, some seconds longer than a batch that gives way.
-    let endless = submit(&anna, long(65_536));
+    let endless = submit(&anna, endless.to_owned());
     eventually("the long tile renders", || (state(&endless) == "running").then_some(()));
     std::thread::sleep(Duration::from_secs(1));
     for seed in 0..2 {
@@ -46,8 +60,7 @@ fn a_tile_that_takes_minutes_delays_no_other_submitter_and_goes_on() {
     assert_eq!(cancelled.status, 200, "{}", cancelled.text());
 
     // A picture beside which others were rendered has the bytes that it has alone.
-    let job = long(2_048);
-    let (begun, shared) = (Instant::now(), submit(&anna, job.clone()));
+    let (begun, shared) = (Instant::now(), submit(&anna, shared_job.to_owned()));
     let mut beside = 0;
     while state(&shared) != "succeeded" {
         assert!(begun.elapsed() < Duration::from_mins(5), "it does not end");
@@ -57,9 +70,9 @@ fn a_tile_that_takes_minutes_delays_no_other_submitter_and_goes_on() {
     }
     let image = farm.send("GET", &format!("/v1/jobs/{shared}/image"), &[("authorization", &admin)], Vec::new());
     let alone = folder.path().join("alone.png");
-    let mut render = sdfarm(&["render", "-", "-o"]);
+    let mut render = sdfarm(&["render", "-", "--device", "cpu", "-o"]);
     render.arg(&alone);
-    let output = finish(render, job.as_bytes());
+    let output = finish(render, shared_job.as_bytes());
     assert!(output.status.success());
     assert!(std::fs::read(alone).expect("a picture") == image.body, "beside {beside} others it has other bytes");
 }

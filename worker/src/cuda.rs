@@ -124,15 +124,20 @@ impl CudaRenderer {
     /// Opens the GPU with this ordinal, and verifies that it renders the expected bits. Compiled kernels are
     /// stored in `cache`. Threads of blocks of these dimensions render a pixel each; `None` means the fastest layout.
     pub fn new(ordinal: usize, cache: Option<&Path>, block: Option<BlockDim>) -> Result<Self, RenderError> {
-        let name = format!("cuda:{ordinal}");
-        let refused = |error: CudaError| unavailable(&name, &error);
-        let device = Device::open(ordinal).map_err(refused)?;
-        let compiler = Compiler::find().map_err(refused)?;
-        tracing::debug!(device = name, gpu = device.name, compiler = compiler.version, "found a GPU");
-        let renderer = Self {
-            name: name.clone(),
-            device,
-            compiler,
+        let refused = |error: CudaError| unavailable(&format!("cuda:{ordinal}"), &error);
+        let renderer = Self::open(ordinal, cache, block).map_err(refused)?;
+        let (gpu, compiler) = (&renderer.device.name, &renderer.compiler.version);
+        tracing::debug!(device = renderer.name, gpu, compiler, "found a GPU");
+        renderer.self_test().map_err(refused)?;
+        Ok(renderer)
+    }
+
+    /// Opens a GPU without a self-test.
+    fn open(ordinal: usize, cache: Option<&Path>, block: Option<BlockDim>) -> Result<Self, CudaError> {
+        Ok(Self {
+            name: format!("cuda:{ordinal}"),
+            device: Device::open(ordinal)?,
+            compiler: Compiler::find()?,
             cache: Cache::new(cache),
             block,
             cell_builder: FastBuilder::UNLIMITED,
@@ -147,9 +152,7 @@ impl CudaRenderer {
             encoders: None,
             kernels: Mutex::default(),
             setup_time: Mutex::default(),
-        };
-        renderer.self_test().map_err(refused)?;
-        Ok(renderer)
+        })
     }
 
     /// Limits encoding to this many threads; `None` means all cores.
@@ -361,6 +364,13 @@ impl Renderer for CudaRenderer {
 
     fn preferred_tiles(&self) -> usize {
         1024
+    }
+
+    fn beside(&self) -> Result<Option<Arc<dyn Renderer>>, RenderError> {
+        // Its launches are in a stream of their own, and its kernels have constants of their own.
+        let other = Self::open(self.device.ordinal(), self.cache.folder(), self.block);
+        let other = other.map_err(|error| self.render_error(&error))?;
+        Ok(Some(Arc::new(Self { cell_builder: self.cell_builder, encoders: self.encoders, ..other })))
     }
 
     fn encoder_threads(&self) -> usize {

@@ -19,9 +19,9 @@ const SAVED_MS = 60_000;
 export async function download(path, name, query) {
   try {
     if (session.key === null) {
-      // Asked first, so that an error is a message instead of a file.
+      // Asked first, so that an error is a message instead of a file; past the cache, whose entry would be locked until the end.
       const controller = new AbortController();
-      await request(path, { ...(query ? { query } : {}), signal: controller.signal, headers: { accept: '*/*' } });
+      await request(path, { ...(query ? { query } : {}), signal: controller.signal, cache: 'no-store', headers: { accept: '*/*' } });
       controller.abort();
       save(address(path, query), name);
       return;

@@ -284,6 +284,11 @@ impl Device {
         open().map_err(CudaError::driver_error("open the GPU"))
     }
 
+    /// Its ordinal.
+    pub(super) fn ordinal(&self) -> usize {
+        self.context.ordinal()
+    }
+
     /// Loads machine code, of a kernel with `together` threads for each pixel, with or without layers.
     pub(super) fn load(
         &self,
