@@ -11,6 +11,7 @@ use std::fs;
 use std::net::TcpListener;
 use std::path::Path;
 use std::process::{Command, Output};
+use std::time::{Duration, Instant};
 
 use crate::jobs;
 use crate::skip::skip;
@@ -185,6 +186,30 @@ fn full_disk_releases_its_reserve_for_a_deletion() {
     let deleted = farm.send("DELETE", &format!("/v1/jobs/{first}"), &[], Vec::new());
     assert_eq!(deleted.status, 204, "{}", deleted.text());
     assert!(!data.join("reserve").exists());
+}
+
+#[test]
+fn full_disk_deletes_soon_what_no_worker_reported() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let data = folder.path().join("data");
+    fs::create_dir(&data).expect("made");
+    let Some(_mounted) = Mount::new(&data, "size=8m") else {
+        return skip("mount", "a small disk needs a mount, which this user may not create");
+    };
+    let farm = Farm::start_on(folder.path(), &["--workers", "0"]);
+    let first = farm.accept(&jobs::quick().to_string());
+    // As a worker leaves it that is killed before it reports.
+    let left = data.join("tiles").join("ab".repeat(32));
+    fs::write(&left, vec![0; 1 << 20]).expect("written");
+    fill(&data.join("ballast"));
+    let deleted = |id: &str| farm.send("DELETE", &format!("/v1/jobs/{id}"), &[], Vec::new()).status;
+    assert_eq!(farm.send("POST", &format!("/v1/jobs/{first}/cancel"), &[], Vec::new()).status, 200);
+    assert_eq!(deleted(&first), 204);
+    assert!(!data.join("reserve").exists(), "the disk is full");
+    let full = Instant::now();
+    eventually("it is deleted", || (!left.exists()).then_some(()));
+    assert!(full.elapsed() < Duration::from_mins(2), "on an empty disk it is kept for longer than that");
+    eventually("jobs are taken again", || (farm.post(&jobs::quick().to_string()).status == 201).then_some(()));
 }
 
 /// Writes zeros until the disk is full.

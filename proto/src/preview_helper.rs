@@ -321,6 +321,12 @@ pub struct CostSample {
 }
 
 impl CostSample {
+    /// Ends of the range of a time that was made from this, in seconds.
+    pub fn range(&self, seconds: f64) -> (f64, f64) {
+        let high = 1.0 + self.relative_error;
+        (seconds / high, seconds * high)
+    }
+
     /// Time of one thread for this many rays, tiles, frames and file pixels, in seconds.
     pub fn core_seconds(&self, rays: u64, tiles: u64, frames: u64, pixels: u64) -> f64 {
         let counts = [rays, tiles, frames, pixels].map(|count| count as f64);
@@ -340,6 +346,10 @@ pub struct Estimate {
     /// Seconds until the last picture is stored, if the farm's current workers rendered nothing else; null
     /// without workers.
     pub seconds: Option<f64>,
+    /// Start of the range in which `seconds` is, with a chance of 95 %.
+    pub seconds_low: Option<f64>,
+    /// End of that range.
+    pub seconds_high: Option<f64>,
     /// CPU time, in seconds of one core.
     pub core_seconds: f64,
     /// Camera rays that the job would trace.

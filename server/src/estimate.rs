@@ -112,7 +112,6 @@ impl Estimator {
         let request = HelperRequest::Price { job: text, threads, plan: measured };
         let PriceSample { cost: sample, map, savings, .. } = self.preview_helper.measure(&request).await?;
         let estimate = estimate_from_sample(&sample, plan, &present, threads, self.pool.target_size());
-        let high = 1.0 + sample.relative_error;
         let gpus: Vec<&ReadyWorker> = present.iter().filter(|worker| worker.device.starts_with("cuda")).collect();
         let gpu_rate: f64 = gpus.iter().filter_map(|worker| worker.rays_per_second).sum();
         // The part of the rays that GPUs would render, and their time for it.
@@ -121,8 +120,8 @@ impl Estimator {
         let gpu_seconds = if gpu_rate > 0.0 { gpu_seconds } else { 0.0 };
         Ok(Price {
             seconds: estimate.seconds,
-            seconds_low: estimate.seconds.map(|seconds| rounding::seconds(seconds / high)),
-            seconds_high: estimate.seconds.map(|seconds| rounding::seconds(seconds * high)),
+            seconds_low: estimate.seconds_low,
+            seconds_high: estimate.seconds_high,
             core_seconds: estimate.core_seconds,
             relative_error: rounding::fraction(sample.relative_error),
             cost: rates.cost(estimate.core_seconds * (1.0 - by_gpus), gpu_seconds),
@@ -153,8 +152,12 @@ fn estimate_from_sample(
     let others: f64 =
         present.iter().filter(|worker| !is_ours(worker)).filter_map(|worker| worker.rays_per_second).sum();
     let rate = share * (ours + others);
+    let seconds = (rate > 0.0).then(|| rays as f64 / rate + JOB_OVERHEAD_SECONDS);
+    let range = seconds.map(|seconds| sample.range(seconds));
     Estimate {
-        seconds: (rate > 0.0).then(|| rounding::seconds(rays as f64 / rate + JOB_OVERHEAD_SECONDS)),
+        seconds: seconds.map(rounding::seconds),
+        seconds_low: range.map(|(low, _)| rounding::seconds(low)),
+        seconds_high: range.map(|(_, high)| rounding::seconds(high)),
         core_seconds: rounding::seconds(core_seconds),
         rays,
         sample_rays: sample.rays,

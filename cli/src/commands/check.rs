@@ -19,7 +19,7 @@ pub(crate) struct Arguments {
     job: String,
     #[command(flatten)]
     overrides: OverrideArguments,
-    /// Spend 0.7 s instead of 0.2 s on the estimate of the job's time.
+    /// Spend at least 0.7 s instead of 0.2 s on the estimate of the job's time.
     #[arg(long, env = "SDFARM_ESTIMATE", value_parser = clap::builder::FalseyValueParser::new(), action = clap::ArgAction::SetTrue)]
     estimate: bool,
     /// Print the errors, or the size and the warnings, as JSON.

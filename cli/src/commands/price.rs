@@ -112,7 +112,7 @@ pub(crate) async fn run(arguments: Arguments) -> anyhow::Result<()> {
 fn of_this_machine(sample: PriceSample, threads: usize, rates: &Rates) -> Price {
     let PriceSample { cost: measured, core_seconds, map, savings } = sample;
     let seconds = core_seconds / threads.max(1) as f64;
-    let (low, high) = range(seconds, measured.relative_error);
+    let (low, high) = measured.range(seconds);
     let cost = match rates {
         Rates { core_hour: None, gpu_hour: Some(_), .. } => rates.cost(0.0, core_seconds / CORES_OF_AN_H200),
         _ => rates.cost(core_seconds, 0.0),
@@ -128,11 +128,6 @@ fn of_this_machine(sample: PriceSample, threads: usize, rates: &Rates) -> Price 
         map,
         savings,
     }
-}
-
-/// Range of a time with this error as a fraction.
-fn range(seconds: f64, relative_error: f64) -> (f64, f64) {
-    (seconds / (1.0 + relative_error), seconds * (1.0 + relative_error))
 }
 
 /// The price in words.

@@ -30,8 +30,24 @@ const MAX_FRAMES: u32 = 5;
 /// Maximum data of a frame that a worker holds, in bytes.
 const MAX_FRAME_BYTES: u64 = 256 << 20;
 
-/// Samples a job on `threads` threads for about `render_ms`.
+/// Samples a job on `threads` threads for about `render_ms`; again for a longer time if the range of its time is wide.
 pub fn sample(job: &Job, threads: usize, render_ms: u64) -> anyhow::Result<CostSample> {
+    /// Factor between the ends of a range that is not wide.
+    const NARROW: f64 = 3.0;
+    /// Growth of the time.
+    const LONGER: [u64; 2] = [4, 8];
+    let mut sample = sample_once(job, threads, render_ms);
+    for longer in LONGER {
+        let (low, high) = sample.as_ref().map_or((0.0, 1.0), |sample| sample.range(1.0));
+        if high <= NARROW * low {
+            break;
+        }
+        sample = sample_once(job, threads, longer * render_ms);
+    }
+    sample
+}
+
+fn sample_once(job: &Job, threads: usize, render_ms: u64) -> anyhow::Result<CostSample> {
     let count = job.frames.count.min(MAX_FRAMES);
     let spread = |index: u32| u64::from(job.frames.count - 1) * u64::from(index) / u64::from((count - 1).max(1));
     let limit = Duration::from_millis(render_ms) / count;
@@ -163,7 +179,7 @@ fn relative_error(costs: &[FrameCost], frames: u32) -> f64 {
     let between = if count > 1.0 { squares / (count - 1.0) / count * unseen } else { 0.0 };
     let shared = costs.iter().map(|cost| cost.shared_fraction).sum::<f64>() / count * SHARED;
     let spread = DEVIATIONS * (within + between).sqrt() / mean;
-    (spread.powi(2) + shared.powi(2) + SYSTEMATIC.powi(2)).sqrt().min(1.0)
+    (spread.powi(2) + shared.powi(2) + SYSTEMATIC.powi(2)).sqrt()
 }
 
 /// A finished block.

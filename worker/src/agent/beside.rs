@@ -4,9 +4,10 @@
 use std::sync::Arc;
 use std::time::Duration;
 
+use proto::LeaseId;
 use tokio::time::Instant;
 
-use super::executor::BatchExecutor;
+use super::executor::{BatchExecutor, LeaseHandle};
 
 /// After this time a batch gives way: batches of other submitters are rendered at the same time.
 const GIVE_WAY_AFTER: Duration = Duration::from_secs(2);
@@ -20,6 +21,8 @@ pub(super) struct Beside {
     /// Whether the server and the device support it.
     is_possible: bool,
     lanes: Vec<Lane>,
+    /// Leases of the batches that wait for the device's own lane.
+    waiting: Vec<Vec<LeaseHandle>>,
     /// When the last batch began.
     begun: Option<Instant>,
     /// Whether the server has said that a submitter waits.
@@ -34,7 +37,14 @@ struct Lane {
 
 impl Beside {
     pub(super) fn new(is_offered: bool) -> Self {
-        Self { is_possible: is_offered, lanes: Vec::new(), begun: None, others_wait: false, not_before: None }
+        Self {
+            is_possible: is_offered,
+            lanes: Vec::new(),
+            waiting: Vec::new(),
+            begun: None,
+            others_wait: false,
+            not_before: None,
+        }
     }
 
     /// Number of lanes that render.
@@ -45,6 +55,25 @@ impl Beside {
     /// A batch begins, in the device's own lane or beside it.
     pub(super) fn batch_begins(&mut self) {
         self.begun = Some(Instant::now());
+    }
+
+    /// A batch with these leases waits for the device.
+    pub(super) fn waits(&mut self, holds: &[LeaseHandle]) {
+        self.waiting.push(holds.to_vec());
+    }
+
+    /// The batch with this lease has the device.
+    pub(super) fn has_device(&mut self, lease: LeaseId) {
+        self.waiting.retain(|holds| holds.iter().all(|hold| hold.lease != lease));
+    }
+
+    pub(super) fn has_waiting(&self) -> bool {
+        !self.waiting.is_empty()
+    }
+
+    /// Leases of the batches that wait, which will wait no longer.
+    pub(super) fn take_waiting(&mut self) -> Vec<LeaseHandle> {
+        self.waiting.drain(..).flatten().collect()
     }
 
     /// Time from which the last batch gives way, if another can be rendered beside it.
@@ -105,5 +134,6 @@ impl Beside {
             lane.is_busy = false;
         }
         self.begun = None;
+        self.waiting.clear();
     }
 }

@@ -33,6 +33,8 @@ pub(super) const MEMORY_KIB: u32 = 1 << 20;
 pub(super) enum BatchEvent {
     /// These leases finished together, with their outcomes.
     Finished(Vec<LeaseReport>),
+    /// A batch with this lease has the device.
+    Begins(LeaseId),
     /// The record of a tile, before the tile is finished.
     Recorded(TileRecord),
     /// A batch no longer needs the device.
@@ -76,6 +78,12 @@ impl LeaseHandle {
 
     pub(super) fn report(&self, outcome: LeaseOutcome) -> LeaseReport {
         LeaseReport { lease: self.lease, outcome }
+    }
+
+    /// Ends its work, and reports that.
+    pub(super) fn hand_back(&self) -> LeaseReport {
+        self.dropped.cancel();
+        self.report(LeaseOutcome::Released)
     }
 }
 

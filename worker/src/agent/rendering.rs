@@ -129,7 +129,12 @@ impl BatchExecutor {
             }
         }
         let mut device = DeviceUse::new(self, frame_of);
-        device.acquire().await;
+        let holds: Vec<LeaseHandle> = places.iter().map(|place| place.hold.clone()).collect();
+        tokio::select! {
+            () = device.acquire() => holds.iter().take(1).for_each(|hold| self.send(BatchEvent::Begins(hold.lease))),
+            // Nothing will be rendered.
+            () = all_dropped(&holds) => {}
+        }
         device
     }
 

@@ -162,6 +162,7 @@ impl Session {
             if self.is_done() {
                 break Ok(SessionEnd::Drained);
             }
+            self.give_way();
             if call.as_ref().is_some_and(PendingSync::is_heartbeat) && self.must_sync(Instant::now()) {
                 call = None;
             }
@@ -232,6 +233,17 @@ impl Session {
     /// Time from which the batches of other submitters may be rendered beside one that renders.
     fn gives_way_at(&self) -> Option<Instant> {
         self.beside.gives_way_at().filter(|_| self.rendering > 0 && !self.draining)
+    }
+
+    /// Hands back the batches that wait behind one that takes long, so that they can be rendered beside it or elsewhere.
+    fn give_way(&mut self) {
+        if self.gives_way_at().is_none_or(|at| Instant::now() < at) {
+            return;
+        }
+        self.last_short_batch = None;
+        let waiting = self.beside.take_waiting();
+        let leases = waiting.iter().filter_map(|hold| self.holds.remove(&hold.lease));
+        self.pending_reports.extend(leases.map(|hold| hold.hand_back()));
     }
 
     /// Whether reports wait for reports of unfinished leases.
@@ -314,7 +326,8 @@ impl Session {
         let company_until = if self.holds.is_empty() { now } else { self.report_after };
         let results = (!self.pending_reports.is_empty()).then_some(company_until);
         let work = (self.claim_after > now).then_some(self.claim_after);
-        let first = heartbeat.into_iter().chain(results).chain(work).min();
+        let gives_way = self.gives_way_at().filter(|_| self.beside.has_waiting());
+        let first = heartbeat.into_iter().chain(results).chain(work).chain(gives_way).min();
         first.unwrap_or(now + self.lease).max(self.retry_at)
     }
 
@@ -395,6 +408,9 @@ impl Session {
         let lane = if is_beside { self.beside.take_lane() } else { None };
         let executor = lane.unwrap_or_else(|| {
             let is_frame = matches!(run.work, BatchWork::Render { whole_frame: true, .. });
+            if matches!(run.work, BatchWork::Render { .. }) {
+                self.beside.waits(&holds);
+            }
             self.accepted_frame_of = is_frame.then_some(run.job);
             self.rendering += 1;
             self.workbench.clone()
@@ -418,6 +434,7 @@ impl Session {
                 let wanted = reports.into_iter().filter(|report| self.holds.remove(&report.lease).is_some());
                 self.pending_reports.extend(wanted);
             }
+            BatchEvent::Begins(lease) => self.beside.has_device(lease),
             BatchEvent::Recorded(record) => _ = self.records.insert(record.lease, record),
             BatchEvent::Rendered { took, frame_of } => {
                 self.rendering = self.rendering.saturating_sub(1);
@@ -454,10 +471,7 @@ impl Session {
         while let Ok(event) = self.events.try_recv() {
             self.on_event(event);
         }
-        for (_, hold) in self.holds.drain() {
-            hold.dropped.cancel();
-            self.pending_reports.push(hold.report(LeaseOutcome::Released));
-        }
+        self.pending_reports.extend(self.holds.drain().map(|(_, hold)| hold.hand_back()));
     }
 
     /// Sends the remaining reports in a last call. The server may have exited as well.

@@ -35,6 +35,8 @@ pub(super) struct Outlook {
 #[derive(Clone, Copy, Debug)]
 struct Judged {
     core_seconds: f64,
+    /// Range of the time of one core.
+    range: (f64, f64),
     memory_bytes: u64,
     sample_rays: u64,
 }
@@ -47,10 +49,10 @@ impl Outlook {
         let frames = u64::from(job.frames.count);
         let tiling = Tiling { width, height, samples, pixel_bytes: film.pixel_bytes(), tile_edge: None };
         let (rays, tiles) = (job.rays_per_frame() * frames, tiling.tiles().len() as u64 * frames);
-        let judge = |sample: &CostSample| Judged {
-            core_seconds: sample.core_seconds(rays, tiles, frames, film.pixels() * frames),
-            memory_bytes: sample.memory_bytes,
-            sample_rays: sample.rays,
+        let judge = |sample: &CostSample| {
+            let core_seconds = sample.core_seconds(rays, tiles, frames, film.pixels() * frames);
+            let range = sample.range(core_seconds);
+            Judged { core_seconds, range, memory_bytes: sample.memory_bytes, sample_rays: sample.rays }
         };
         Self {
             nodes: job.nodes(),
@@ -87,9 +89,11 @@ impl Outlook {
             format!("work: {most}{} in {}", count(self.rays, "camera ray"), count(self.tiles, "tile")),
         ];
         lines.push(match self.judged {
-            Some(Judged { core_seconds, sample_rays, .. }) => format!(
-                "time: {most}about {} of one core, {} on the {} of this machine, {} on an H200; estimated from {}",
+            Some(Judged { core_seconds, range: (low, high), sample_rays, .. }) => format!(
+                "time: {most}about {} of one core (from {} to {}), {} on the {} of this machine, {} on an H200; estimated from {}",
                 duration(core_seconds),
+                duration(low),
+                duration(high),
                 duration(self.seconds_here(core_seconds)),
                 count(self.threads as u64, "core"),
                 duration(core_seconds / CORES_OF_AN_H200),
@@ -108,9 +112,11 @@ impl Outlook {
 
     /// Formats the outlook as JSON, with the job's warnings.
     pub(super) fn json(&self, warnings: &[String]) -> Value {
-        let estimate = self.judged.map(|Judged { core_seconds, memory_bytes, sample_rays }| {
+        let estimate = self.judged.map(|Judged { core_seconds, range: (low, high), memory_bytes, sample_rays }| {
             json!({
                 "core_seconds": tidy(core_seconds),
+                "core_seconds_low": tidy(low),
+                "core_seconds_high": tidy(high),
                 "seconds_on_this_machine": tidy(self.seconds_here(core_seconds)),
                 "cores_of_this_machine": self.threads,
                 "seconds_on_an_h200": tidy(core_seconds / CORES_OF_AN_H200),
@@ -241,7 +247,7 @@ mod tests {
         let lines = outlook.lines().join("\n");
         assert!(lines.contains("1 node in 1 object, 1 material, 1 light"), "{lines}");
         assert!(lines.contains("2 frames of 64×32, 4 samples a pixel"), "{lines}");
-        assert!(lines.contains("about 16 s of one core, 8.2 s on the 2 cores"), "{lines}");
+        assert!(lines.contains("about 16 s of one core (from 15 s to 18 s), 8.2 s on the 2 cores"), "{lines}");
         assert!(Outlook::new(&job, 2, None).lines().join("\n").contains("time: unknown"));
     }
 }
