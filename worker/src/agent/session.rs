@@ -326,7 +326,7 @@ impl Session {
         let company_until = if self.holds.is_empty() { now } else { self.report_after };
         let results = (!self.pending_reports.is_empty()).then_some(company_until);
         let work = (self.claim_after > now).then_some(self.claim_after);
-        let gives_way = self.gives_way_at().filter(|_| self.beside.has_waiting());
+        let gives_way = self.gives_way_at().filter(|_| self.beside.has_waiting() || self.wants_work_beside(now));
         let first = heartbeat.into_iter().chain(results).chain(work).chain(gives_way).min();
         first.unwrap_or(now + self.lease).max(self.retry_at)
     }
