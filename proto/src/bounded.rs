@@ -1,4 +1,4 @@
-//! Numbers from outside, checked where they are parsed: one out of range is rejected with its place and its range.
+//! Numbers and names from outside, checked where they are parsed: one out of range is rejected with its place and its range.
 
 use serde::{Deserialize, Deserializer, Serialize, Serializer, de::Error};
 
@@ -50,9 +50,53 @@ pub(crate) fn at_most<'de, const MAX: u64, D: Deserializer<'de>>(deserializer: D
     Ok(value)
 }
 
+/// Parses a label of at most 200 characters.
+pub(crate) fn label<'de, D: Deserializer<'de>>(deserializer: D) -> Result<String, D::Error> {
+    const MAX_CHARACTERS: usize = 200;
+    let label = String::deserialize(deserializer)?;
+    let count = label.chars().count();
+    if count > MAX_CHARACTERS {
+        return Err(D::Error::custom(format!(
+            "a name of {count} characters is too long: use at most {MAX_CHARACTERS}"
+        )));
+    }
+    Ok(label)
+}
+
+/// Parses a device: `cpu`, or `cuda:N` with a number below 256. Each device is a label of metrics, so that there are few.
+pub(crate) fn device<'de, D: Deserializer<'de>>(deserializer: D) -> Result<String, D::Error> {
+    let device = String::deserialize(deserializer)?;
+    let is_gpu = device
+        .strip_prefix("cuda:")
+        .is_some_and(|number| number.parse::<u8>().is_ok_and(|parsed| parsed.to_string() == number));
+    if is_gpu || device == "cpu" {
+        Ok(device)
+    } else {
+        Err(D::Error::custom("a device is `cpu` or `cuda:0` to `cuda:255`"))
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn names_of_devices_and_workers_have_bounds() {
+        let parse = |name: &str, device: &str| {
+            let text = serde_json::json!({ "name": name, "device": device, "picture_version": 1, "max_nodes": null, "process": 1 });
+            serde_json::from_value::<crate::worker_protocol::RegisterRequest>(text)
+                .map(drop)
+                .map_err(|error| error.to_string())
+        };
+        for device in ["cpu", "cuda:0", "cuda:255"] {
+            assert_eq!(parse("a", device), Ok(()));
+        }
+        for device in ["", "cpu ", "cuda", "cuda:", "cuda:256", "cuda:00", "cuda:+1", "gpu"] {
+            assert!(parse("a", device).is_err_and(|message| message.contains("`cuda:0` to `cuda:255`")), "{device}");
+        }
+        assert_eq!(parse(&"é".repeat(200), "cpu"), Ok(()));
+        assert!(parse(&"é".repeat(201), "cpu").is_err_and(|message| message.contains("at most 200")));
+    }
 
     #[test]
     fn a_speed_has_bounds() {

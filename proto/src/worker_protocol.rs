@@ -42,9 +42,11 @@ pub const CUDA_MAX_NODES: u32 = 500;
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RegisterRequest {
-    /// Label for display.
+    /// Label for display, of at most 200 characters.
+    #[serde(deserialize_with = "bounded::label")]
     pub name: String,
-    /// Device: `cpu` or `cuda:0`.
+    /// Device: `cpu`, or `cuda:0` to `cuda:255`.
+    #[serde(deserialize_with = "bounded::device")]
     pub device: String,
     /// Picture version it was built with; the server rejects a different one.
     pub picture_version: u32,

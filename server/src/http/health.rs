@@ -36,11 +36,13 @@ pub(in crate::http) async fn readyz(
     State(queue): State<Queue>,
     State(content): State<Arc<BlobStore>>,
 ) -> Result<Json<Value>, ApiError> {
+    /// Anybody may ask, so that the response is short.
+    const MAX_NAMES: usize = 100;
     queue.check().await?;
     content.check_usable().await?;
     let workers = queue.workers().await?.workers;
     let status = if workers.is_empty() { "degraded" } else { "ready" };
-    let names: Vec<String> = workers.into_iter().map(|worker| worker.name).collect();
+    let names: Vec<String> = workers.into_iter().take(MAX_NAMES).map(|worker| worker.name).collect();
     let store_kind = content.location().kind();
     Ok(Json(json!({
         "status": status, "database": "ok", "store": "ok", "store_kind": store_kind, "workers": names

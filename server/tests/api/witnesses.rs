@@ -8,7 +8,7 @@ use proto::worker_protocol::{self, LeaseOutcome, LeaseReport};
 use proto::{JobId, WorkerId};
 use reqwest::{Method, StatusCode};
 
-use super::harness::{Farm, LEASE, Worker, in_time, leases, read, refused, small_job};
+use super::harness::{Farm, LEASE, Said, Worker, in_time, leases, read, refused, small_job};
 use super::keys::{locked_farm, locked_farm_with, make, new_key, send};
 
 /// A farm with two keys for workers.
@@ -85,6 +85,30 @@ async fn workers_of_one_key_kill_no_job_that_another_could_render_and_get_no_mor
     let released = send(&keys.farm, &keys.admin, Method::POST, &release, "").await;
     assert_eq!(released.status(), StatusCode::OK, "{}", in_time(released.text()).await.expect("a body"));
     assert_eq!(keys.state(keys.farm.worker_of(&keys.bad, "trusted").await.id).await, WorkerState::Ready);
+    keys.farm.stop().await;
+}
+
+#[tokio::test]
+async fn workers_of_one_key_keep_no_tile_from_another() {
+    let keys = Keys::of(locked_farm().await).await;
+    let [first, second] =
+        [keys.farm.worker_of(&keys.bad, "first").await, keys.farm.worker_of(&keys.bad, "second").await];
+    let id = keys.submit(1).await;
+    let mut held = vec![(&first, leases(&first.claim().await.expect("work")))];
+    // Each renews its leases, and delivers nothing.
+    for _ in 0..150 {
+        keys.farm.hand.advance(LEASE / 4);
+        for (worker, leases) in &held {
+            worker.sync(Said { holding: leases.clone(), ..Said::default() }).await;
+        }
+        if held.len() == 1 {
+            held.extend(second.claim().await.map(|run| (&second, leases(&run))));
+        }
+    }
+    assert_eq!(held.len(), 2, "the second worker of the key has the tile, too");
+    let honest = keys.farm.worker_of(&keys.good, "honest").await;
+    assert!(honest.work_once().await, "two leases of one key are no reason to wait");
+    assert_eq!(keys.job(id).await.state, JobState::Succeeded);
     keys.farm.stop().await;
 }
 

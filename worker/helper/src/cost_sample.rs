@@ -11,8 +11,8 @@ use anyhow::{Context, ensure};
 use proto::Rect;
 use proto::preview_helper::CostSample;
 use rustix::time::{ClockId, clock_gettime};
+use scene::Job;
 use scene::limits::MIN_REWEIGHTED_SAMPLES;
-use scene::{Integrator, Job};
 use worker::image::{Encoders, PictureSpec};
 use worker::stitch::TileRows;
 use worker::{CancelFlag, CpuRenderer, Renderer, Simd, TilePixels, TileRequest};
@@ -23,28 +23,27 @@ use crate::attempt;
 pub(super) const BLOCK_PX: u32 = 16;
 /// In each square with this edge, one block is rendered: a sixteenth.
 const CELL_PX: u32 = 64;
-/// Maximum rays per pixel of a sample; more would add little precision.
-const MAX_SAMPLES: u32 = 4;
+/// Maximum rays per pixel of a sample: a ray of four costs up to 1.8 times as much as one of sixteen, and one of more hardly
+/// less.
+const MAX_SAMPLES: u32 = 16;
 /// Maximum number of sampled frames of an animation, spread evenly from the first to the last.
 const MAX_FRAMES: u32 = 5;
 /// Maximum data of a frame that a worker holds, in bytes.
 const MAX_FRAME_BYTES: u64 = 256 << 20;
 
-/// Samples a job on `threads` threads for about `render_ms`; again for a longer time if the range of its time is wide.
+/// Samples a job on `threads` threads for about `render_ms`; again for four times as long if the range of its time is wide, or
+/// if making cells takes a part of the time, which rays then share.
 pub fn sample(job: &Job, threads: usize, render_ms: u64) -> anyhow::Result<CostSample> {
     /// Factor between the ends of a range that is not wide.
     const NARROW: f64 = 3.0;
-    /// Growth of the time.
-    const LONGER: [u64; 2] = [4, 8];
-    let mut sample = sample_once(job, threads, render_ms);
-    for longer in LONGER {
-        let (low, high) = sample.as_ref().map_or((0.0, 1.0), |sample| sample.range(1.0));
-        if high <= NARROW * low {
-            break;
-        }
-        sample = sample_once(job, threads, longer * render_ms);
-    }
-    sample
+    /// Growth of the time: a helper on a busy machine needs twice as long, and must end within 20 s.
+    const LONGER: u64 = 4;
+    let sample = sample_once(job, threads, render_ms);
+    let is_enough = |sample: &CostSample| {
+        let (low, high) = sample.range(1.0);
+        high <= NARROW * low && sample.shared_seconds_per_frame == 0.0
+    };
+    if sample.as_ref().is_ok_and(is_enough) { sample } else { sample_once(job, threads, LONGER * render_ms) }
 }
 
 fn sample_once(job: &Job, threads: usize, render_ms: u64) -> anyhow::Result<CostSample> {
@@ -101,19 +100,11 @@ impl FrameCost {
 }
 
 fn measure(job: &Job, frame: u32, renderers: &[CpuRenderer], limit: Duration) -> anyhow::Result<FrameCost> {
-    let start = Instant::now();
-    let at_frame = job.at(frame)?;
-    std::hint::black_box(Integrator::new(&at_frame));
-    let setup_seconds = start.elapsed().as_secs_f64();
     let mut job = job.clone();
     if job.image.layers.is_empty() {
         let most = if job.image.is_reweighted() { MIN_REWEIGHTED_SAMPLES } else { MAX_SAMPLES };
         job.image.samples = job.image.samples.max().min(most).into();
     }
-    let program_start = Instant::now();
-    let moved = job.at(frame)?;
-    std::hint::black_box(Integrator::new(&moved));
-    let program_seconds = program_start.elapsed().as_secs_f64();
     let rects = blocks(job.image.film().width, job.image.film().height);
     let first = renderers.first().context("there is a renderer")?;
     // Cells are made by one ray a pixel nearly as much as by several, so that this reaches more of them.
@@ -121,7 +112,12 @@ fn measure(job: &Job, frame: u32, renderers: &[CpuRenderer], limit: Duration) ->
     if single.image.layers.is_empty() {
         single.image.samples = 1.into();
     }
-    let (sampled, all, shared_seconds) = if first.has_cells(&job, frame)? {
+    let has_cells = first.has_cells(&job, frame)?;
+    // A compiled frame is prepared for each block as for a tile, which a pixel shows.
+    let pixel = Rect { width: 1, height: 1, ..*rects.first().context("a picture has a block")? };
+    let pixels = Pass::render(&job, frame, renderers.get(..1).unwrap_or_default(), limit / 4, &[pixel; 2])?;
+    let setup_seconds = pixels.blocks.iter().map(|block| block.seconds).reduce(f64::min).unwrap_or_default();
+    let (sampled, all, shared_seconds) = if has_cells {
         first.has_cells(&single, frame)?;
         let making = Pass::render(&single, frame, renderers, limit / 2, &rects)?;
         // Blocks that were not finished would still make cells.
@@ -143,7 +139,7 @@ fn measure(job: &Job, frame: u32, renderers: &[CpuRenderer], limit: Duration) ->
     } else {
         (&job, Pass::render(&job, frame, renderers, limit, &rects)?, 0.0)
     };
-    let (rays, seconds_per_ray) = (all.rays, all.seconds_per_ray(program_seconds));
+    let (rays, seconds_per_ray) = (all.rays, all.seconds_per_ray(setup_seconds));
     let variance = all.variance(rects.len());
     let rendering = seconds_per_ray * job.image.rays() as f64;
     let shared_fraction = shared_seconds / (shared_seconds + rendering).max(f64::MIN_POSITIVE);
@@ -162,10 +158,10 @@ fn measure(job: &Job, frame: u32, renderers: &[CpuRenderer], limit: Duration) ->
 
 /// Error of the estimate from these frames of an animation, as a fraction, with a chance of 95 %.
 fn relative_error(costs: &[FrameCost], frames: u32) -> f64 {
-    /// Part that no spread shows: the state of the machine, and the parts that are not sampled.
-    const SYSTEMATIC: f64 = 0.1;
+    /// Part that no spread shows: what else the machine's cores do, and what blocks of few samples cost more than a picture.
+    const SYSTEMATIC: f64 = 0.45;
     /// Error of the time for cells, as a fraction of it.
-    const SHARED: f64 = 0.4;
+    const SHARED: f64 = 0.55;
     /// Half the width of a range of 95 %, in standard deviations.
     const DEVIATIONS: f64 = 1.96;
     let count = costs.len() as f64;
@@ -277,16 +273,16 @@ impl Pass {
     }
 
     /// CPU time of a ray, without that for preparing each block.
-    fn seconds_per_ray(&self, program_seconds: f64) -> f64 {
-        let rendering = (self.seconds - self.blocks.len() as f64 * program_seconds).max(self.seconds / 10.0);
+    fn seconds_per_ray(&self, setup_seconds: f64) -> f64 {
+        let rendering = (self.seconds - self.blocks.len() as f64 * setup_seconds).max(self.seconds / 10.0);
         rendering / self.rays.max(1) as f64
     }
 
     /// CPU time of making the cells of a frame of `frame_blocks`, where a ray takes `seconds_per_ray` without that.
     fn shared_seconds(&self, seconds_per_ray: f64, frame_blocks: f64) -> f64 {
-        /// Blocks all over a picture share large cells, so that the time grows with a power of their number: this one in
-        /// the scenes of docs/benchmarks.md.
-        const GROWTH: f64 = 0.5;
+        /// Blocks all over a picture share large cells, so that the time grows with a power of their number: with none in scenes
+        /// of few thousand shapes, and with the square root in the largest ones of docs/benchmarks.md. This is the middle.
+        const GROWTH: f64 = 0.25;
         let making = (self.seconds - self.rays as f64 * seconds_per_ray).max(0.0);
         making * (frame_blocks / self.blocks.len().max(1) as f64).max(1.0).powf(GROWTH)
     }
@@ -314,18 +310,22 @@ pub(super) fn blocks(width: u32, height: u32) -> Vec<Rect> {
     rects
 }
 
-/// Time to encode a pixel into the picture's file, in seconds, measured on a picture that consists of blocks side by
-/// side.
+/// Time to encode a pixel into the picture's file, in seconds, measured on a picture that consists of blocks: nearly a square,
+/// because noise is removed with margins.
 fn encode(mut picture: PictureSpec, mut blocks: Vec<TilePixels>) -> anyhow::Result<f64> {
     blocks.retain(|block| (block.rect.width, block.rect.height) == (BLOCK_PX, BLOCK_PX));
     if blocks.is_empty() {
         return Ok(0.0);
     }
-    for (block, x) in blocks.iter_mut().zip((0..).step_by(BLOCK_PX as usize)) {
-        block.rect = Rect { x, y: 0, width: BLOCK_PX, height: BLOCK_PX };
+    let columns = blocks.len().isqrt();
+    let rows = blocks.len() / columns;
+    blocks.truncate(columns * rows);
+    for (index, block) in blocks.iter_mut().enumerate() {
+        let [x, y] = [index % columns, index / columns].map(|place| place as u32 * BLOCK_PX);
+        block.rect = Rect { x, y, width: BLOCK_PX, height: BLOCK_PX };
     }
-    picture.width = blocks.len() as u32 * BLOCK_PX;
-    picture.height = BLOCK_PX;
+    picture.width = columns as u32 * BLOCK_PX;
+    picture.height = rows as u32 * BLOCK_PX;
     let start = Instant::now();
     let mut file = Cursor::new(Vec::new());
     Encoders::new(1)?.run(|_| picture.write(&mut TileRows(&blocks), &mut file, &CancelFlag::new()))?;
@@ -360,7 +360,7 @@ mod tests {
         assert_eq!((pass.blocks.len(), pass.rays), (16, 16 * 256 * 4));
         // A second of each three goes into rays, and the rest into cells; a frame has 256 blocks.
         let pass = Pass { seconds: 3.0 * pass.rays as f64, ..pass };
-        assert_eq!(pass.shared_seconds(1.0, 256.0), 2.0 * pass.rays as f64 * 4.0);
+        assert_eq!(pass.shared_seconds(1.0, 256.0), 2.0 * pass.rays as f64 * 2.0);
         assert_eq!(pass.shared_seconds(4.0, 256.0), 0.0);
     }
 

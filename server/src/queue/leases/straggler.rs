@@ -1,5 +1,6 @@
 //! Stragglers: if no tile is ready, a tile that takes far longer than others of its job, or than its estimate, gets a
-//! duplicate lease; its first lease stays live. The first result counts; `deliver` ends the other lease.
+//! duplicate lease; its first lease stays live. The first result counts; `deliver` ends the other leases. Workers of one key
+//! are one witness: two leases of other keys, which may be one's, do not keep a worker from a third.
 
 use crate::db;
 use std::collections::HashMap;
@@ -29,16 +30,20 @@ const MAX_EXCLUSIVE_MS: i64 = 120_000;
 /// Number of the oldest leases that are checked.
 const MAX_CANDIDATES: i64 = 256;
 
-/// Oldest leases of other workers whose tile this worker can render and that have no duplicate lease yet.
+/// Oldest leases of other workers whose tile this worker can render, and may have a duplicate lease of.
 const OLDEST_LEASES_SQL: &str = include_str!("stragglers.sql");
 
-/// Tiles of a frame that a single worker has leased for long.
+/// Tiles of a frame that a worker has leased for long, and of which another may have a duplicate lease.
 const STRAGGLER_TILES_SQL: &str = "SELECT tile.id, position, x_px, y_px, width_px, height_px, rays, lost
      FROM lease @index(lease_live_by_worker) JOIN tile ON tile.id = lease.tile
-     WHERE lease.worker = ? AND lease.ended IS NULL AND lease.granted_ms <= ?
-       AND tile.job = ? AND tile.frame = ? AND tile.kind = 'render'
-       AND NOT EXISTS (SELECT 1 FROM lease AS other
-           WHERE other.tile = tile.id AND other.ended IS NULL AND other.id <> lease.id)
+     WHERE lease.worker = ?1 AND lease.ended IS NULL AND lease.granted_ms <= ?2
+       AND tile.job = ?3 AND tile.frame = ?4 AND tile.kind = 'render'
+       AND (SELECT count(*) FROM lease AS live WHERE live.tile = tile.id AND live.ended IS NULL) <=
+       CASE WHEN EXISTS (
+           SELECT 1 FROM lease AS live JOIN worker AS holder ON holder.id = live.worker
+           WHERE live.tile = tile.id AND live.ended IS NULL
+             AND (holder.pool = 1 OR holder.owner IS NOT DISTINCT FROM (SELECT owner FROM worker WHERE id = ?5)))
+       THEN 1 ELSE 2 END
      ORDER BY position";
 
 /// Result of the search for a straggler.
@@ -118,7 +123,7 @@ pub(in crate::queue) async fn claim(
         let mut ends_ms = old.overdue_ms(connection, median_ms, context).await?;
         if ends_ms <= context.now_ms && speeds::is_slow(connection, &view.worker, &old.worker, old.job, context).await?
         {
-            // A tile has at most two leases, and a faster worker is soon idle; if it is not, any worker may help.
+            // A faster worker is soon idle; if it is not, any worker may help.
             ends_ms = old.granted_ms.saturating_add(MAX_EXCLUSIVE_MS);
         }
         let left_ms = ends_ms - context.now_ms;
@@ -159,6 +164,7 @@ async fn duplicate_leases(
         .bind(old.granted_ms)
         .bind(old.job)
         .bind(old.frame)
+        .bind(&view.worker)
         .fetch_all(&mut *connection)
         .await?;
     let whole = claim::frame_load(&job);

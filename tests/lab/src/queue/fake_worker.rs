@@ -29,7 +29,7 @@ impl FakeWorker {
         let http = reqwest::Client::builder().build().context("could not create a client")?;
         let hello = RegisterRequest {
             name: "bench".to_owned(),
-            device: "none".to_owned(),
+            device: "cpu".to_owned(),
             picture_version: scene::PICTURE_VERSION,
             max_nodes: None,
             process: std::process::id(),
