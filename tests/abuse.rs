@@ -117,7 +117,7 @@ fn assert_plain(what: &str, text: &str) {
 fn names_from_outside_control_no_terminal_and_forge_no_line() {
     let farm = Farm::start(&["--workers", "0", "-v"]);
     let hello = json!({
-        "name": EVIL, "device": EVIL, "picture_version": scene::PICTURE_VERSION, "max_nodes": null, "process": 1
+        "name": EVIL, "device": "cpu", "picture_version": scene::PICTURE_VERSION, "max_nodes": null, "process": 1
     });
     let headers = [("content-type", "application/json"), ("user-agent", "evil")];
     let worker = farm.send("POST", "/v1/worker/register", &headers, hello.to_string().into_bytes());

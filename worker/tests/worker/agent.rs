@@ -71,7 +71,7 @@ where
     F: Fn(&TileRequest<'_>, &CancelFlag) -> Result<(), RenderError> + Send + Sync,
 {
     fn device(&self) -> String {
-        "acting".to_owned()
+        "cuda:4".to_owned()
     }
 
     fn render(

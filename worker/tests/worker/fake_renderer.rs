@@ -71,7 +71,7 @@ pub(crate) struct FakeRenderer;
 
 impl Renderer for FakeRenderer {
     fn device(&self) -> String {
-        "fake".to_owned()
+        "cuda:7".to_owned()
     }
 
     fn render(

@@ -30,10 +30,10 @@ const MAX_EXCLUSIVE_MS: i64 = 120_000;
 /// Number of the oldest leases that are checked.
 const MAX_CANDIDATES: i64 = 256;
 
-/// Oldest leases of other workers whose tile this worker can render, and may have a duplicate lease of.
+/// Oldest leases of other workers whose tile this worker can render, and may have as well.
 const OLDEST_LEASES_SQL: &str = include_str!("stragglers.sql");
 
-/// Tiles of a frame that a worker has leased for long, and of which another may have a duplicate lease.
+/// Tiles of a frame that a worker has leased for long, and that another may have as well.
 const STRAGGLER_TILES_SQL: &str = "SELECT tile.id, position, x_px, y_px, width_px, height_px, rays, lost
      FROM lease @index(lease_live_by_worker) JOIN tile ON tile.id = lease.tile
      WHERE lease.worker = ?1 AND lease.ended IS NULL AND lease.granted_ms <= ?2

@@ -25,7 +25,7 @@ where
     F: Fn(&[TileRequest<'_>], &CancelFlag) -> Result<(), RenderError> + Send + Sync,
 {
     fn device(&self) -> String {
-        "together".to_owned()
+        "cuda:1".to_owned()
     }
 
     fn render(&self, _: &TileRequest<'_>, _: &CancelFlag, _: &(dyn Fn(u64) + Sync)) -> Result<TilePixels, RenderError> {
@@ -63,7 +63,7 @@ struct Failing {
 
 impl Renderer for Failing {
     fn device(&self) -> String {
-        "failing".to_owned()
+        "cuda:2".to_owned()
     }
 
     fn render(
@@ -275,7 +275,7 @@ where
     F: Fn(&[TileRequest<'_>], &CancelFlag) -> Result<(), RenderError> + Send + Sync,
 {
     fn device(&self) -> String {
-        "overlapping".to_owned()
+        "cuda:3".to_owned()
     }
 
     fn render(&self, _: &TileRequest<'_>, _: &CancelFlag, _: &(dyn Fn(u64) + Sync)) -> Result<TilePixels, RenderError> {

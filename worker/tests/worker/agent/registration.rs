@@ -16,7 +16,7 @@ fn a_worker_waits_for_a_server_that_starts_later() {
     let mut agent = Agent::start(&server, FakeRenderer);
     server.up();
     let hello = server.until("the worker registers", |farm| farm.hellos.pop());
-    assert_eq!((hello.name.as_str(), hello.device.as_str()), ("tester", "fake"));
+    assert_eq!((hello.name.as_str(), hello.device.as_str()), ("tester", "cuda:7"));
     assert_eq!(hello.picture_version, scene::PICTURE_VERSION);
     assert_eq!(hello.process, std::process::id());
     agent.stop().unwrap();
