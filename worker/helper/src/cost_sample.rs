@@ -31,19 +31,25 @@ const MAX_FRAMES: u32 = 5;
 /// Maximum data of a frame that a worker holds, in bytes.
 const MAX_FRAME_BYTES: u64 = 256 << 20;
 
-/// Samples a job on `threads` threads for about `render_ms`; again for four times as long if the range of its time is wide, or
-/// if making cells takes a part of the time, which rays then share.
+/// Samples a job on `threads` threads for about `render_ms`; again for up to four times as long if the range of its time is wide,
+/// or if making cells takes a part of the time, which rays then share.
 pub fn sample(job: &Job, threads: usize, render_ms: u64) -> anyhow::Result<CostSample> {
     /// Factor between the ends of a range that is not wide.
     const NARROW: f64 = 3.0;
-    /// Growth of the time: a helper on a busy machine needs twice as long, and must end within 20 s.
+    /// Growth of the time.
     const LONGER: u64 = 4;
+    /// The longest time, because others wait for the helper.
+    const MOST_MS: u64 = 3_000;
     let sample = sample_once(job, threads, render_ms);
     let is_enough = |sample: &CostSample| {
         let (low, high) = sample.range(1.0);
         high <= NARROW * low && sample.shared_seconds_per_frame == 0.0
     };
-    if sample.as_ref().is_ok_and(is_enough) { sample } else { sample_once(job, threads, LONGER * render_ms) }
+    if sample.as_ref().is_ok_and(is_enough) {
+        sample
+    } else {
+        sample_once(job, threads, (LONGER * render_ms).min(MOST_MS))
+    }
 }
 
 fn sample_once(job: &Job, threads: usize, render_ms: u64) -> anyhow::Result<CostSample> {
