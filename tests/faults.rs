@@ -166,30 +166,7 @@ fn full_disk_keeps_no_server_from_starting_and_no_job_from_being_cancelled_or_de
 }
 
 #[test]
-fn full_disk_releases_its_reserve_for_a_deletion() {
-    let folder = tempfile::tempdir().expect("a folder");
-    let data = folder.path().join("data");
-    fs::create_dir(&data).expect("made");
-    let Some(_mounted) = Mount::new(&data, "size=8m") else {
-        return skip("mount", "a small disk needs a mount, which this user may not create");
-    };
-    let farm = Farm::start_on(folder.path(), &["--workers", "0"]);
-    let first = farm.accept(&jobs::quick().to_string());
-    fill(&data.join("ballast"));
-    let refused = (0..1000u64)
-        .map(|seed| farm.post(&jobs::seeded(&jobs::quick(), seed).to_string()))
-        .find(|answer| answer.status != 201);
-    assert_eq!(refused.expect("the disk is full").status, 507);
-    assert!(data.join("reserve").exists(), "it is not for submissions");
-    let cancelled = farm.send("POST", &format!("/v1/jobs/{first}/cancel"), &[], Vec::new());
-    assert_eq!(cancelled.status, 200, "{}", cancelled.text());
-    let deleted = farm.send("DELETE", &format!("/v1/jobs/{first}"), &[], Vec::new());
-    assert_eq!(deleted.status, 204, "{}", deleted.text());
-    assert!(!data.join("reserve").exists());
-}
-
-#[test]
-fn full_disk_deletes_soon_what_no_worker_reported() {
+fn full_disk_releases_its_reserve_for_a_deletion_and_keeps_nothing_unreported() {
     let folder = tempfile::tempdir().expect("a folder");
     let data = folder.path().join("data");
     fs::create_dir(&data).expect("made");
@@ -202,12 +179,18 @@ fn full_disk_deletes_soon_what_no_worker_reported() {
     let left = data.join("tiles").join("ab".repeat(32));
     fs::write(&left, vec![0; 1 << 20]).expect("written");
     fill(&data.join("ballast"));
-    let deleted = |id: &str| farm.send("DELETE", &format!("/v1/jobs/{id}"), &[], Vec::new()).status;
-    assert_eq!(farm.send("POST", &format!("/v1/jobs/{first}/cancel"), &[], Vec::new()).status, 200);
-    assert_eq!(deleted(&first), 204);
-    assert!(!data.join("reserve").exists(), "the disk is full");
+    let refused = (0..1000u64)
+        .map(|seed| farm.post(&jobs::seeded(&jobs::quick(), seed).to_string()))
+        .find(|answer| answer.status != 201);
+    assert_eq!(refused.expect("the disk is full").status, 507);
+    assert!(data.join("reserve").exists(), "it is not for submissions");
+    let cancelled = farm.send("POST", &format!("/v1/jobs/{first}/cancel"), &[], Vec::new());
+    assert_eq!(cancelled.status, 200, "{}", cancelled.text());
+    let deleted = farm.send("DELETE", &format!("/v1/jobs/{first}"), &[], Vec::new());
+    assert_eq!(deleted.status, 204, "{}", deleted.text());
+    assert!(!data.join("reserve").exists());
     let full = Instant::now();
-    eventually("it is deleted", || (!left.exists()).then_some(()));
+    eventually("what nobody has reported is deleted", || (!left.exists()).then_some(()));
     assert!(full.elapsed() < Duration::from_mins(2), "on an empty disk it is kept for longer than that");
     eventually("jobs are taken again", || (farm.post(&jobs::quick().to_string()).status == 201).then_some(()));
 }
