@@ -5,6 +5,7 @@
 //! a folder is not, because losing one costs only a re-render. Bytes are compared with their name before they are
 //! stored, and again before they are first served (`blobs/verified.rs`). This module does not interpret the bytes.
 
+mod bounded_answers;
 mod bucket;
 mod claim;
 mod content;
@@ -17,13 +18,14 @@ mod objects;
 mod sweep;
 mod verified;
 
+use std::future::ready;
 use std::io;
 use std::path::Path as FolderPath;
 use std::sync::Arc;
 use std::time::Duration;
 
 use bytes::Bytes;
-use futures_util::stream::{BoxStream, Stream, StreamExt};
+use futures_util::stream::{BoxStream, Stream, StreamExt, TryStreamExt};
 use object_store::memory::InMemory;
 use object_store::path::Path;
 use object_store::signer::{SignedUrlOptions, Signer};
@@ -290,7 +292,8 @@ impl BlobStore {
         unless_missing(read).map_err(self.failed_on("read", kind, name))
     }
 
-    /// Stored content, or a range of it, and the number of its bytes; `None` if it is missing.
+    /// Stored content, or a range of it, and the number of its bytes; `None` if it is missing. If all of it turns out to be
+    /// other bytes than its name says, an error comes in place of the last of them.
     pub(crate) async fn get(
         &self,
         kind: ContentKind,
@@ -299,9 +302,15 @@ impl BlobStore {
     ) -> Result<Option<(u64, BoxStream<'static, object_store::Result<Bytes>>)>, ContentError> {
         let failed = self.failed_on("read", kind, name);
         fail_point::trigger(FailPoint::StoreGet).map_err(fail_point_error).map_err(&failed)?;
+        let is_all = range.is_none();
         let options = GetOptions { range: range.map(GetRange::Bounded), ..GetOptions::default() };
         let found = unless_missing(self.store(kind).get_opts(&self.path(kind, name), options).await).map_err(failed)?;
-        Ok(found.map(|found| (found.range.end - found.range.start, stream(found))))
+        let read = |found: GetResult| {
+            let (size_bytes, version) = (found.range.end - found.range.start, verified::version(&found));
+            let bytes = stream(found);
+            (size_bytes, if is_all { self.verified.while_read(name.clone(), version, bytes) } else { bytes })
+        };
+        Ok(found.map(read))
     }
 
     /// Address from which any client can read content for five minutes; `None` unless the store is a bucket of S3.
@@ -335,9 +344,17 @@ impl BlobStore {
         }
     }
 
-    /// Lists the content of a kind.
-    pub(crate) fn list(&self, kind: ContentKind) -> BoxStream<'static, object_store::Result<ObjectMeta>> {
-        self.store(kind).list(Some(&self.location.prefix().join(kind.folder())))
+    /// Lists the content of a kind. Whatever has another name, or a size that no content has, is not the farm's.
+    pub(crate) fn list(
+        &self,
+        kind: ContentKind,
+    ) -> BoxStream<'static, object_store::Result<(ContentHash, ObjectMeta)>> {
+        let listed = self.store(kind).list(Some(&self.location.prefix().join(kind.folder())));
+        let ours = listed.try_filter_map(move |meta| {
+            let name = meta.location.filename().and_then(ContentHash::parse);
+            ready(Ok(name.filter(|_| meta.size <= kind.max_bytes()).map(|name| (name, meta))))
+        });
+        ours.boxed()
     }
 
     /// Error of [`BlobStore::list`], with its fix.
@@ -358,9 +375,10 @@ impl BlobStore {
     /// Total size of the content of a kind.
     pub(crate) async fn size_bytes(&self, kind: ContentKind) -> Result<u64, ContentError> {
         let mut content = self.list(kind);
-        let mut sum_bytes = 0;
-        while let Some(meta) = content.next().await {
-            sum_bytes += meta.map_err(|error| self.list_error(kind, error))?.size;
+        let mut sum_bytes = 0_u64;
+        while let Some(listed) = content.next().await {
+            let (_, meta) = listed.map_err(|error| self.list_error(kind, error))?;
+            sum_bytes = sum_bytes.saturating_add(meta.size);
         }
         Ok(sum_bytes)
     }

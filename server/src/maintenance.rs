@@ -91,6 +91,7 @@ impl Maintenance {
             self.changes.run(&end),
             self.history.run(&end),
             // Apart, because leases must expire in time while the store is slow.
+            self.clean_up_periodically(&end),
             self.sweep.delete_marked_periodically(&end)
         );
     }
@@ -103,37 +104,47 @@ impl Maintenance {
         let mut swept_for_space_at: Option<Instant> = None;
         let mut lease_check = tokio::time::interval(LEASE_CHECK_INTERVAL);
         lease_check.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
-        let mut cleanup = tokio::time::interval(CLEANUP_INTERVAL);
         loop {
             let done = tokio::select! {
                 () = end.cancelled() => return,
                 Some(found) = candidates.recv() => self.sweep.sweep_in_pieces(found.kind, &found.hashes).await,
                 _ = lease_check.tick() => match self.leases.expire().await {
-                    Ok(()) => self.make_room(&mut swept_for_space_at).await,
+                    Ok(()) => self.make_room(&mut swept_for_space_at, end).await,
                     Err(error) => Err(error),
                 },
-                _ = cleanup.tick() => self.clean_up(end).await,
             };
-            if let Err(error) = done {
-                tracing::error!(%error, cause = ?std::error::Error::source(&error), "maintenance failed");
-            }
+            log_failure(done);
+        }
+    }
+
+    async fn clean_up_periodically(&self, end: &CancellationToken) {
+        let mut cleanup = tokio::time::interval(CLEANUP_INTERVAL);
+        cleanup.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
+        while end.run_until_cancelled(cleanup.tick()).await.is_some() {
+            log_failure(self.clean_up(end).await);
         }
     }
 
     async fn clean_up(&self, end: &CancellationToken) -> Result<(), DatabaseError> {
         self.cleanup.clean_up(end).await?;
-        self.sweep.sweep_unreported(self.cleanup.content.orphan_age()).await
+        self.sweep.sweep_unreported(self.cleanup.content.orphan_age(), end).await
     }
 
     /// While the disk is full, deletes what no worker has reported as soon as it cannot be reported any more.
-    async fn make_room(&self, swept_at: &mut Option<Instant>) -> Result<(), DatabaseError> {
+    async fn make_room(&self, swept_at: &mut Option<Instant>, end: &CancellationToken) -> Result<(), DatabaseError> {
         let now = monotonic_now();
         let is_due = swept_at.is_none_or(|swept_at| now - swept_at >= SPACE_SWEEP_INTERVAL);
         if !is_due || !self.leases.reserve.is_released() || self.cleanup.content.is_shared() {
             return Ok(());
         }
         *swept_at = Some(now);
-        self.sweep.sweep_unreported(SPACE_SWEEP_AGE).await
+        self.sweep.sweep_unreported(SPACE_SWEEP_AGE, end).await
+    }
+}
+
+fn log_failure(done: Result<(), DatabaseError>) {
+    if let Err(error) = done {
+        tracing::error!(%error, cause = ?std::error::Error::source(&error), "maintenance failed");
     }
 }
 

@@ -114,14 +114,14 @@ impl Pictures {
     /// Deletes the file of a picture that no row refers to, however new it is. Returns whether there was any.
     async fn delete_unused(&self, name: &ContentHash) -> Result<bool, PictureError> {
         let (queue, kind) = (&self.queue, ContentKind::Picture);
-        if !(queue.may_have_others() && self.content.is_shared()) {
+        if !self.content.is_shared() {
             let is_unused = async |name: String| Ok::<_, PictureError>(!queue.orphans(kind, &[name]).await?.is_empty());
             return self.content.delete_if(kind, name, is_unused).await;
         }
         if !queue.take_unmarked(kind, name.as_str().to_owned()).await? {
             return Ok(false);
         }
-        let is_deleted = self.content.delete_if(kind, name, async |_| Ok::<_, ContentError>(true)).await?;
+        let is_deleted = self.content.delete(kind, name).await?;
         queue.record_deleted(kind, vec![name.as_str().to_owned()]).await?;
         Ok(is_deleted)
     }

@@ -2,12 +2,15 @@
 
 use std::time::Duration;
 
+use futures_util::stream::TryStreamExt;
 use object_store::aws::{AmazonS3, AmazonS3Builder, AmazonS3ConfigKey};
 use object_store::path::Path;
 use object_store::{BackoffConfig, ClientConfigKey, ObjectStore, ObjectStoreExt, PutMode, PutOptions, RetryConfig};
 
 use super::StoreLocation;
+use super::bounded_answers::BoundedConnector;
 use super::error::{BucketFault, causes};
+use super::objects::small;
 
 /// Maximum time in which a request that fails is sent again: afterwards the server answers that the store cannot be
 /// reached, and its client asks again. A worker's sync must be answered before the worker gives up on it.
@@ -99,7 +102,8 @@ impl<'a> Settings<'a> {
         let (init_backoff, max_backoff) = BACK_OFF;
         let backoff = BackoffConfig { init_backoff, max_backoff, base: 2.0 };
         let retry = RetryConfig { backoff, max_retries, retry_timeout: RETRY_TIMEOUT };
-        self.builder.clone().with_retry(retry).build().map_err(|error| self.error(BucketFault::of(&error), &error))
+        let builder = self.builder.clone().with_retry(retry).with_http_connector(BoundedConnector);
+        builder.build().map_err(|error| self.error(BucketFault::of(&error), &error))
     }
 
     fn error(&self, fault: BucketFault, error: &object_store::Error) -> BucketError {
@@ -149,14 +153,18 @@ fn unescape(xml: &str) -> String {
 
 /// Whether a bucket creates an object only if it is absent.
 async fn check(bucket: &AmazonS3, prefix: &Path) -> object_store::Result<bool> {
-    // A missing bucket is found first, because some stores create one for an object.
-    bucket.list_with_delimiter(Some(prefix)).await?;
+    // A missing bucket is found first, because some stores create one for an object. One page tells it.
+    match bucket.list(Some(prefix)).try_next().await {
+        // Somebody else's object, whose name this client does not take.
+        Ok(_) | Err(object_store::Error::InvalidPath { .. }) => {}
+        Err(error) => return Err(error),
+    }
     let text = uuid::Uuid::now_v7().to_string();
     let probe = prefix.clone().join("probe").join(text.as_str());
     let create = || bucket.put_opts(&probe, text.clone().into(), PutOptions::from(PutMode::Create));
     create().await?;
     let again = create().await;
-    let read = bucket.get(&probe).await?.bytes().await;
+    let read = small(bucket.get(&probe).await?).await;
     bucket.delete(&probe).await?;
     match again {
         Err(object_store::Error::AlreadyExists { .. }) => Ok(read? == text.as_bytes()),

@@ -75,14 +75,14 @@ impl BlobStore {
     }
 
     /// Number of the farm whose store this is; `None` if it is none's, or a folder.
-    async fn owner(&self) -> Result<Option<String>, ContentError> {
+    pub(super) async fn owner(&self) -> Result<Option<String>, ContentError> {
         let Backend::Objects(objects) = &self.backend else { return Ok(None) };
         let failed = self.failed("read", OBJECT);
         let path = self.location.prefix().join(OBJECT);
         let Some(found) = super::unless_missing(objects.store().get(&path).await).map_err(&failed)? else {
             return Ok(None);
         };
-        let bytes = found.bytes().await.map_err(failed)?;
+        let bytes = super::objects::small(found).await.map_err(failed)?;
         Ok(Some(String::from_utf8_lossy(&bytes).trim().to_owned()))
     }
 }

@@ -40,6 +40,8 @@ const PART_BYTES: u64 = 8 << 20;
 const MAX_PARTS_IN_MEMORY: usize = 4;
 /// Maximum number of objects whose ends are remembered, up to 16 KiB each; then all are forgotten, and read again.
 const MAX_REMEMBERED: usize = 1024;
+/// Size from which an object that should have few bytes is not read further.
+const MAX_SMALL_BYTES: usize = 4096;
 /// Maximum number of uploads to the store at a time: with [`MAX_PARTS_IN_MEMORY`] they take 256 MiB at most.
 const MAX_UPLOADS: usize = 8;
 
@@ -323,6 +325,18 @@ pub(super) async fn hash(found: GetResult) -> object_store::Result<String> {
         hasher.update(&chunk);
     }
     Ok(hasher.finalize().to_hex().to_string())
+}
+
+/// The first bytes of an object that has few; all that is claimed to be there is not made room for.
+pub(super) async fn small(found: GetResult) -> object_store::Result<Vec<u8>> {
+    let (mut all, mut bytes) = (Vec::new(), found.into_stream());
+    while let Some(chunk) = bytes.try_next().await? {
+        all.extend_from_slice(&chunk);
+        if all.len() > MAX_SMALL_BYTES {
+            break;
+        }
+    }
+    Ok(all)
 }
 
 /// Time since an object was written, by this machine's clock; none if that is in the future.

@@ -45,17 +45,18 @@ impl BlobStore {
         }
         let deleted = self.delete(kind, name).await;
         drop(shut);
-        Ok(deleted.map_err(self.failed_on("remove", kind, name))?)
+        Ok(deleted?)
     }
 
     /// Deletes content, used or not. Returns whether there was any.
-    pub(crate) async fn delete(&self, kind: ContentKind, name: &ContentHash) -> object_store::Result<bool> {
+    pub(crate) async fn delete(&self, kind: ContentKind, name: &ContentHash) -> Result<bool, ContentError> {
+        let failed = self.failed_on("remove", kind, name);
         // S3 does not say whether it deleted an object.
         let is_there = match &self.backend {
             Backend::Folder(_) => true,
-            Backend::Objects(_) => self.age(kind, name).await?.is_some(),
+            Backend::Objects(_) => self.age(kind, name).await.map_err(&failed)?.is_some(),
         };
-        Ok(is_there && self.remove(kind, name).await?)
+        Ok(is_there && self.remove(kind, name).await.map_err(failed)?)
     }
 
     /// Deletes content; returns whether there was any, or true if the store does not say.

@@ -8,6 +8,8 @@ use std::collections::HashMap;
 use std::io;
 use std::sync::{Arc, Mutex};
 
+use bytes::Bytes;
+use futures_util::stream::{BoxStream, StreamExt, TryStreamExt};
 use object_store::{GetResult, GetResultPayload};
 
 use super::{ContentHash, FileState, generic_error, objects};
@@ -57,6 +59,22 @@ impl VerifiedContent {
         hashing.await?
     }
 
+    /// The same bytes, the last of which come only if all match the name; otherwise an error does, so that no reader takes
+    /// them for complete, and the version is known to be damaged.
+    pub(super) fn while_read(
+        &self,
+        name: ContentHash,
+        version: Option<String>,
+        bytes: BoxStream<'static, object_store::Result<Bytes>>,
+    ) -> BoxStream<'static, object_store::Result<Bytes>> {
+        let reading = Reading { known: self.clone(), name, version, bytes, hasher: blake3::Hasher::new(), held: None };
+        futures_util::stream::try_unfold(Some(reading), async |reading| match reading {
+            Some(reading) => reading.next().await,
+            None => Ok(None),
+        })
+        .boxed()
+    }
+
     /// Notes that a version has the right bytes, because they were compared before they were stored.
     pub(super) fn insert(&self, name: &ContentHash, version: Option<String>) {
         if version.is_some() {
@@ -77,8 +95,36 @@ impl VerifiedContent {
     }
 }
 
+/// Content that is hashed while it is read.
+struct Reading {
+    known: VerifiedContent,
+    name: ContentHash,
+    version: Option<String>,
+    bytes: BoxStream<'static, object_store::Result<Bytes>>,
+    hasher: blake3::Hasher,
+    held: Option<Bytes>,
+}
+
+impl Reading {
+    /// The next bytes, and what reads on, if anything is left.
+    async fn next(mut self) -> object_store::Result<Option<(Bytes, Option<Self>)>> {
+        while let Some(chunk) = self.bytes.try_next().await? {
+            self.hasher.update(&chunk);
+            if let Some(before) = self.held.replace(chunk) {
+                return Ok(Some((before, Some(self))));
+            }
+        }
+        if self.hasher.finalize().to_hex().as_str() == self.name.as_str() {
+            return Ok(self.held.take().map(|last| (last, None)));
+        }
+        tracing::error!(name = self.name.as_str(), "the store sent other bytes than it was given");
+        self.known.remember(&self.name, Known { version: self.version, state: FileState::Damaged });
+        Err(generic_error(io::Error::new(io::ErrorKind::InvalidData, "the bytes are not those of the name")))
+    }
+}
+
 /// A value that changes with the bytes: a file's time of modification in nanoseconds, an object's entity tag.
-fn version(found: &GetResult) -> Option<String> {
+pub(super) fn version(found: &GetResult) -> Option<String> {
     let modified = || found.meta.last_modified.timestamp_nanos_opt().map(|modified_ns| modified_ns.to_string());
     match &found.payload {
         GetResultPayload::File(..) => modified(),

@@ -85,11 +85,9 @@ fn find_orphans(
 }
 
 async fn list(store: &BlobStore, kind: ContentKind) -> Result<HashMap<String, Found>, DataFolderError> {
-    let listed = store.list(kind).try_fold(HashMap::new(), async |mut listed, meta| {
+    let listed = store.list(kind).try_fold(HashMap::new(), async |mut listed, (name, meta)| {
         let age_seconds = crate::blobs::age(&meta).as_secs();
-        if let Some(name) = meta.location.filename() {
-            listed.insert(name.to_owned(), Found { size_bytes: meta.size, age_seconds });
-        }
+        listed.insert(name.as_str().to_owned(), Found { size_bytes: meta.size, age_seconds });
         Ok(listed)
     });
     listed.await.map_err(|error| store.list_error(kind, error)).map_err(|error| DataFolderError::Store(error.into()))

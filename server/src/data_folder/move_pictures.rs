@@ -114,8 +114,8 @@ async fn copy_all(
 ) -> Result<(), DataFolderError> {
     let failed = |error: ContentError| DataFolderError::Store(error.into());
     // An object or a file has its name only when it is complete and its bytes match it.
-    let listed = target.list(kind).try_fold(HashMap::new(), async |mut listed, meta| {
-        listed.extend(meta.location.filename().map(|name| (name.to_owned(), meta.size)));
+    let listed = target.list(kind).try_fold(HashMap::new(), async |mut listed, (name, meta)| {
+        listed.insert(name.as_str().to_owned(), meta.size);
         Ok(listed)
     });
     let listed: HashMap<String, u64> = listed.await.map_err(|error| failed(target.list_error(kind, error)))?;

@@ -1,9 +1,10 @@
 //! Deletes stored bytes that no row refers to: those that were announced, and those that no worker has reported.
 
+use std::future::ready;
 use std::sync::Arc;
 use std::time::Duration;
 
-use futures_util::stream::TryStreamExt;
+use futures_util::stream::{BoxStream, StreamExt, TryChunksError, TryStreamExt};
 use tokio_util::sync::CancellationToken;
 
 use crate::blobs::{BlobStore, ContentKind, Swept};
@@ -13,6 +14,8 @@ use crate::queue::Queue;
 
 /// Number of hashes that are checked, and deleted if they are orphans, while no result is taken.
 const SWEEP_BATCH: usize = 32;
+/// Number of listed names that are in memory.
+const SWEEP_PAGE: usize = 1024;
 
 /// Number of marked names that are taken at a time.
 const MARKED_BATCH: u32 = 256;
@@ -46,24 +49,34 @@ impl OrphanSweep {
         Ok(())
     }
 
-    /// Deletes content of at least this age that no worker has reported.
-    pub(super) async fn sweep_unreported(&self, min_age: Duration) -> Result<(), DatabaseError> {
+    /// Deletes content of at least this age that no worker has reported, until `end`.
+    pub(super) async fn sweep_unreported(
+        &self,
+        min_age: Duration,
+        end: &CancellationToken,
+    ) -> Result<(), DatabaseError> {
         for kind in ContentKind::ALL {
-            let names = match self.unreported_hashes(kind, min_age).await {
-                Ok(names) => names,
-                Err(error) => {
-                    tracing::warn!(%error, ?kind, "could not list a folder");
-                    continue;
+            // By pages, because a store may list more than there is room for, and fail after any number of names.
+            let mut pages = self.unreported_hashes(kind, min_age).try_chunks(SWEEP_PAGE);
+            while let Some(Some(page)) = end.run_until_cancelled(pages.next()).await {
+                let (names, failure) = match page {
+                    Ok(names) => (names, None),
+                    Err(TryChunksError(names, error)) => (names, Some(error)),
+                };
+                self.sweep_in_pieces(kind, &names).await?;
+                if let Some(error) = failure {
+                    let error = self.content.list_error(kind, error);
+                    tracing::warn!(%error, cause = ?std::error::Error::source(&error), "could not list the store");
+                    break;
                 }
-            };
-            self.sweep_in_pieces(kind, &names).await?;
+            }
         }
         Ok(())
     }
 
     /// Deletes marked names until the farm is closed.
     pub(super) async fn delete_marked_periodically(&self, end: &CancellationToken) {
-        if !self.has_others() {
+        if !self.content.is_shared() {
             return;
         }
         let interval = (self.content.grace() / 4).clamp(MIN_INTERVAL, MAX_INTERVAL);
@@ -106,15 +119,11 @@ impl OrphanSweep {
         self.queue.mark_again(kind, young).await
     }
 
-    /// Whether other servers may report what this one sweeps; otherwise a lock in memory keeps the two apart, and the space
-    /// is free at once.
-    fn has_others(&self) -> bool {
-        self.queue.may_have_others() && self.content.is_shared()
-    }
-
     async fn sweep(&self, kind: ContentKind, hashes: &[String]) -> Result<(), DatabaseError> {
         let queue = &self.queue;
-        if self.has_others() {
+        // Other servers may report what this one sweeps, and a bucket may take long to delete an object. In a folder, a lock
+        // in memory keeps the two apart, and the space is free at once.
+        if self.content.is_shared() {
             let orphans = queue.orphans(kind, hashes).await?;
             return if orphans.is_empty() { Ok(()) } else { queue.mark_doomed(kind, orphans).await };
         }
@@ -134,16 +143,17 @@ impl OrphanSweep {
         }
     }
 
-    async fn unreported_hashes(&self, kind: ContentKind, min_age: Duration) -> object_store::Result<Vec<String>> {
+    fn unreported_hashes(
+        &self,
+        kind: ContentKind,
+        min_age: Duration,
+    ) -> BoxStream<'static, object_store::Result<String>> {
         let (now_seconds, min_age_seconds) = (self.queue.wall_seconds(), min_age.as_secs());
-        self.content
-            .list(kind)
-            .try_filter_map(async |meta| {
-                let age_seconds = now_seconds - meta.last_modified.timestamp();
-                let is_old = age_seconds > min_age_seconds.cast_signed();
-                Ok(meta.location.filename().filter(|_| is_old).map(ToOwned::to_owned))
-            })
-            .try_collect()
-            .await
+        let old = self.content.list(kind).try_filter_map(move |(name, meta)| {
+            let age_seconds = now_seconds.saturating_sub(meta.last_modified.timestamp());
+            let is_old = age_seconds > min_age_seconds.cast_signed();
+            ready(Ok(is_old.then(|| name.as_str().to_owned())))
+        });
+        old.boxed()
     }
 }
