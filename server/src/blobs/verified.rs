@@ -59,7 +59,7 @@ impl VerifiedContent {
         hashing.await?
     }
 
-    /// The same bytes, the last of which come only if all match the name; otherwise an error does, so that no reader takes
+    /// The same bytes. The last of them come only if all match the name; otherwise an error does, so that no reader takes
     /// them for complete, and the version is known to be damaged.
     pub(super) fn while_read(
         &self,
