@@ -10,7 +10,7 @@ use proto::rounding;
 
 use crate::fair_queue::{FairQueue, WaitingLimits};
 use crate::pool::Pool;
-use crate::preview_helper::{HelperError, PreviewHelper};
+use crate::preview_helper::{HelperError, PreviewHelper, TIME_LIMIT};
 use crate::queue::{Queue, ReadyWorker};
 use crate::tile_plan::TilePlan;
 
@@ -20,8 +20,10 @@ const SAMPLE_BUDGET_MS: u64 = 700;
 const PRICE_SAMPLE_MS: u64 = 1200;
 const MAP_MS: u64 = 800;
 const SAVINGS_MS: u64 = 3000;
-/// Maximum wait for a turn; without one, the response to a dry run has no estimate.
+/// Maximum wait of a dry run for a turn; without one, its response has no estimate.
 const MAX_WAIT: Duration = Duration::from_secs(10);
+/// Maximum wait of a price for a turn: longer than another's waits for a helper and runs.
+const MAX_PRICE_WAIT: Duration = TIME_LIMIT.saturating_mul(3);
 /// Maximum number of estimates that one submitter waits for.
 const MAX_WAITING: usize = 64;
 /// Estimates at a time: the other helper process stays free for previews.
@@ -93,7 +95,7 @@ impl Estimator {
         parts: PriceParts,
         rates: &Rates,
     ) -> Result<Price, HelperError> {
-        let turn = tokio::time::timeout(MAX_WAIT, self.turns.enter(submitter)).await;
+        let turn = tokio::time::timeout(MAX_PRICE_WAIT, self.turns.enter(submitter)).await;
         let Ok(Ok(_turn)) = turn else { return Err(HelperError::Busy) };
         let present = match self.queue.ready_workers().await {
             Ok(present) => present,

@@ -31,12 +31,12 @@ const WAITING: WaitingLimits = WaitingLimits { of_one: 16, of_all: 64 };
 const MAX_LIVE_CHILDREN: usize = 2;
 /// Requests of editing clients that may wait: a client drops its request when it sends the next.
 const LIVE_WAITING: WaitingLimits = WaitingLimits { of_one: 4, of_all: 64 };
-/// Maximum wait for a helper.
-const MAX_WAIT: Duration = Duration::from_secs(10);
+/// Maximum wait for a helper: longer than one runs, so that no submitter's slow previews keep another from its turn.
+const MAX_WAIT: Duration = TIME_LIMIT.saturating_add(Duration::from_secs(5));
 /// Estimates wait in turn with the submitters of previews, under a name that no key has.
 const ESTIMATES: &str = " estimates";
 /// Time limit of a helper process.
-const TIME_LIMIT: Duration = Duration::from_secs(20);
+pub(crate) const TIME_LIMIT: Duration = Duration::from_secs(20);
 /// Maximum size of a response.
 const MAX_ANSWER_BYTES: u64 = 64 << 20;
 /// Maximum number of bytes stored of a helper's standard error.
