@@ -114,7 +114,7 @@ impl Pictures {
     /// Deletes the file of a picture that no row refers to, however new it is. Returns whether there was any.
     async fn delete_unused(&self, name: &ContentHash) -> Result<bool, PictureError> {
         let (queue, kind) = (&self.queue, ContentKind::Picture);
-        if !self.content.is_shared() {
+        if !(queue.may_have_others() && self.content.is_shared()) {
             let is_unused = async |name: String| Ok::<_, PictureError>(!queue.orphans(kind, &[name]).await?.is_empty());
             return self.content.delete_if(kind, name, is_unused).await;
         }

@@ -10,7 +10,7 @@ use db::Connection;
 
 use super::store_check::{self, Orphan, StoreComparison};
 use super::{DataFolderError, bucket, database};
-use crate::blobs::{BlobStore, ContentError, ContentHash, ContentKind};
+use crate::blobs::{BlobStore, ContentHash, ContentKind};
 use crate::clock::Clock;
 use crate::db::{self, Database, Durability};
 use crate::host::{self, DISK_CURE, Room};
@@ -279,7 +279,7 @@ async fn repair_store(
 }
 
 async fn delete(bucket: &BlobStore, kind: ContentKind, name: &ContentHash) -> Result<(), DataFolderError> {
-    let deleted = bucket.delete_if(kind, name, async |_| Ok::<_, ContentError>(true)).await;
+    let deleted = bucket.delete(kind, name).await;
     deleted.map(drop).map_err(|error| DataFolderError::Store(error.into()))
 }
 

@@ -76,7 +76,7 @@ impl OrphanSweep {
 
     /// Deletes marked names until the farm is closed.
     pub(super) async fn delete_marked_periodically(&self, end: &CancellationToken) {
-        if !self.content.is_shared() {
+        if !self.has_others() {
             return;
         }
         let interval = (self.content.grace() / 4).clamp(MIN_INTERVAL, MAX_INTERVAL);
@@ -119,11 +119,15 @@ impl OrphanSweep {
         self.queue.mark_again(kind, young).await
     }
 
+    /// Whether other servers may report what this one sweeps; otherwise a lock in memory keeps the two apart, and the space
+    /// is free at once.
+    fn has_others(&self) -> bool {
+        self.queue.may_have_others() && self.content.is_shared()
+    }
+
     async fn sweep(&self, kind: ContentKind, hashes: &[String]) -> Result<(), DatabaseError> {
         let queue = &self.queue;
-        // Other servers may report what this one sweeps, and a bucket may take long to delete an object. In a folder, a lock
-        // in memory keeps the two apart, and the space is free at once.
-        if self.content.is_shared() {
+        if self.has_others() {
             let orphans = queue.orphans(kind, hashes).await?;
             return if orphans.is_empty() { Ok(()) } else { queue.mark_doomed(kind, orphans).await };
         }

@@ -65,7 +65,7 @@ impl ResultCheck {
         if leases.is_empty() {
             return Ok(());
         }
-        if self.content.is_shared() {
+        if self.queue.may_have_others() && self.content.is_shared() {
             let names: Vec<_> = turn.reports.iter().filter_map(|report| content_of(&report.outcome)).collect();
             turn.checked = Some(self.queue.begin_check(&names).await?);
         }

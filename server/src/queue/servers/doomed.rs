@@ -101,6 +101,11 @@ async fn orphans_among(target: impl Into<Target<'_>>, kind: ContentKind, names: 
 }
 
 impl Queue {
+    /// Whether other servers may use the database: then the times of marks hold after a restart.
+    pub(crate) fn may_have_others(&self) -> bool {
+        self.clock.is_lasting()
+    }
+
     /// The names that no row refers to: no unfinished frame uses the blob, no job the picture.
     pub(crate) async fn orphans(&self, kind: ContentKind, names: &[String]) -> Result<Vec<String>> {
         orphans_among(self.readers(), kind, names).await
