@@ -1,5 +1,6 @@
 //! Rendering within a time limit.
 
+use std::sync::OnceLock;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::{self, RecvTimeoutError};
 use std::time::{Duration, Instant};
@@ -14,8 +15,12 @@ const LOOK_INTERVAL: Duration = Duration::from_millis(10);
 /// Time after which the progress of a render tells how long it takes.
 const CERTAIN_AFTER: Duration = Duration::from_millis(60);
 
+/// Time for preparing a scene, beside half of the limit: it does not depend on the number of pixels.
+const TO_PREPARE: Duration = Duration::from_secs(1);
+
 /// A render with a limit.
 pub(super) struct Attempt {
+    /// Maximum time for the rays, after the scene was prepared.
     pub(super) limit: Duration,
     /// Whether it ends as soon as its progress shows that it will exceed the limit.
     pub(super) gives_up_early: bool,
@@ -25,28 +30,35 @@ pub(super) enum Outcome {
     Finished(TilePixels),
     /// The fraction that would have been rendered in the time.
     TooSlow(f64),
+    /// The scene was not prepared in time: fewer pixels would not help.
+    NotPrepared,
 }
 
 impl Attempt {
     pub(super) fn render(&self, renderer: &CpuRenderer, job: &Job, frame: u32) -> anyhow::Result<Outcome> {
         let start = Instant::now();
         let cancel = CancelFlag::new();
-        let (finished, rays) = (AtomicU64::new(0), job.image.rays());
+        let (finished, rays, prepared) = (AtomicU64::new(0), job.image.rays(), OnceLock::new());
+        let certain_after = CERTAIN_AFTER.max(self.limit / 4);
         let mut fraction = 1.0;
         let look = || {
-            let elapsed = start.elapsed();
+            let Some(since) = prepared.get().map(Instant::elapsed) else {
+                return (start.elapsed() <= self.limit / 2 + TO_PREPARE).then_some(LOOK_INTERVAL);
+            };
             let done = finished.load(Ordering::Relaxed) as f64 / rays as f64;
-            fraction = done * (self.limit.as_secs_f64() / elapsed.as_secs_f64());
-            let is_hopeless = self.gives_up_early && elapsed > CERTAIN_AFTER && fraction > 0.0 && fraction < 0.9;
-            (elapsed <= self.limit && !is_hopeless).then_some(LOOK_INTERVAL)
+            fraction = done * (self.limit.as_secs_f64() / since.as_secs_f64());
+            let is_hopeless = self.gives_up_early && since > certain_after && fraction > 0.0 && fraction < 0.9;
+            (since <= self.limit && !is_hopeless).then_some(LOOK_INTERVAL)
         };
         let rect = Rect::full(job.image.film().width, job.image.film().height);
         let count = |more: u64| {
+            prepared.get_or_init(Instant::now);
             finished.fetch_add(more, Ordering::Relaxed);
         };
         let render = || renderer.render(&TileRequest { job, frame, rect }, &cancel, &count);
         match watched(&cancel, look, render) {
             Ok(pixels) => Ok(Outcome::Finished(pixels)),
+            Err(RenderError::Cancelled) if prepared.get().is_none() => Ok(Outcome::NotPrepared),
             Err(RenderError::Cancelled) => Ok(Outcome::TooSlow(fraction.min(1.0))),
             Err(error) => Err(error).context("could not render the frame"),
         }
@@ -97,6 +109,7 @@ mod tests {
         match attempt.render(&renderer, &job, 0).expect("no error") {
             Outcome::TooSlow(fraction) => assert!(fraction < 0.9, "{fraction}"),
             Outcome::Finished(_) => panic!("16 million pixels take more than 100 ms"),
+            Outcome::NotPrepared => panic!("a small scene is prepared at once"),
         }
     }
 

@@ -67,7 +67,7 @@ fn render(job: &Job, frame: u32, limit: Duration) -> anyhow::Result<Option<TileP
         let attempt = Attempt { limit: (limit * limits).saturating_sub(start.elapsed()), gives_up_early: false };
         match attempt.render(&renderer, &with_width(job, width), frame).context("could not render a coarse pass")? {
             Outcome::Finished(pixels) => best = Some(pixels),
-            Outcome::TooSlow(_) => break,
+            Outcome::TooSlow(_) | Outcome::NotPrepared => break,
         }
         let next = begun.elapsed().mul_f64(GROWTH_ESTIMATE);
         if width == last || start.elapsed() + next > limit {

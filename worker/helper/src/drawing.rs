@@ -57,6 +57,7 @@ pub(super) fn draw(mut job: Job, frame: u32, drawing: &Drawing) -> anyhow::Resul
             }
             Outcome::TooSlow(fraction) if !is_last => width_px = smaller(width_px, fraction),
             Outcome::TooSlow(_) => bail!("even {width_px} pixels in a row take too long to render"),
+            Outcome::NotPrepared => bail!("the scene takes too long to prepare"),
         }
     }
 }
