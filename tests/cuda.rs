@@ -309,10 +309,10 @@ fn rejected_program_is_saved_for_inspection() {
         command.env("FAKE_NVRTC", fault);
         command
     };
-    let kept = |printed: &str| {
-        let (_, path) = printed.split_once("saved as ").expect("a path");
-        let (path, _) = path.split_once(')').expect("its end");
-        fs::read_to_string(path).expect("the program's text")
+    let kept = || {
+        let files = fs::read_dir(folder.path()).expect("a folder").map(|entry| entry.expect("an entry").path());
+        let rejected = files.filter(|path| path.extension().is_some_and(|end| end == "cu"));
+        rejected.map(|path| fs::read_to_string(path).expect("the program's text")).collect::<Vec<_>>()
     };
     // First the self-test's program is rejected, then a scene's, with the self-test's cached from a successful run.
     let printed = render(with_cache("refuse"), &jobs::quick()).expect_err("it is refused");
@@ -321,11 +321,14 @@ fn rejected_program_is_saved_for_inspection() {
             && printed.contains("as the test asks for"),
         "{printed}"
     );
-    assert!(kept(&printed).contains("void render("));
+    assert!(matches!(&kept()[..], [text] if text.contains("void render(")));
     render(with_cache(""), &jobs::as_png(&small("dice"))).expect("the compiler takes it");
     let printed = render(with_cache("refuse"), &jobs::quick()).expect_err("it is refused");
     assert!(printed.contains("cuda:0 could not render: the scene's kernel could not be compiled"), "{printed}");
-    assert!(kept(&printed).ends_with("// scene.cu(1): error: refused, as the test asks for\n"));
+    let (_, error) = printed.split_once("error: ").expect("an error");
+    assert!(!error.contains(cache), "a submitter learns nothing of the machine: {printed}");
+    assert_eq!(kept().len(), 2);
+    assert!(kept().iter().all(|text| text.ends_with("// scene.cu(1): error: refused, as the test asks for\n")));
 }
 
 #[test]

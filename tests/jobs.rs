@@ -155,6 +155,21 @@ pub(crate) fn of_doublings(doublings: u32) -> Value {
     job
 }
 
+/// A job of one ball with about this many textures in its color, as ramps of ramps of checkers.
+pub(crate) fn of_nested_textures(count: usize) -> Value {
+    let ramp = |colors: Vec<Value>| {
+        let last = (colors.len() - 1).max(1) as f64;
+        let stops = colors.into_iter().enumerate().map(|(stop, color)| json!([stop as f64 / last, color]));
+        json!({ "marble": { "ramp": stops.collect::<Vec<_>>() } })
+    };
+    let checkers = (0..32).map(|number| json!({ "checker": { "cell": 0.1 + f64::from(number) / 100.0 } }));
+    let inner = ramp(vec![ramp(checkers.collect()); 32]);
+    let mut job = of_shape(&json!({ "sphere": { "radius": 1 } }));
+    job["scene"]["objects"][0]["material"] =
+        json!({ "diffuse": { "kd": ramp(vec![inner; count.div_ceil(32 * 33).max(2)]) } });
+    job
+}
+
 fn of_shape(shape: &Value) -> Value {
     json!({
         "scene": { "camera": { "position": [0, 0, 9], "look_at": [0, 0, 0] }, "objects": [{ "shape": shape }] },

@@ -183,3 +183,19 @@ fn twenty_cancels_free_the_worker_at_once() {
     assert!(times[19] <= WORST, "{times:?}");
     assert_eq!(farm.workers(), workers);
 }
+
+#[test]
+fn a_cancelled_compilation_ends_no_worker() {
+    let farm = Farm::start(&["--workers", "1"]);
+    farm.ready(1);
+    let workers = farm.workers();
+    for seed in 0..2 {
+        // Its program takes seconds to record and compile.
+        let id = farm.accept(&jobs::seeded(&jobs::of_nested_textures(4_000), seed).to_string());
+        eventually("it is leased", || (state(&farm, &id)["state"] == "running").then_some(()));
+        std::thread::sleep(Duration::from_millis(300));
+        cancel(&farm, &id);
+        farm.succeeded(&farm.accept(&tiny(seed)));
+    }
+    assert_eq!(farm.workers(), workers, "a worker has ended");
+}

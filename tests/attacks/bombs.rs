@@ -19,6 +19,7 @@ pub(super) fn attacks() -> Vec<Attack> {
         Attack { name: "every node with its whole numbers at their maximum", run: iterations },
         Attack { name: "every material on mirrors within mirrors", run: materials },
         Attack { name: "every light, as many as are allowed", run: lights },
+        Attack { name: "thousands of textures in textures", run: textures },
         Attack { name: "texts of 32 MiB", run: large_texts },
         Attack { name: "texts nested as deep as they go", run: deep_texts },
         Attack { name: "moving jobs of many frames", run: moving },
@@ -140,6 +141,13 @@ fn lights(attacker: &Attacker<'_>) {
     });
     assert!(!jobs.is_empty(), "no light's example makes a valid job");
     submit_each(attacker, &jobs);
+}
+
+/// Each texture is a part of a scene's program.
+fn textures(attacker: &Attacker<'_>) {
+    let job = jobs::of_nested_textures(3_000);
+    attacker.flood(1, |_| drop(attacker.send("POST", "/v1/shader", job.to_string())));
+    submit_each(attacker, &[job]);
 }
 
 fn large_texts(attacker: &Attacker<'_>) {

@@ -131,7 +131,7 @@ impl CpuRenderer {
             for table in tables {
                 self.kernels.forget_cells(table);
             }
-            kernel = self.kernel(exposure)?;
+            kernel = cancel.ends(|| self.kernel(exposure))??;
         }
     }
 
@@ -147,6 +147,7 @@ impl CpuRenderer {
         let (left, width) = (run.rect.x, run.rect.width as usize);
         let mut pixels = TilePixels::zeroed(run.rect, run.job.image.film().rendered_channels().len());
         let sum_channels = run.job.image.film().sum_channels();
+        progress(0);
         let (rounds, samples) = (Rounds::of(exposure.last().image()), exposure.samples());
         let height = if rounds.is_some() { BLOCK_PX as usize } else { block(kernel.lanes()).1 };
         let band = |(index, planes)| {
@@ -190,7 +191,7 @@ impl Renderer for CpuRenderer {
         progress: &(dyn Fn(u64) + Sync),
     ) -> Result<TilePixels, RenderError> {
         let exposure = run.job.exposure(run.frame)?;
-        let kernel = self.kernel(&exposure)?;
+        let kernel = cancel.ends(|| self.kernel(&exposure))??;
         self.render_by(&exposure, run, kernel, cancel, progress)
     }
 
@@ -213,7 +214,8 @@ impl Renderer for CpuRenderer {
         let (kernel, visits) = match self.simd {
             Simd::Scalar => (Kernel::Reference(vec![program], at_frame.image()), visits),
             simd => {
-                let (prepared, visits) = self.kernels.recordable(at_frame, &program, &visits, simd)?.kernel();
+                let recordable = cancel.ends(|| self.kernels.recordable(at_frame, &program, &visits, simd))??;
+                let (prepared, visits) = recordable.kernel();
                 (Kernel::Prepared(prepared), visits)
             }
         };

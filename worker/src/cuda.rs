@@ -72,6 +72,8 @@ pub struct CudaRenderer {
     /// How many cells a frame may have.
     cell_builder: FastBuilder,
     programs: Mutex<HashMap<blake3::Hash, Arc<Kernel>>>,
+    /// The compiler's logs about sources that it rejected.
+    rejected: Recent<blake3::Hash, String>,
     /// Kernels that divide cells, by their texts.
     divisions: Mutex<HashMap<blake3::Hash, Arc<DivisionKernels>>>,
     sources: Recent<blake3::Hash, Vec<KernelSource>>,
@@ -151,6 +153,7 @@ impl CudaRenderer {
             spare: Mutex::default(),
             encoders: None,
             kernels: Mutex::default(),
+            rejected: Recent::default(),
             setup_time: Mutex::default(),
         })
     }
@@ -183,11 +186,11 @@ impl CudaRenderer {
 
     /// Prepares the kernel of a tile, and reports the time that took.
     pub fn compile(&self, run: &TileRequest<'_>) -> Result<CompileReport, RenderError> {
-        let sources = self.sources(run).map_err(|error| self.render_error(&error))?;
+        let cancel = CancelFlag::new();
+        let sources = self.sources(run, &cancel).map_err(|error| self.render_error(&error))?;
         let source = &sources[0];
         let start = Instant::now();
-        let (program, was_kept) =
-            self.program(source, run, &CancelFlag::new()).map_err(|error| self.render_error(&error))?;
+        let (program, was_kept) = self.program(source, run, &cancel).map_err(|error| self.render_error(&error))?;
         let time = start.elapsed();
         let resources =
             self.device.resources(&program.loaded, program.block).map_err(|error| self.render_error(&error))?;
@@ -238,7 +241,7 @@ impl CudaRenderer {
         let (loaded, block) = if let Some(kept) = kept {
             kept
         } else {
-            let code = self.compile_text(&source.text, cancel)?;
+            let code = self.compile_text(key, &source.text, cancel)?;
             let loaded = load(&code)?;
             let block = self.tune_block_dim(&loaded, source, sample, cancel)?;
             self.cache.put(key, &CachedKernel { code, block });
@@ -265,7 +268,7 @@ impl CudaRenderer {
         let kernels = if let Some(kept) = kept {
             kept
         } else {
-            let code = self.compile_text(text, cancel)?;
+            let code = self.compile_text(key, text, cancel)?;
             let kernels = self.device.load_division(&code)?;
             self.cache.put(key, &CachedKernel { code, block: BLOCK_DIMS[0] });
             kernels
@@ -275,13 +278,27 @@ impl CudaRenderer {
         Ok(kernels)
     }
 
-    fn compile_text(&self, text: &str, cancel: &CancelFlag) -> Result<Vec<u8>, CudaError> {
-        compiler::compile_until_cancelled(&self.compiler, text, self.device.architecture, cancel)
-            .map_err(|error| compiler::save_rejected_source(error, text, self.cache.folder()))
+    /// Compiles a source, unless the compiler has rejected it before.
+    fn compile_text(&self, key: blake3::Hash, text: &str, cancel: &CancelFlag) -> Result<Vec<u8>, CudaError> {
+        /// Rejected sources whose reasons are known.
+        const MAX_REJECTED: usize = 64;
+        if let Some(log) = recent::find(&self.rejected, |other| *other == key) {
+            return Err(CudaError::Compile { log: log.to_string() });
+        }
+        let compiled = compiler::compile_until_cancelled(&self.compiler, text, self.device.architecture, cancel);
+        if let Err(CudaError::Compile { log }) = &compiled {
+            let file = self.cache.put_rejected(text, log).map(|path| path.display().to_string());
+            tracing::warn!(file, "the compiler rejected a kernel's source");
+            // Without an error in the source, the next attempt may succeed.
+            if log.contains("error") {
+                recent::insert(&self.rejected, key, Arc::new(log.clone()), MAX_REJECTED);
+            }
+        }
+        compiled
     }
 
     /// Kernel sources of a frame, one for each of its instants, with its cells; the last frames' are kept.
-    fn sources(&self, run: &TileRequest<'_>) -> Result<Arc<Vec<KernelSource>>, CudaError> {
+    fn sources(&self, run: &TileRequest<'_>, cancel: &CancelFlag) -> Result<Arc<Vec<KernelSource>>, CudaError> {
         /// Frames whose tiles may arrive in turns.
         const MAX_SOURCES: usize = 4;
         let exposure = run.job.exposure(run.frame)?;
@@ -293,7 +310,8 @@ impl CudaRenderer {
         if nodes > MAX_NODES {
             return Err(CudaError::TooLarge { nodes, most: MAX_NODES });
         }
-        let mut sources = KernelSource::of_exposure(&exposure, self.block.map(|_| 1), self.cell_builder)?;
+        let sources = || KernelSource::of_exposure(&exposure, self.block.map(|_| 1), self.cell_builder);
+        let mut sources = cancel.ends(sources).map_err(|_| CudaError::Cancelled)??;
         for (source, at_frame) in sources.iter_mut().zip(&exposure.instants) {
             source.table = source.table.take().map(|table| self.known_cells.share(at_frame, &table));
         }
@@ -350,8 +368,8 @@ impl Renderer for CudaRenderer {
         rendered.map(|()| finished).map_err(|error| self.render_error(&error))
     }
 
-    fn prepare(&self, run: &TileRequest<'_>) -> Result<(), RenderError> {
-        self.sources(run).map(drop).map_err(|error| self.render_error(&error))
+    fn prepare(&self, run: &TileRequest<'_>, cancel: &CancelFlag) -> Result<(), RenderError> {
+        self.sources(run, cancel).map(drop).map_err(|error| self.render_error(&error))
     }
 
     fn overlapping(&self) -> usize {

@@ -10,7 +10,7 @@ use proto::Rect;
 use scene::real::Words;
 use scene::visits::Visited;
 
-use tape::{EvaluatorError, InvalidTape, Unavailable};
+use tape::{EvaluatorError, InvalidTape, Unavailable, interrupt};
 
 /// Renders tiles on one device. Each render has exclusive use of it until it ends, or calls `on_device_free`; only the
 /// renders of [`Renderer::beside`] share it.
@@ -20,8 +20,8 @@ pub trait Renderer: Send + Sync {
     /// Device: `cpu` or `cuda:0`.
     fn device(&self) -> String;
 
-    /// Renders one tile. `progress` receives the number of newly finished rays, from any thread. `cancel`
-    /// takes effect within 50 ms.
+    /// Renders one tile. `progress` receives the number of newly finished rays, from any thread; a CPU says first that
+    /// there are none, when the scene is prepared. `cancel` takes effect within 50 ms.
     fn render(
         &self,
         run: &TileRequest<'_>,
@@ -68,8 +68,8 @@ pub trait Renderer: Send + Sync {
     }
 
     /// Prepares the frame of a tile without the device, while that renders another frame.
-    fn prepare(&self, run: &TileRequest<'_>) -> Result<(), RenderError> {
-        let _ = run;
+    fn prepare(&self, run: &TileRequest<'_>, cancel: &CancelFlag) -> Result<(), RenderError> {
+        let _ = (run, cancel);
         Ok(())
     }
 
@@ -179,6 +179,11 @@ impl CancelFlag {
     /// Whether the flag is set.
     pub fn is_cancelled(&self) -> bool {
         self.0.load(Ordering::Relaxed)
+    }
+
+    /// Records or compiles formulas on this thread, until it is done or the flag is set.
+    pub(crate) fn ends<T>(&self, work: impl FnOnce() -> T) -> Result<T, RenderError> {
+        interrupt::until_set(&self.0, work).map_err(|interrupt::Interrupted| RenderError::Cancelled)
     }
 }
 

@@ -18,6 +18,8 @@ const MAX_WORDS: usize = 1 << 21;
 /// Number of words that cells may take, beyond the whole scene's. A cell that is not divided has the list of the cell
 /// around it.
 const WORDS_OF_CELLS: usize = 1 << 19;
+/// Maximum size of the program: browsers take seconds to compile a MiB, and gigabytes of memory for some.
+const MAX_TEXT_BYTES: usize = 2 << 20;
 /// Maximum time for dividing cells.
 const DIVISION_TIME: Duration = Duration::from_secs(1);
 
@@ -41,6 +43,9 @@ pub enum ShaderError {
     /// Its table is too large.
     #[error("the shapes of the scene take {} MiB, and a browser is sent at most {} MiB: scatter fewer", .0.div_ceil(1 << 18), MAX_WORDS >> 18)]
     ManyShapes(usize),
+    /// Its formulas are too long.
+    #[error("the program of the scene has {} KiB, and a browser is sent at most {}: use fewer nodes and textures", .0 >> 10, MAX_TEXT_BYTES >> 10)]
+    LongText(usize),
 }
 
 impl Shader {
@@ -63,6 +68,9 @@ impl Shader {
             numbers.len().max(1),
             at_frame.scene().is_transparent()
         );
+        if text.len() > MAX_TEXT_BYTES {
+            return Err(ShaderError::LongText(text.len()));
+        }
         Ok(Self { text, numbers, words })
     }
 }

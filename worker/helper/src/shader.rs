@@ -39,7 +39,9 @@ pub(super) fn of(
             let wgsl = (known != Some(&*program)).then_some(text);
             Ok(ShaderView { program, wgsl, uniforms: numbers, table: words, ..none })
         }
-        Err(refusal @ ShaderError::ManyShapes(_)) => Ok(ShaderView { reason: Some(refusal.to_string()), ..none }),
+        Err(refusal @ (ShaderError::ManyShapes(_) | ShaderError::LongText(_))) => {
+            Ok(ShaderView { reason: Some(refusal.to_string()), ..none })
+        }
         Err(error @ ShaderError::Invalid(_)) => Err(error.into()),
     }
 }

@@ -118,18 +118,24 @@ impl BatchExecutor {
 
     /// Waits for the device, while the batch's frame is prepared for it.
     async fn prepared(&self, frame: &FrameTask, places: &[TileTask], frame_of: Option<JobId>) -> DeviceUse<'_> {
+        let holds: Vec<LeaseHandle> = places.iter().map(|place| place.hold.clone()).collect();
         if self.renderer.overlapping() > 1
             && let Some(TileTask { rect, .. }) = places.first()
         {
             let (renderer, job, number, rect) = (self.renderer.clone(), frame.job.clone(), frame.number, *rect);
-            let preparing = spawn_blocking(move || renderer.prepare(&TileRequest { job: &job, frame: number, rect }));
-            if let Ok(Err(error)) = preparing.await {
-                // The render fails for the same reason, and reports it.
-                tracing::debug!(%error, "could not prepare a frame");
+            // Cancels the preparation when all leases are dropped.
+            let cancel = CancelOnDrop::default();
+            let flag = cancel.0.clone();
+            let prepare = move || renderer.prepare(&TileRequest { job: &job, frame: number, rect }, &flag);
+            tokio::select! {
+                prepared = spawn_blocking(prepare) => if let Ok(Err(error)) = prepared {
+                    // The render fails for the same reason, and reports it.
+                    tracing::debug!(%error, "could not prepare a frame");
+                },
+                () = all_dropped(&holds) => {}
             }
         }
         let mut device = DeviceUse::new(self, frame_of);
-        let holds: Vec<LeaseHandle> = places.iter().map(|place| place.hold.clone()).collect();
         tokio::select! {
             () = device.acquire() => holds.iter().take(1).for_each(|hold| self.send(BatchEvent::Begins(hold.lease))),
             // Nothing will be rendered.

@@ -16,6 +16,8 @@ use crate::{RenderError, Simd};
 
 /// Maximum number of cached evaluators.
 const MAX_EVALUATORS: usize = 16;
+/// Maximum number of values in the tapes of all cached evaluators. Each takes about 64 bytes, with its machine code.
+const MAX_CACHED_VALUES: usize = 4 << 20;
 /// Maximum number of cached frames.
 const MAX_FRAMES: usize = 4;
 
@@ -106,15 +108,13 @@ impl KernelCache {
 
     fn evaluator(&self, tape: &Tape, simd: Simd) -> Result<Arc<Evaluator>, RenderError> {
         let known = recent::find(&self.by_tape, |other| other.has_same_code(tape));
-        Ok(match known {
-            Some(known) => known,
-            None => recent::insert(
-                &self.by_tape,
-                tape.without_table(),
-                Arc::new(Evaluator::new(tape, simd)?),
-                MAX_EVALUATORS,
-            ),
-        })
+        if let Some(known) = known {
+            return Ok(known);
+        }
+        let evaluator = Arc::new(Evaluator::new(tape, simd)?);
+        let evaluator = recent::insert(&self.by_tape, tape.without_table(), evaluator, MAX_EVALUATORS);
+        recent::trim(&self.by_tape, MAX_CACHED_VALUES, Tape::values);
+        Ok(evaluator)
     }
 
     /// Forgets a table of cells: the next [`KernelCache::prepare`] of its frames begins with none.

@@ -1,10 +1,15 @@
 //! Cache of machine code on disk, keyed by the hash of source, options and compiler, so that each kernel is
 //! compiled once. A file that is damaged, or that cannot be read or written, counts as missing.
 
+use std::fs::{File, Metadata};
 use std::io::Write;
 use std::path::{Path, PathBuf};
+use std::time::SystemTime;
 
 use super::device::BlockDim;
+
+/// Maximum size of all files in the folder. Those used longest ago are deleted first.
+const MAX_BYTES: u64 = 1 << 30;
 
 /// Default folder of the kernel cache: the user's cache folder.
 pub fn default_cache_folder() -> Option<PathBuf> {
@@ -57,11 +62,14 @@ impl Cache {
 
     /// Entry with this key.
     pub(super) fn get(&self, key: blake3::Hash) -> Option<CachedKernel> {
-        let file = std::fs::read(self.path(key)?).ok()?;
+        let path = self.path(key)?;
+        let file = std::fs::read(&path).ok()?;
         let (head, code) = file.split_at_checked(HEAD_BYTES)?;
         if blake3::hash(&file[32..]).as_bytes() != &head[..32] {
             return None;
         }
+        // The time of its last use; a file that cannot be changed is as old as it was.
+        drop(File::options().append(true).open(&path).and_then(|file| file.set_modified(SystemTime::now())));
         let word = |at: usize| head[at..at + 4].try_into().map(u32::from_le_bytes).ok();
         Some(CachedKernel { code: code.to_vec(), block: BlockDim { columns: word(32)?, rows: word(36)? } })
     }
@@ -80,6 +88,40 @@ impl Cache {
         };
         if let Err(error) = put() {
             tracing::debug!(%error, path = %path.display(), "could not store a compiled kernel");
+        }
+        self.prune(MAX_BYTES);
+    }
+
+    /// Stores a rejected source with the compiler's log; returns its file.
+    pub(super) fn put_rejected(&self, text: &str, log: &str) -> Option<PathBuf> {
+        let name = format!("refused-{}.cu", &blake3::hash(text.as_bytes()).to_hex()[..16]);
+        let path = self.folder.as_ref()?.join(name);
+        let commented = log.lines().collect::<Vec<_>>().join("\n// ");
+        std::fs::write(&path, format!("{text}\n// {commented}\n")).ok()?;
+        self.prune(MAX_BYTES);
+        Some(path)
+    }
+
+    /// Deletes the files used longest ago, until the others are within a size.
+    fn prune(&self, limit: u64) {
+        let Some(Ok(entries)) = self.folder.as_ref().map(std::fs::read_dir) else { return };
+        let is_kept = |path: &Path| path.extension().is_some_and(|end| end == "kernel" || end == "cu");
+        let used = |metadata: &Metadata| metadata.modified().unwrap_or(SystemTime::UNIX_EPOCH);
+        let files = entries.flatten().filter(|entry| is_kept(&entry.path()));
+        let mut files: Vec<_> = files
+            .filter_map(|entry| {
+                let metadata = entry.metadata().ok()?;
+                Some((used(&metadata), metadata.len(), entry.path()))
+            })
+            .collect();
+        files.sort_unstable_by(|a, b| b.cmp(a));
+        let mut total = 0_u64;
+        for (_, bytes, path) in files {
+            total = total.saturating_add(bytes);
+            if total > limit {
+                // Another worker may have deleted it.
+                drop(std::fs::remove_file(path));
+            }
         }
     }
 
@@ -126,6 +168,29 @@ mod tests {
             std::fs::write(&path, damaged).expect("it can be written");
             assert!(cache.get(key).is_none());
         }
+    }
+
+    #[test]
+    fn files_used_longest_ago_are_deleted_beyond_a_size() {
+        let folder = tempfile::tempdir().expect("a scratch folder");
+        let cache = Cache::new(Some(folder.path()));
+        let key = |name| Cache::entry_name(name, &options(90), "13.0");
+        let block = BlockDim { columns: 16, rows: 8 };
+        cache.put(key("first"), &CachedKernel { code: vec![0; 1000], block });
+        cache.put(key("second"), &CachedKernel { code: vec![0; 1000], block });
+        let rejected = cache.put_rejected("wrong", "no").expect("it is written");
+        let age = |path: &Path, seconds| {
+            let file = File::options().append(true).open(path).expect("it exists");
+            file.set_modified(SystemTime::UNIX_EPOCH + std::time::Duration::from_secs(seconds)).expect("it is set");
+        };
+        age(&cache.path(key("first")).expect("there is a folder"), 10);
+        age(&cache.path(key("second")).expect("there is a folder"), 20);
+        age(&rejected, 5);
+        std::fs::write(folder.path().join("other"), "not of the cache").expect("it is written");
+        assert!(cache.get(key("first")).is_some(), "now it was used last");
+        cache.prune(1500);
+        assert!(cache.get(key("first")).is_some() && cache.get(key("second")).is_none() && !rejected.exists());
+        assert!(folder.path().join("other").exists());
     }
 
     #[test]

@@ -5,7 +5,6 @@
 #![expect(unsafe_code, reason = "the compiler is a C library, found at run time")]
 
 use std::ffi::{CString, c_char};
-use std::path::Path;
 use std::sync::mpsc::{self, RecvTimeoutError};
 use std::sync::{Mutex, OnceLock, PoisonError};
 use std::time::Duration;
@@ -32,6 +31,9 @@ const FUNCTIONS: [&str; 11] = [
     "nvrtcDestroyProgram",
     "nvrtcGetErrorString",
 ];
+
+/// Maximum size of a source: the shipped scenes have up to 1 MiB, which takes seconds.
+pub(super) const MAX_SOURCE_BYTES: usize = 8 << 20;
 
 /// No contraction, flushing or approximation except where the source asks for it.
 const OPTIONS: [&str; 3] = ["--fmad=false", "--std=c++17", "--diag-suppress=177"];
@@ -78,13 +80,16 @@ impl Compiler {
         if !self.architectures.contains(&architecture) {
             return Err(CudaError::UnknownArchitecture { version: self.version.clone(), architecture });
         }
+        if text.len() > MAX_SOURCE_BYTES {
+            return Err(CudaError::LongSource { mib: text.len() >> 20 });
+        }
         let text = CString::new(text).expect("a kernel's source has no byte 0");
         let program = NvrtcProgram(result::create_program(&text, Some(c"scene.cu")).map_err(refused)?);
         let options = options(architecture);
         // SAFETY: the program was created above and is destroyed only when it is dropped.
         match unsafe { result::compile_program(program.0, &options) } {
             Ok(()) => program.machine_code(),
-            Err(_) => Err(CudaError::Compile { log: program.log(), kept: None }),
+            Err(_) => Err(CudaError::Compile { log: program.log() }),
         }
     }
 }
@@ -113,7 +118,7 @@ pub(super) fn compile_until_cancelled(
             Err(_) if cancel.is_cancelled() => return Err(CudaError::Cancelled),
             Err(RecvTimeoutError::Timeout) => {}
             Err(RecvTimeoutError::Disconnected) => {
-                return Err(CudaError::Compile { log: "the compiler panicked".to_owned(), kept: None });
+                return Err(CudaError::Compile { log: "the compiler panicked".to_owned() });
             }
         }
     }
@@ -153,20 +158,10 @@ impl NvrtcProgram {
     }
 }
 
-/// Writes a rejected source and the compiler's log to files.
-pub(super) fn save_rejected_source(error: CudaError, text: &str, folder: Option<&Path>) -> CudaError {
-    let CudaError::Compile { log, .. } = error else { return error };
-    let path =
-        folder.map(|folder| folder.join(format!("refused-{}.cu", &blake3::hash(text.as_bytes()).to_hex()[..16])));
-    let commented = log.lines().collect::<Vec<_>>().join("\n// ");
-    let kept = path.filter(|path| std::fs::write(path, format!("{text}\n// {commented}\n")).is_ok());
-    CudaError::Compile { log, kept }
-}
-
 fn check(code: sys::nvrtcResult) -> Result<(), CudaError> {
     code.result().map_err(refused)
 }
 
 fn refused(error: NvrtcError) -> CudaError {
-    CudaError::Compile { log: format!("{:?}", error.0), kept: None }
+    CudaError::Compile { log: format!("{:?}", error.0) }
 }

@@ -1,11 +1,11 @@
 //! Errors of CUDA devices, with their fixes.
 
-use std::path::PathBuf;
-
 use cudarc::driver::DriverError;
 use cudarc::driver::sys::CUresult;
 
 use tape::InvalidTape;
+
+use super::compiler::MAX_SOURCE_BYTES;
 
 /// Error of a GPU operation.
 #[derive(Debug, thiserror::Error)]
@@ -56,12 +56,19 @@ pub enum CudaError {
         architecture: u32,
     },
     /// The compiler rejected the source.
-    #[error("the scene's kernel could not be compiled{}: {log}", kept.as_ref().map(|path| format!(" (saved as {})", path.display())).unwrap_or_default())]
+    #[error("the scene's kernel could not be compiled: {log}")]
     Compile {
         /// The compiler's log.
         log: String,
-        /// File with the rejected source.
-        kept: Option<PathBuf>,
+    },
+    /// The scene's formulas are too long.
+    #[error(
+        "the scene's kernel has {mib} MiB of source, and at most {} are compiled: render it with --device cpu, or use fewer nodes and textures",
+        MAX_SOURCE_BYTES >> 20
+    )]
+    LongSource {
+        /// Size of the source.
+        mib: usize,
     },
     /// The scene is too large for straight-line code.
     #[error("the scene has {nodes} nodes, and a GPU takes at most {most}: render it with --device cpu")]

@@ -57,7 +57,7 @@ impl CudaRenderer {
         finished: &mut Vec<TilePixels>,
     ) -> Result<(), CudaError> {
         let Some(first) = runs.first() else { return Ok(()) };
-        let sources = self.sources(first)?;
+        let sources = self.sources(first, cancel)?;
         let planes = device_planes(&first.job.image);
         let numbers = |run: &TileRequest<'_>| run.rect.pixels() as usize * planes;
         let mut underway: Option<InFlight> = None;

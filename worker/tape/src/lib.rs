@@ -22,6 +22,7 @@
 #[cfg(test)]
 mod c_program;
 mod evaluator;
+pub mod interrupt;
 #[cfg(test)]
 #[expect(dead_code, unreachable_pub, reason = "the tests need pictures, and not everything that is recorded of them")]
 #[path = "../../src/picture_tape.rs"]

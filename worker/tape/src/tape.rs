@@ -314,6 +314,11 @@ impl Tape {
         &self.uniforms
     }
 
+    /// Number of its values.
+    pub fn values(&self) -> usize {
+        self.instructions.len()
+    }
+
     /// Words that the formula reads by computed indices, if there are any.
     pub fn table(&self) -> Option<&Table> {
         self.table.as_ref()

@@ -27,5 +27,6 @@ mod shipped;
 mod silhouettes;
 #[path = "../../../tests/skip.rs"]
 mod skip;
+mod source_size;
 mod uses;
 mod wgsl;

@@ -67,6 +67,12 @@ impl Texture {
         1 + inside.map(Self::depth).max().unwrap_or(0)
     }
 
+    /// Number of textures in it, itself included.
+    pub fn count(&self) -> u32 {
+        let inside = self.color_params().into_iter().filter_map(ColorParam::texture);
+        inside.map(Self::count).fold(1, u32::saturating_add)
+    }
+
     /// Whether it, or a texture in it, uses `ShadingPoint::local_normal`.
     pub fn needs_own_normal(&self) -> bool {
         self.uses_local_normal()
@@ -115,6 +121,7 @@ mod tests {
         )
         .unwrap();
         assert_eq!(texture.depth(), 3);
+        assert_eq!(texture.count(), 3);
         assert!(texture.needs_own_normal());
     }
 }

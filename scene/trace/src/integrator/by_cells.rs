@@ -7,6 +7,7 @@ use crate::animation::JobAtFrame;
 use crate::bounds::Bounds;
 use crate::cells::{CellBuilder, Cells, ContentIds, Contents, Program};
 use crate::job::Job;
+use crate::materials::{Material, Texture};
 use crate::real::Table;
 use crate::visits::{VisitGrid, Visits};
 
@@ -155,13 +156,16 @@ impl<'a> Integrator<'a> {
     }
 }
 
-/// Number of nodes whose formulas a kernel has, which limits the scenes of a GPU: all of them, or one leaf's of
-/// each family if the scene is rendered by cells.
+/// Number of nodes and textures whose formulas a kernel has, which limits the scenes of a GPU: all of them, or one
+/// leaf's of each family if the scene is rendered by cells.
 pub fn compiled_nodes(job: &Job) -> u32 {
     job.at(0).map_or_else(|_| job.nodes(), |at_frame| frame_compiled_nodes(&at_frame))
 }
 
-/// Number of nodes whose formulas the kernel of a frame has, as [`compiled_nodes`].
+/// Number of nodes and textures whose formulas the kernel of a frame has, as [`compiled_nodes`].
 pub fn frame_compiled_nodes(at_frame: &JobAtFrame<'_>) -> u32 {
-    program(at_frame).map_or_else(|| at_frame.scene().nodes(), |program| program.family_nodes())
+    let scene = at_frame.scene();
+    let nodes = program(at_frame).map_or_else(|| scene.nodes(), |program| program.family_nodes());
+    let textures = scene.used_materials().iter().flat_map(Material::textures).map(Texture::count);
+    textures.fold(nodes, u32::saturating_add)
 }

@@ -2,6 +2,8 @@
 //! Allocation", TOPLAS 21(5), 1999). A variable that is used rarely for its length, or that lives across a call, lies
 //! in the thread's frame.
 
+use crate::interrupt;
+
 use super::linear::{Class, Linear, Origin, Step, Var};
 
 /// Where a variable is.
@@ -76,6 +78,7 @@ fn intervals(linear: &Linear) -> (Vec<Interval>, Vec<u32>) {
     }
     // A variable from before a loop that the loop uses lives to the loop's end; inner loops come first.
     for (top, end) in loops {
+        interrupt::check();
         for step in &linear.steps[top as usize - 1..end as usize] {
             step.for_each_var(|var| {
                 let interval = &mut all[var as usize];
@@ -142,6 +145,7 @@ pub(crate) fn allocate(linear: &Linear, registers: Registers) -> Allocation {
     let mut mask = ClassState { free: (1..=registers.masks).rev().collect(), active: Vec::new() };
     let mut spilled = Vec::new();
     for &interval in &intervals {
+        interrupt::check();
         let crosses_call = {
             let next = calls.partition_point(|&call| call <= interval.start);
             calls.get(next).is_some_and(|&call| call < interval.end)
@@ -188,6 +192,7 @@ fn slots(linear: &Linear, mut spilled: Vec<Interval>, places: &mut [Location]) -
     spilled.sort_by_key(|interval| (interval.start, interval.var));
     let (mut free, mut active, mut count): (Vec<u32>, Vec<(u32, u32)>, u32) = (Vec::new(), Vec::new(), 0);
     for interval in spilled {
+        interrupt::check();
         let place = &mut places[interval.var as usize];
         if interval.var == linear.live {
             *place = Location::Live;

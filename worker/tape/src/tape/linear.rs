@@ -3,6 +3,8 @@
 
 use std::collections::HashMap;
 
+use crate::interrupt;
+
 use super::fold_step::FoldStep;
 use super::liveness::Liveness;
 use super::verify::{InvalidTape, MAX_VALUES, too_many_variables};
@@ -297,6 +299,7 @@ impl Builder<'_> {
 
     fn block(&mut self, block: &[Statement]) {
         for statement in block {
+            interrupt::check();
             match statement {
                 Statement::Emit(id) if self.live.is_live(*id) => self.emit(*id),
                 Statement::Emit(_) | Statement::Comment(_) => {}

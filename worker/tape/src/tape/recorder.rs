@@ -10,6 +10,8 @@ use std::collections::HashMap;
 use math::real::list::ListFunctions;
 use math::real::{Bundle, FunctionKey, Merge, Table, Vec3};
 
+use crate::interrupt;
+
 #[cfg(test)]
 use super::same_function;
 use super::{BoolExpr, Expr, Fold, Function, Instruction, Operation, Statement, Tape, ValueId, ValueType};
@@ -17,6 +19,9 @@ use super::{BoolExpr, Expr, Fold, Function, Instruction, Operation, Statement, T
 thread_local! {
     static RECORDER: RefCell<Option<Recorder>> = const { RefCell::new(None) };
 }
+
+/// Number of values between two looks at whether the recording is interrupted.
+const VALUES_BETWEEN_CHECKS: u32 = 256;
 
 /// The tape under construction.
 #[derive(Default)]
@@ -74,10 +79,18 @@ pub(crate) fn record_and_compare(formulas: impl FnOnce(&Recording)) -> Tape {
 }
 
 fn record_by(recorder: Recorder, formulas: impl FnOnce(&Recording)) -> Tape {
-    let outer = RECORDER.replace(Some(recorder));
+    /// Restores the recorder of the outer recording, also when the inner one is interrupted.
+    struct Outer(Option<Recorder>);
+
+    impl Drop for Outer {
+        fn drop(&mut self) {
+            RECORDER.set(self.0.take());
+        }
+    }
+
+    let _outer = Outer(RECORDER.replace(Some(recorder)));
     formulas(&Recording(()));
-    let recorder = RECORDER.replace(outer).expect("nothing else ends a recording");
-    recorder.tape
+    RECORDER.take().expect("nothing else ends a recording").tape
 }
 
 impl Recording {
@@ -111,6 +124,9 @@ impl Recorder {
 
     fn new_value(&mut self, kind: ValueType, operation: Operation, operands: [Option<ValueId>; 3]) -> ValueId {
         let id = ValueId(self.tape.instructions.len() as u32);
+        if id.0.is_multiple_of(VALUES_BETWEEN_CHECKS) {
+            interrupt::check();
+        }
         self.tape.instructions.push(Instruction { kind, operation, operands });
         let owner = self.function().number;
         self.defining_function.push(owner);

@@ -11,6 +11,8 @@ use math::snake_case;
 
 use call_groups::Step;
 
+use crate::interrupt;
+
 use super::liveness::Liveness;
 use super::verify::InvalidTape;
 use super::{Function, Instruction, Operation, Statement, Tape, ValueId, ValueType};
@@ -212,6 +214,7 @@ impl Printer<'_> {
     }
 
     fn statement(&mut self, statement: &Statement, depth: usize) {
+        interrupt::check();
         match statement {
             Statement::Comment(name) => self.note = Some(name),
             Statement::Emit(id) if self.live.is_live(*id) => {

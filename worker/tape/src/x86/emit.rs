@@ -11,6 +11,7 @@ use iced_x86::{Code, Instruction, MemoryOperand, Register};
 
 use super::isa::Isa;
 use super::operands::{MASK_SCRATCH, MASK_SCRATCH_2};
+use crate::interrupt;
 use crate::tape::{Allocation, Linear, ListFunctionLayout, Location, PAUSE, Step, Var};
 
 pub(super) const FRAME: Register = Register::RDI;
@@ -197,6 +198,7 @@ impl<'a> Emitter<'a> {
 
     fn steps(&mut self) {
         for step in &self.linear.steps {
+            interrupt::check();
             self.step(step);
         }
     }

@@ -4,7 +4,12 @@
 use std::collections::{HashMap, HashSet};
 
 use super::Printer;
+use crate::interrupt;
 use crate::tape::{Fold, Statement, Tape, ValueId};
+
+/// Maximum number of statements looked at for all groups of a block; after them, calls are printed one by one. Shipped scenes
+/// need a thousandth of it.
+const MAX_LOOKS: usize = 10_000_000;
 
 /// The values that statements use and define.
 #[derive(Default)]
@@ -71,53 +76,94 @@ pub(super) fn group_calls<'a>(printer: &Printer<'_>, block: &'a [Statement]) -> 
             *live_calls.entry(*function).or_default() += 1;
         }
     }
-    let mut rest: Vec<&Statement> = block.iter().collect();
+    let reaches: Vec<Reach> = block.iter().map(|statement| Reach::of(printer.tape, statement)).collect();
+    let mut is_printed = vec![false; block.len()];
+    let mut looks_left = MAX_LOOKS;
     let mut steps = Vec::new();
-    while let Some((&first, later)) = rest.split_first() {
-        let callee = match first {
-            Statement::Call { function, returned, .. }
-                if live_calls.get(function).is_some_and(|&count| count > 1) && is_live(returned) =>
-            {
-                *function
-            }
-            _ => {
-                steps.push(Step::One(first));
-                rest.remove(0);
-                continue;
-            }
-        };
-        let (mut calls, mut before) = (Vec::new(), Vec::new());
-        // Number of the statements before that some call may need.
-        let mut needed = 0;
-        let mut dependent: HashSet<ValueId> = HashSet::new();
-        for &statement in std::iter::once(&first).chain(later) {
-            let reach = Reach::of(printer.tape, statement);
-            let is_independent = reach.used.is_disjoint(&dependent);
-            match statement {
-                Statement::Call { function, arguments, returned }
-                    if *function == callee && is_independent && is_live(returned) =>
-                {
-                    calls.push((arguments.as_slice(), returned.as_slice()));
-                    needed = before.len();
-                    dependent.extend(returned);
-                }
-                _ if is_independent => before.push(statement),
-                _ => dependent.extend(reach.defined),
-            }
-        }
-        if calls.len() == 1 {
-            steps.push(Step::One(first));
-            rest.remove(0);
+    for first in 0..block.len() {
+        interrupt::check();
+        if std::mem::replace(&mut is_printed[first], true) {
             continue;
         }
-        let printed = |statement: &Statement| {
-            before[..needed].iter().any(|&other| std::ptr::eq(other, statement))
-                || matches!(statement, Statement::Call { returned, .. } if calls.iter().any(|(_, of_group)| *of_group == returned.as_slice()))
+        let group = match &block[first] {
+            Statement::Call { function, returned, .. } if is_live(returned) => {
+                let count = live_calls.get_mut(function).expect("all were counted");
+                let group = if *count > 1 && looks_left > 0 {
+                    Group::find(&is_live, block, &reaches, &is_printed, first, *count, &mut looks_left)
+                } else {
+                    Group::default()
+                };
+                *count -= group.calls.len().max(1);
+                group
+            }
+            _ => Group::default(),
         };
-        let remaining: Vec<&Statement> = later.iter().copied().filter(|statement| !printed(statement)).collect();
-        steps.extend(before[..needed].iter().map(|&statement| Step::One(statement)));
+        let Group { calls, before } = group;
+        if calls.len() < 2 {
+            steps.push(Step::One(&block[first]));
+            continue;
+        }
+        for &place in calls.iter().chain(&before) {
+            is_printed[place] = true;
+        }
+        steps.extend(before.into_iter().map(|place| Step::One(&block[place])));
+        let mut callee = 0;
+        let parts = calls.into_iter().map(|place| match &block[place] {
+            Statement::Call { function, arguments, returned } => {
+                callee = *function;
+                (arguments.as_slice(), returned.as_slice())
+            }
+            _ => unreachable!("a group has calls"),
+        });
+        let calls = parts.collect();
         steps.push(Step::Calls { function: callee, calls });
-        rest = remaining;
     }
     steps
+}
+
+/// Calls of one function, by their places in a block, and the statements before the last of them that some may need.
+#[derive(Default)]
+struct Group {
+    calls: Vec<usize>,
+    before: Vec<usize>,
+}
+
+impl Group {
+    /// The group of a call, one of `count` live calls of its function that are not printed.
+    fn find(
+        is_live: &impl Fn(&[ValueId]) -> bool,
+        block: &[Statement],
+        reaches: &[Reach],
+        is_printed: &[bool],
+        first: usize,
+        count: usize,
+        looks_left: &mut usize,
+    ) -> Self {
+        let Statement::Call { function: callee, .. } = &block[first] else { return Self::default() };
+        let mut group = Self::default();
+        let (mut seen, mut needed) = (0, 0);
+        let mut dependent: HashSet<ValueId> = HashSet::new();
+        for place in first..block.len() {
+            if seen == count || *looks_left == 0 {
+                break;
+            }
+            if place != first && is_printed[place] {
+                continue;
+            }
+            *looks_left -= 1;
+            let is_independent = reaches[place].used.is_disjoint(&dependent);
+            let is_call = matches!(&block[place], Statement::Call { function, returned, .. } if function == callee && is_live(returned));
+            seen += usize::from(is_call);
+            if is_call && is_independent {
+                group.calls.push(place);
+                needed = group.before.len();
+            } else if is_independent {
+                group.before.push(place);
+                continue;
+            }
+            dependent.extend(&reaches[place].defined);
+        }
+        group.before.truncate(needed);
+        group
+    }
 }
