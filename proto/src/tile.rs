@@ -55,14 +55,15 @@ impl Tiling {
     /// Cuts a frame into tiles, row by row: squares of [`TARGET_TILE_RAYS`] rays unless an edge was requested;
     /// larger if the frame would otherwise have too many tiles, smaller if a tile would have too many bytes.
     pub fn tiles(&self) -> Vec<Rect> {
-        let edge = self.chosen_edge_px();
+        let edge = self.edge_px();
         let rows = (0..self.height).step_by(edge as usize);
         rows.flat_map(|y| (0..self.width).step_by(edge as usize).map(move |x| (x, y)))
             .map(|(x, y)| Rect { x, y, width: edge.min(self.width - x), height: edge.min(self.height - y) })
             .collect()
     }
 
-    fn chosen_edge_px(&self) -> u32 {
+    /// Edge of the tiles, in pixels; those at the right and the bottom may be smaller.
+    pub fn edge_px(&self) -> u32 {
         let by_rays = ((TARGET_TILE_RAYS / u64::from(self.samples)) as f64).sqrt() as u32;
         let fits_bytes = (((MAX_TILE_BYTES / u64::from(self.pixel_bytes)) as f64).sqrt() as u32).max(GRID_PX);
         let asked = self.tile_edge.unwrap_or(by_rays).max(1);
