@@ -14,6 +14,8 @@ use crate::clock::monotonic_now;
 
 /// Number of objects deleted at a time.
 const MAX_CONCURRENT_DELETIONS: usize = 16;
+/// Number of files deleted while no report is counted.
+const FILES_OF_A_LOCK: usize = 256;
 /// Time in which names are deleted that were found to be unused; the rest waits for the next sweep.
 const MAX_SWEEP_TIME: Duration = Duration::from_secs(30);
 
@@ -81,29 +83,40 @@ impl BlobStore {
         Ok(found.map(|meta| age(&meta)))
     }
 
-    /// Deletes the `names` that `unneeded` still lists while no report can arrive. Returns the number
-    /// deleted, and the names that are too recent to delete: the same bytes may have been stored again without
-    /// a report yet.
+    /// Deletes the `names` that `unneeded` still lists while no report can arrive, so few at a time that a report never waits
+    /// for more than one deletion of a slow bucket. Returns the number deleted, and the names that are too recent to
+    /// delete: the same bytes may have been stored again without a report yet.
     pub(crate) async fn sweep<E, F>(
         &self,
         kind: ContentKind,
         names: &[String],
-        unneeded: impl FnOnce(Vec<String>) -> F,
+        unneeded: impl Fn(Vec<String>) -> F,
     ) -> Result<(u64, Vec<String>), E>
     where
         F: Future<Output = Result<Vec<String>, E>>,
     {
-        let shut = self.sweep_lock.write().await;
-        let names = unneeded(names.to_vec()).await?;
+        let begun = monotonic_now();
+        let at_a_time = match &self.backend {
+            Backend::Folder(_) => FILES_OF_A_LOCK,
+            Backend::Objects(_) => MAX_CONCURRENT_DELETIONS,
+        };
         let (mut count, mut young) = (0, Vec::new());
-        for (name, swept) in self.delete_old(kind, &names).await {
-            match swept {
-                Swept::Deleted => count += 1,
-                Swept::TooNew => young.push(name),
-                Swept::Missing | Swept::Failed => {}
+        for names in names.chunks(at_a_time) {
+            if begun.elapsed() > MAX_SWEEP_TIME {
+                break;
             }
+            // Reports wait for this lock, and it for them, in turn.
+            let shut = self.sweep_lock.write().await;
+            let names = unneeded(names.to_vec()).await?;
+            for (name, swept) in self.delete_old(kind, &names).await {
+                match swept {
+                    Swept::Deleted => count += 1,
+                    Swept::TooNew => young.push(name),
+                    Swept::Missing | Swept::Failed => {}
+                }
+            }
+            drop(shut);
         }
-        drop(shut);
         Ok((count, young))
     }
 

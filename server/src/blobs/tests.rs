@@ -3,6 +3,7 @@
 mod hostile;
 
 use std::io;
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 use futures_util::future::join_all;
 use futures_util::stream::TryStreamExt;
@@ -246,6 +247,27 @@ async fn memory_conforms() {
     conforms(&store).await;
     let again = BlobStore::open(&StoreLocation::Memory, data.path(), Some(Duration::ZERO)).await.expect("opens");
     old_objects_are_swept_and_refreshed(&again).await;
+}
+
+#[tokio::test]
+async fn a_report_waits_for_one_piece_of_a_sweep() {
+    let data = data();
+    let store = BlobStore::open(&StoreLocation::Memory, data.path(), None).await.expect("opens");
+    let names: Vec<String> = (0..100_u32).map(|name| blake3::hash(&name.to_le_bytes()).to_hex().to_string()).collect();
+    let pieces = AtomicUsize::new(0);
+    let unneeded = async |names| {
+        pieces.fetch_add(1, Ordering::Relaxed);
+        tokio::task::yield_now().await;
+        Ok::<_, ContentError>(names)
+    };
+    let report = async {
+        assert_eq!(pieces.load(Ordering::Relaxed), 1, "the sweep has begun");
+        drop(store.block_sweep().await);
+        pieces.load(Ordering::Relaxed)
+    };
+    let (swept, before_report) = tokio::join!(store.sweep(BLOB, &names, unneeded), report);
+    assert_eq!(swept.expect("sweeps"), (0, Vec::new()));
+    assert_eq!((before_report, pieces.load(Ordering::Relaxed)), (1, 7));
 }
 
 fn location(text: &str) -> (StoreLocation, String) {
