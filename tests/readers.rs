@@ -1,12 +1,14 @@
 //! The processes that read job files: what a submitter wrote ends at most one of them, and delays no other submitter.
 
+use std::fs;
+use std::process::Command;
 use std::time::Duration;
 
 use rustix::process::Signal;
 use serde_json::json;
 
 use crate::jobs;
-use crate::support::{Farm, eventually, is_alive, readers, send_signal, succeed};
+use crate::support::{Farm, eventually, finish, is_alive, readers, send_signal, succeed};
 
 fn tiny(seed: u64) -> String {
     jobs::seeded(&jobs::sized(&jobs::named("csg"), 8, 1), seed).to_string()
@@ -72,4 +74,48 @@ fn a_killed_server_leaves_no_reader() {
     send_signal(farm.process(), Signal::KILL);
     eventually("the server is dead", || farm.has_ended().then_some(()));
     eventually("its readers are dead", || idle.iter().all(|&process| !is_alive(process)).then_some(()));
+}
+
+#[test]
+fn stored_jobs_that_this_release_rejects_delay_no_other_user() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let data = folder.path().join("data");
+    let word = data.to_str().expect("plain");
+    let key = |name, scope| succeed(&["key", "new", name, "--scope", scope, "--data", word]).trim().to_owned();
+    let keys = [key("admin", "admin"), key("anna", "submit"), key("bert", "submit")];
+    let bearer = keys.map(|key| format!("Bearer {key}"));
+    let accept = |farm: &Farm, bearer: &str, seed| {
+        let answer = farm.send("POST", "/v1/jobs", &[("authorization", bearer)], tiny(seed).into());
+        assert_eq!(answer.status, 201, "{}", answer.text());
+        answer.json()["id"].as_str().expect("an id").to_owned()
+    };
+    let farm = Farm::start_on(folder.path(), &["--workers", "0"]);
+    let annas: Vec<String> = (0..6).map(|seed| accept(&farm, &bearer[1], seed)).collect();
+    farm.terminate();
+
+    // An earlier release accepted a file that this one takes too long to read.
+    let file = folder.path().join("costly.json");
+    fs::write(&file, jobs::of_noisy_copies(900_000).to_string()).expect("writable");
+    let program = "import sqlite3, sys
+farm = sqlite3.connect(sys.argv[1])
+farm.execute('UPDATE job_file SET text = ?', (open(sys.argv[2]).read(),))
+farm.commit()";
+    let mut python = Command::new("python3");
+    python.args(["-c", program]).arg(data.join("farm.sqlite")).arg(&file);
+    assert!(finish(python, b"").status.success());
+
+    let farm = Farm::start_on(folder.path(), &["--workers", "1"]);
+    let view = |id: &str| {
+        let answer = farm.send("GET", &format!("/v1/jobs/{id}"), &[("authorization", &bearer[0])], Vec::new());
+        answer.json()
+    };
+    let state = |id: &String| view(id)["state"].as_str().expect("a state").to_owned();
+    for seed in 10..13 {
+        let id = accept(&farm, &bearer[2], seed);
+        eventually("it is rendered", || (state(&id) == "succeeded").then_some(()));
+    }
+    assert!(annas.iter().any(|id| state(id) == "queued"), "the other user waited for all that are rejected");
+    // They are read one after the other, and say why they fail.
+    let failed = eventually("one fails", || annas.iter().find(|id| state(id) == "failed"));
+    assert!(view(failed)["errors"].to_string().contains("s to read"), "{}", view(failed));
 }

@@ -24,8 +24,7 @@ use processes::{Cost, Limits, NoAnswer, Processes};
 
 use crate::db::DatabaseError;
 use crate::fair_queue::{FairQueue, QueueTurn, TooManyWaiting, WaitingLimits};
-use crate::queue::{FrameOpening, Queue};
-use crate::tile_plan::TilePlan;
+use crate::queue::Queue;
 
 /// A file above this size is read alone.
 const LARGE_FILE_BYTES: usize = 256 << 10;
@@ -60,8 +59,8 @@ enum Lane {
 enum ParseReason<'a> {
     /// A request of this caller.
     Submitter(&'a str),
-    /// A claim of work of the job with this number.
-    Claim(i64),
+    /// A claim of work of this submitter's job.
+    Claim(&'a str),
 }
 
 /// Error when reading a job.
@@ -172,13 +171,14 @@ impl JobReader {
 
     /// Facts of a frame of the queue's job: known, or read from the job's file.
     pub(crate) async fn frame(&self, queue: &Queue, number: i64, frame: u32) -> Result<Arc<FrameFacts>, JobLoadError> {
-        if let Some(known) = self.find(number, frame) {
+        if let Some(known) = self.known(number, frame) {
             return Ok(known);
         }
+        let submitter = queue.submitter_of(number).await?.ok_or(JobLoadError::Gone)?;
         for lane in [Lane::BesideOthers, Lane::Alone] {
             // A claim that waits keeps no text, and another one may have read the job in the meantime.
-            let _place = self.turn(lane, ParseReason::Claim(number)).await?;
-            if let Some(known) = self.find(number, frame) {
+            let _place = self.turn(lane, ParseReason::Claim(&submitter)).await?;
+            if let Some(known) = self.known(number, frame) {
                 return Ok(known);
             }
             let text = Bytes::from(queue.file_of(number).await?.ok_or(JobLoadError::Gone)?);
@@ -191,20 +191,7 @@ impl JobReader {
                 None => {}
             }
         }
-        self.find(number, frame).ok_or(JobLoadError::Unexpected)
-    }
-
-    /// Opening of a frame of a job with this number and plan.
-    pub(crate) async fn frame_opening(
-        &self,
-        queue: &Queue,
-        number: i64,
-        frame: u32,
-        plan: TilePlan,
-    ) -> Result<FrameOpening, JobLoadError> {
-        let facts = self.frame(queue, number, frame).await?;
-        let (picture_key, scene) = (facts.picture_key.clone(), facts.scene.clone());
-        Ok(FrameOpening { job: number, frame, picture_key, scene, tiles: plan.tiles(), samples: plan.samples })
+        self.known(number, frame).ok_or(JobLoadError::Unexpected)
     }
 
     /// Remembers frames of a job.
@@ -212,7 +199,8 @@ impl JobReader {
         self.known.lock().expect("no holder panics").insert(number, frames);
     }
 
-    fn find(&self, number: i64, frame: u32) -> Option<Arc<FrameFacts>> {
+    /// Facts of a frame of the queue's job, if they are known.
+    pub(crate) fn known(&self, number: i64, frame: u32) -> Option<Arc<FrameFacts>> {
         self.known.lock().expect("no holder panics").frames.get(&(number, frame)).cloned()
     }
 
@@ -257,8 +245,8 @@ impl JobReader {
         match (reason, lane) {
             (ParseReason::Submitter(name), Lane::BesideOthers) => enter(&self.submitters, name).await,
             (ParseReason::Submitter(name), Lane::Alone) => enter(&self.alone, name).await,
-            (ParseReason::Claim(job), Lane::BesideOthers) => enter(&self.claims, &job.to_string()).await,
-            (ParseReason::Claim(job), Lane::Alone) => enter(&self.claims_alone, &job.to_string()).await,
+            (ParseReason::Claim(name), Lane::BesideOthers) => enter(&self.claims, name).await,
+            (ParseReason::Claim(name), Lane::Alone) => enter(&self.claims_alone, name).await,
         }
     }
 
@@ -389,7 +377,9 @@ mod tests {
         }
         let mut waiting = Box::pin(reader.run("anna", || 1));
         assert!(futures_util::poll!(&mut waiting).is_pending());
-        drop(reader.turn(Lane::BesideOthers, ParseReason::Claim(7)).await.expect("claims have places of their own"));
+        drop(
+            reader.turn(Lane::BesideOthers, ParseReason::Claim("anna")).await.expect("claims have places of their own"),
+        );
         // A file that takes long gives its place back.
         let _alone = enter(&reader.alone, "anna").await.expect("the place");
         let large = Bytes::from(vec![b' '; LARGE_FILE_BYTES + 1]);

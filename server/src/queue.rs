@@ -59,7 +59,7 @@ pub(crate) use verification::VerificationPolicy;
 pub(crate) use workers::changes::{WorkerChange, WorkerChangeOutcome};
 pub(crate) use workers::minutes::Rendered;
 pub(crate) use workers::needs::{LeaseNeed, UploadNeed};
-pub(crate) use workers::{NewWorker, Registration};
+pub(crate) use workers::{MAX_WORKERS_OF_KEY, NewWorker, Registration};
 
 /// Result of a transition.
 type Result<T> = std::result::Result<T, DatabaseError>;
@@ -283,8 +283,8 @@ impl Queue {
         Ok(deleted)
     }
 
-    /// Registers a worker.
-    pub(crate) async fn register(&self, worker: NewWorker) -> Result<Registration> {
+    /// Registers a worker; `None` if its key has too many.
+    pub(crate) async fn register(&self, worker: NewWorker) -> Result<Option<Registration>> {
         let context = self.context();
         self.database
             .write_for_worker(Durability::Relaxed, move |connection| {

@@ -41,7 +41,8 @@ impl Submissions {
         }
         for frame in 0..plan.frames.min(MAX_EAGER_CACHE_LOOKUPS) {
             // If the job cannot be read now, the frame is opened like any other.
-            let Ok(opening) = self.jobs.frame_opening(&self.queue, number, frame, plan).await else { break };
+            let Ok(facts) = self.jobs.frame(&self.queue, number, frame).await else { break };
+            let opening = facts.opening(number, plan);
             if !self.queue.has_picture(&opening.picture_key).await?
                 || self.queue.reuse(opening).await? != OpenOutcome::Stored
             {

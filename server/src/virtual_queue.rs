@@ -31,8 +31,8 @@ pub enum VirtualQueueError {
     /// A transition of the queue failed.
     #[error("the queue failed")]
     Transition(#[from] DatabaseError),
-    /// The queue rejected a job.
-    #[error("the queue rejected a job: {0}")]
+    /// The queue rejected a job or a worker.
+    #[error("the queue rejected a job or a worker: {0}")]
     Rejected(String),
     /// The queue does not know a worker.
     #[error("the queue does not know worker {0}")]
@@ -91,7 +91,8 @@ impl VirtualQueue {
             process: 0,
         };
         let new = NewWorker { request, pool: false, name: "simulated".to_owned(), owner: OWNER.to_owned() };
-        Ok(self.queue.register(new).await?.worker)
+        let registration = self.queue.register(new).await?;
+        Ok(registration.ok_or_else(|| VirtualQueueError::Rejected("too many workers".to_owned()))?.worker)
     }
 
     /// Submits a job, all of whose frames have these tiles.
@@ -162,6 +163,7 @@ fn sync_input(worker: WorkerId, rays_per_second: Option<RaysPerSecond>, reports:
         beside: false,
         shutting_down: false,
         opening: None,
+        passed_jobs: Vec::new(),
         max_batches: 1,
         next_openings: Vec::new(),
     }

@@ -58,8 +58,9 @@ impl WorkerSync {
         self.results.check(&mut turn).await?;
         // Results could not be stored, and would take the space that deletions need.
         turn.wants_work &= !self.reserve.is_released();
+        turn.passed_jobs = self.openings.passed_jobs();
         let worker = turn.worker;
-        let again = turn.without_reports();
+        let mut again = turn.without_reports();
         let reported = turn.reported_content();
         let taken = self.queue.turn(turn).await?;
         drop(gate);
@@ -74,21 +75,26 @@ impl WorkerSync {
         self.orphans.sweep_later(ContentKind::Picture, forgotten);
         let mut opening_turn = None;
         while let NextWork::OpenFrame { job, frame, plan } = synced.next {
-            let has_waited = match opening_turn {
-                Some(_) => false,
-                None => opening_turn.insert(self.openings.turn().await).has_waited,
+            let (opening_turn, has_waited) = match &mut opening_turn {
+                Some(turn) => (turn, false),
+                none => {
+                    let turn = none.insert(self.openings.turn().await);
+                    let has_waited = turn.has_waited;
+                    (turn, has_waited)
+                }
             };
-            let input = if has_waited {
-                // The syncs before this one may have opened its frame.
-                again.clone()
-            } else {
-                let Some(opening) = self.openings.of(job, frame, plan).await? else {
+            // The syncs before this one may have opened its frame.
+            let opening = if has_waited { None } else { self.openings.of(job, frame, plan, opening_turn).await };
+            let next_openings = match &opening {
+                Some(opening) => self.openings.following(opening, plan, again.max_batches - 1, opening_turn).await,
+                None if self.openings.are_many_passed() => {
                     synced.next = NextWork::Nothing(None);
                     break;
-                };
-                let next_openings = self.openings.following(&opening, plan, again.max_batches - 1).await?;
-                SyncInput { opening: Some(opening), next_openings, ..again.clone() }
+                }
+                None => Vec::new(),
             };
+            again.passed_jobs = self.openings.passed_jobs();
+            let input = SyncInput { opening, next_openings, ..again.clone() };
             let Some(more) = self.queue.turn(input).await? else {
                 tracing::warn!(%worker, "a worker exited while it claimed work");
                 return Ok(None);

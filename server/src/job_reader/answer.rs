@@ -8,6 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::clock::monotonic_now;
 use crate::delivery_check::ExpectedPicture;
+use crate::queue::FrameOpening;
 use crate::tile_plan::TilePlan;
 
 /// Maximum number of frames of an answer about frames, and of one about a job, whose client waits.
@@ -107,6 +108,12 @@ impl FrameFacts {
             Err(error) => (job.cache_key(frame), None, Err(error.to_string())),
         };
         Self { frame, picture_key: picture_key.to_hex().to_string(), scene, expected }
+    }
+
+    /// Opening of the frame, of a job with this number and plan.
+    pub(crate) fn opening(&self, job: i64, plan: TilePlan) -> FrameOpening {
+        let (picture_key, scene) = (self.picture_key.clone(), self.scene.clone());
+        FrameOpening { job, frame: self.frame, picture_key, scene, tiles: plan.tiles(), samples: plan.samples }
     }
 
     /// Size, in bytes, about.

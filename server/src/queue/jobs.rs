@@ -229,6 +229,11 @@ impl Queue {
         db::query_scalar("SELECT text FROM job_file WHERE job = ?").bind(number).fetch_optional(self.readers()).await
     }
 
+    /// Submitter of the job with this number.
+    pub(crate) async fn submitter_of(&self, number: i64) -> Result<Option<String>> {
+        db::query_scalar("SELECT submitter FROM job WHERE number = ?").bind(number).fetch_optional(self.readers()).await
+    }
+
     /// Picture of a frame.
     pub(crate) async fn image(&self, id: JobId, frame: u32) -> Result<StoredImage> {
         let row = db::query(

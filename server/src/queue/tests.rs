@@ -26,7 +26,7 @@ use crate::clock::{Clock, ManualClock};
 use crate::db;
 use crate::db::Database;
 use crate::postgres_server;
-use crate::queue::{FrameOpening, NewJob, NewWorker, NextWork, Queue, SyncInput};
+use crate::queue::{FrameOpening, NewJob, NewWorker, NextWork, Queue, Registration, SyncInput};
 use crate::tile_plan::TilePlan;
 
 const LEASE_MS: i64 = 1000;
@@ -71,6 +71,10 @@ impl Fixture {
 
     /// Registers a worker; with a process id it belongs to the pool.
     async fn register(&self, max_nodes: Option<u32>, process: Option<u32>) -> WorkerId {
+        self.try_register("local", max_nodes, process).await.expect("they are few").worker
+    }
+
+    async fn try_register(&self, owner: &str, max_nodes: Option<u32>, process: Option<u32>) -> Option<Registration> {
         let pool = process.is_some();
         let hello = RegisterRequest {
             name: String::new(),
@@ -80,10 +84,9 @@ impl Fixture {
             process: process.unwrap_or_default(),
         };
         self.queue
-            .register(NewWorker { request: hello, pool, name: "test".to_owned(), owner: "local".to_owned() })
+            .register(NewWorker { request: hello, pool, name: "test".to_owned(), owner: owner.to_owned() })
             .await
-            .expect("registered")
-            .worker
+            .expect("registers")
     }
 
     /// Process id of a worker.
@@ -180,6 +183,7 @@ fn turn(worker: WorkerId) -> SyncInput {
         beside: false,
         shutting_down: false,
         opening: None,
+        passed_jobs: Vec::new(),
         max_batches: 1,
         next_openings: Vec::new(),
     }

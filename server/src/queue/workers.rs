@@ -16,6 +16,9 @@ use proto::worker_protocol::RegisterRequest;
 use crate::queue::leases::{self, LeaseEnd};
 use crate::queue::{Connection, Queue, Result, TransitionContext, Wake, expect_rows, parse_column, verification};
 
+/// Maximum number of registered workers of one key.
+pub(crate) const MAX_WORKERS_OF_KEY: usize = 16_384;
+
 /// Worker that registers.
 #[derive(Clone, Debug)]
 pub(crate) struct NewWorker {
@@ -36,12 +39,23 @@ pub(crate) struct Registration {
     pub(crate) worker: WorkerId,
 }
 
-/// Registers a worker as ready.
+/// Registers a worker as ready; `None` if its key has too many.
 pub(super) async fn register(
     connection: &mut Connection,
     new: NewWorker,
     context: TransitionContext,
-) -> Result<Registration> {
+) -> Result<Option<Registration>> {
+    let limit = i64::try_from(MAX_WORKERS_OF_KEY).expect("it is a small number");
+    let known: i64 = db::query_scalar(
+        "SELECT count(*) FROM (SELECT 1 FROM worker WHERE owner = ? AND state <> 'gone' AND pool = 0 LIMIT ?) AS known",
+    )
+    .bind(&new.owner)
+    .bind(limit)
+    .fetch_one(&mut *connection)
+    .await?;
+    if known >= limit && !new.pool {
+        return Ok(None);
+    }
     let worker = WorkerId::new();
     let made = db::query(
         "INSERT INTO worker (id, name, device, state, pool, process, max_nodes, generation, seen_ms, registered_ms, owner)
@@ -60,7 +74,7 @@ pub(super) async fn register(
     .await?;
     expect_rows("worker: registered", 1, made)?;
     exclusion::quarantine_new(connection, &worker.to_string(), &new.owner, context).await?;
-    Ok(Registration { worker })
+    Ok(Some(Registration { worker }))
 }
 
 impl Queue {

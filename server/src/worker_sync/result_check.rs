@@ -86,7 +86,7 @@ impl ResultCheck {
             let delivered = Delivered { kind, hash: hash.clone(), size_bytes, tile };
             let verdict = match &last {
                 Some((same, verdict)) if *same == delivered => verdict.clone(),
-                _ => self.check_bytes(&delivered, turn.checked.as_ref()).await?,
+                _ => self.check_or_miss(&delivered, turn.checked.as_ref()).await?,
             };
             let (is_wrong, reason) = match &verdict {
                 Verdict::Right => {
@@ -140,6 +140,19 @@ impl ResultCheck {
         Ok(())
     }
 
+    /// Checks a result. One whose bytes cannot be read keeps no other result from being counted, unless the store as a
+    /// whole fails.
+    async fn check_or_miss(&self, delivered: &Delivered, known: Option<&CheckedNames>) -> Result<Verdict, SyncError> {
+        match self.check_bytes(delivered, known).await {
+            Err(SyncError::Content(error)) if !error.is_full() && error.unreachable_attempt().is_none() => {
+                let error: &(dyn std::error::Error + 'static) = &error;
+                tracing::error!(hash = delivered.hash, error, "could not read a result; its tile is requeued");
+                Ok(Verdict::Missing)
+            }
+            checked => checked,
+        }
+    }
+
     async fn check_bytes(&self, delivered: &Delivered, known: Option<&CheckedNames>) -> Result<Verdict, SyncError> {
         let Some(name) = ContentHash::parse(&delivered.hash) else {
             return Ok(Verdict::Wrong("the result's name is not a hash".to_owned()));
@@ -162,9 +175,13 @@ impl ResultCheck {
                     Err(error) => Err(format!("its frame cannot be rendered: {error}")),
                 },
                 Err(JobLoadError::Store(error)) => return Err(error.into()),
+                Err(error @ JobLoadError::Refused(_)) => {
+                    tracing::error!(job = tile.job, %error, "an accepted job cannot be parsed any more");
+                    self.queue.fail_unreadable(tile.job, error.to_string()).await?;
+                    return Ok(Verdict::Missing);
+                }
                 Err(
                     error @ (JobLoadError::Gone
-                    | JobLoadError::Refused(_)
                     | JobLoadError::Broken(_)
                     | JobLoadError::Unexpected
                     | JobLoadError::TooManyWaiting { .. }),

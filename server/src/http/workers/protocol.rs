@@ -27,7 +27,7 @@ use crate::http::state::handle_group;
 use crate::http::workers::trace_context;
 use crate::orphans::Orphans;
 use crate::pool::Pool;
-use crate::queue::{LeaseNeed, NewWorker, NextWork, Queue, SyncInput, SyncOutcome, UploadNeed};
+use crate::queue::{LeaseNeed, MAX_WORKERS_OF_KEY, NewWorker, NextWork, Queue, SyncInput, SyncOutcome, UploadNeed};
 use crate::shutdown::Shutdown;
 use crate::space_reserve::SpaceReserve;
 use crate::telemetry::Telemetry;
@@ -101,7 +101,12 @@ pub(in crate::http) async fn register(
     let label = matches!(caller, Caller::Pool).then(|| registrar.pool.label(hello.process)).flatten();
     let (pool, device, owner) = (label.is_some(), hello.device.clone(), caller.owner().to_owned());
     let name = label.unwrap_or_else(|| hello.name.clone());
-    let worker = registrar.queue.register(NewWorker { request: hello, pool, name: name.clone(), owner }).await?.worker;
+    let new = NewWorker { request: hello, pool, name: name.clone(), owner: owner.clone() };
+    let Some(registration) = registrar.queue.register(new).await? else {
+        let limit = MAX_WORKERS_OF_KEY;
+        return Err(ApiError::TooManyAtOnce { name: owner, what: "registered workers", limit });
+    };
+    let worker = registration.worker;
     registrar.telemetry.record_worker(worker, &name, &device);
     tracing::info!(%worker, %name, pool, "worker registered");
     let folders = if pool { folders(&registrar.content) } else { None };
@@ -144,6 +149,7 @@ pub(in crate::http) async fn sync(
         max_batches: request.max_batches.clamp(1, MAX_BATCHES),
         shutting_down: request.shutting_down,
         opening: None,
+        passed_jobs: Vec::new(),
         next_openings: Vec::new(),
     };
     let mut metrics = Some(request.metrics);

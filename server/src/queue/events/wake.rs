@@ -88,6 +88,11 @@ impl Queue {
         }
     }
 
+    /// Wakes the workers that wait for work.
+    pub(crate) fn wake_workers(&self) {
+        self.wake(Wake { work: true, news: false });
+    }
+
     /// Sends the wake signals that another server has hinted at.
     pub(crate) fn take_hints(&self, hints: Hints) {
         self.wake_signals.notify(hints);

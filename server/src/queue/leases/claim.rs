@@ -5,7 +5,7 @@
 //! that needs the frame's cache key, which the caller computes outside the transaction.
 
 use crate::db;
-use crate::db::{Readers, Row, Statement};
+use crate::db::{Readers, Row, Statement, Target};
 use proto::bounded::RaysPerSecond;
 use proto::worker_protocol::{Batch, BatchWork, LeasedTile, StitchInput};
 use proto::{JobId, LeaseId, Rect, WorkerId};
@@ -20,7 +20,7 @@ use crate::queue::{Connection, Result, TransitionContext, expect_rows, parse_col
 use crate::tile_plan::TilePlan;
 
 /// Job with something to claim, by priority and age. A test checks that this query needs no full scan.
-pub(super) const NEXT_JOB_SQL: &str = include_str!("next_job.sql");
+const NEXT_JOB_SQL: &str = include_str!("next_job.sql");
 
 /// Ready tiles of the job's first frame that has some, or that frame's stitch.
 const NEXT_TILES_SQL: &str = include_str!("next_tiles.sql");
@@ -138,6 +138,12 @@ pub(in crate::queue) struct ClaimFilter {
 }
 
 impl ClaimFilter {
+    /// Job with something to claim; the next frames of the `passed` jobs do not count.
+    pub(super) async fn next_job(&self, on: impl Into<Target<'_>>, passed: &[i64]) -> Result<Option<ClaimableJob>> {
+        let row = self.bind(NEXT_JOB_SQL).bind(serde_json::json!(passed).to_string()).fetch_optional(on).await?;
+        row.as_ref().map(ClaimableJob::read).transpose()
+    }
+
     /// Binds the parameters ?1 to ?5, which all statements of a claim share.
     pub(in crate::queue) fn bind(&self, statement: &'static str) -> Statement {
         let statement = db::query(statement).bind(self.now_ms).bind(&self.worker);
@@ -145,10 +151,11 @@ impl ClaimFilter {
     }
 }
 
-/// Claims work for a worker.
+/// Claims work for a worker; opens no frame of the `passed` jobs.
 pub(in crate::queue) async fn claim(
     connection: &mut Connection,
     claimant: ClaimRequest,
+    passed: &[i64],
     context: TransitionContext,
 ) -> Result<ClaimOutcome> {
     let view = ClaimFilter {
@@ -158,13 +165,12 @@ pub(in crate::queue) async fn claim(
         max_nodes: claimant.max_nodes,
         beside: claimant.beside,
     };
-    let Some(row) = view.bind(NEXT_JOB_SQL).fetch_optional(&mut *connection).await? else {
+    let Some(job) = view.next_job(&mut *connection, passed).await? else {
         if claimant.beside {
             return Ok(ClaimOutcome::Nothing(None));
         }
         return claim_straggler(connection, &view, claimant, context).await;
     };
-    let job = ClaimableJob::read(&row)?;
     let rows = view.bind(NEXT_TILES_SQL).bind(job.number).bind(job.nodes).fetch_all(&mut *connection).await?;
     let Some(next) = rows.first() else {
         return Ok(ClaimOutcome::NeedsFrame { job: job.number, frame: job.frames_opened, plan: job.plan });
@@ -188,7 +194,7 @@ pub(in crate::queue) async fn claim(
 pub(in crate::queue) async fn has_work(readers: &Readers, now_ms: i64) -> Result<bool> {
     let (worker, others_max_nodes, max_nodes) = (String::new(), ANY_NODES, ANY_NODES);
     let anyone = ClaimFilter { now_ms, worker, others_max_nodes, max_nodes, beside: false };
-    Ok(anyone.bind(NEXT_JOB_SQL).fetch_optional(readers).await?.is_some())
+    Ok(anyone.next_job(readers, &[]).await?.is_some())
 }
 
 /// Called if no tile is ready: searches for a straggler to duplicate.

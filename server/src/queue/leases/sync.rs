@@ -52,6 +52,8 @@ pub(crate) struct SyncInput {
     pub(crate) wants_work: bool,
     /// Whether only a batch of a submitter of whom it holds nothing: it renders it beside another.
     pub(crate) beside: bool,
+    /// Numbers of the jobs whose next frame cannot be opened now.
+    pub(crate) passed_jobs: Vec<i64>,
     /// Maximum number of batches that it requests.
     pub(crate) max_batches: u32,
     /// Whether the worker is shutting down.
@@ -304,7 +306,7 @@ async fn claim_work(
     let mut openings = turn.next_openings.iter();
     let (mut first, mut more, mut seconds) = (None, Vec::new(), 0.0);
     let reason = loop {
-        let time = match claim::claim(connection, claimant, context).await? {
+        let time = match claim::claim(connection, claimant, &turn.passed_jobs, context).await? {
             ClaimOutcome::Run(batch, time) => {
                 match first {
                     None => first = Some(batch),

@@ -6,9 +6,9 @@ use std::time::Duration;
 use proto::WorkerId;
 use proto::worker_protocol::{Batch, LeaseOutcome, LeaseReport};
 
-use super::{Fixture, leases, new_job, speed, turn};
+use super::{Fixture, execute, leases, new_job, speed, turn};
 use crate::db;
-use crate::queue::{FrameOpening, NewJob, NextWork, OpenOutcome, SyncInput, SyncOutcome};
+use crate::queue::{FrameOpening, MAX_WORKERS_OF_KEY, NewJob, NextWork, OpenOutcome, SyncInput, SyncOutcome};
 use crate::tile_plan::TilePlan;
 
 /// Longer than any back-off.
@@ -54,6 +54,27 @@ async fn fail_thrice(bench: &Fixture, worker: WorkerId) {
 pub(super) async fn state(bench: &Fixture, worker: WorkerId) -> String {
     let state = db::query_scalar("SELECT state FROM worker WHERE id = ?").bind(worker.to_string());
     state.fetch_one(bench.queue.readers()).await.expect("reads")
+}
+
+#[tokio::test]
+async fn a_key_has_a_limited_number_of_workers() {
+    let bench = Fixture::new().await;
+    bench.worker(None).await;
+    execute(
+        &bench,
+        "WITH RECURSIVE counted (n) AS (SELECT 2 UNION ALL SELECT n + 1 FROM counted WHERE n < 16383)
+         INSERT INTO worker (id, name, device, state, pool, process, generation, seen_ms, registered_ms, owner)
+         SELECT 'worker ' || n, name, device, state, pool, process, generation, seen_ms, registered_ms, owner
+         FROM worker @join counted",
+    )
+    .await;
+    assert_eq!(MAX_WORKERS_OF_KEY, 16384);
+    assert!(bench.try_register("local", None, None).await.is_some(), "the last one");
+    assert!(bench.try_register("local", None, None).await.is_none());
+    assert!(bench.try_register("another", None, None).await.is_some());
+    assert!(bench.try_register("local", None, Some(1)).await.is_some(), "the server limits its pool itself");
+    execute(&bench, "UPDATE worker SET state = 'gone' WHERE id = 'worker 2'").await;
+    assert!(bench.try_register("local", None, None).await.is_some());
 }
 
 #[tokio::test]

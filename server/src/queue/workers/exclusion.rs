@@ -23,6 +23,8 @@ const EXCLUSION_MS: i64 = 3_600_000;
 /// Number of exclusions that quarantines a worker. Jobs that failed as a whole do not count, because they
 /// failed on every worker.
 const EXCLUSIONS_BEFORE_QUARANTINE: i64 = 3;
+/// Number of a key's workers, those that registered last, by which a new one is judged.
+const RECENT_WORKERS: i64 = 64;
 /// Number of a worker's results with wrong bytes that quarantines it. A correct worker has none.
 const WRONG_RESULTS_BEFORE_QUARANTINE: i64 = 3;
 
@@ -134,7 +136,7 @@ pub(in crate::queue) async fn exclude_owner(
     Ok(true)
 }
 
-/// Quarantines a new remote worker if most of its owner's known workers are excluded from too many jobs: otherwise a failing
+/// Quarantines a new remote worker if most of its owner's last workers are excluded from too many jobs: otherwise a failing
 /// key would get work by registering again.
 pub(in crate::queue) async fn quarantine_new(
     connection: &mut Connection,
@@ -147,7 +149,8 @@ pub(in crate::queue) async fn quarantine_new(
          AND (SELECT 2 * count(*) FILTER (WHERE exclusions >= ?4) > count(*) FROM (
               SELECT (SELECT count(*) FROM strike JOIN job ON job.number = strike.job
                       WHERE strike.worker = same.id AND until_ms > ?3 AND job.state <> 'failed') AS exclusions
-              FROM worker AS same WHERE same.owner = ?2 AND same.pool = 0 AND same.id <> ?1) AS known)
+              FROM worker AS same WHERE same.owner = ?2 AND same.pool = 0 AND same.id <> ?1
+              ORDER BY same.registered_ms DESC LIMIT ?5) AS known)
          AND EXISTS (SELECT 1 FROM worker AS other
               WHERE other.state <> 'gone' AND other.state = 'ready' AND other.id <> ?1)",
     )
@@ -155,6 +158,7 @@ pub(in crate::queue) async fn quarantine_new(
     .bind(owner)
     .bind(context.now_ms)
     .bind(EXCLUSIONS_BEFORE_QUARANTINE)
+    .bind(RECENT_WORKERS)
     .execute(connection)
     .await?;
     log_quarantine(quarantined, worker, "most workers of its key failed in too many jobs");
