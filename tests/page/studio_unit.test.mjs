@@ -11,7 +11,7 @@ import { find, nodeAt, parse, pathOf, pathOfPointer, placeAt, pointer, valueOf }
 import { NodeTable } from '../../web/studio/nodes.js';
 import { dragged, slider, stepped } from '../../web/studio/numbers.js';
 import { markOf, positionOf } from '../../web/studio/places.js';
-import { stages } from '../../web/studio/stages.js';
+import { sharper, stages } from '../../web/studio/stages.js';
 
 const root = new URL('../../', import.meta.url);
 const scenes = ['scenes/', 'docs/scenes/', 'docs/scenes/light/', 'docs/tutorial/'].flatMap((folder) =>
@@ -223,15 +223,20 @@ test('faults are marked where they are', () => {
 
 test('small pictures come first, and a drag asks for small ones alone', () => {
   const wanted = { text: '', frame: 0, layer: 'color', width: 1000, jobWidth: 1920, jobSamples: 64 };
-  const cheap = stages(wanted, 1e-4, 5, false, 9 / 16);
+  const costs = (perRay, more = {}) => ({ perRay, overhead: 5, firstLimit: 250, ...more });
+  const cheap = stages(wanted, costs(1e-4), false, 9 / 16);
   assert.equal(cheap[0].width, 480);
   assert.deepEqual([cheap.at(-1).width, cheap.at(-1).samples], [1000, 16]);
   assert.ok(cheap[0].limitMs < cheap.at(-1).limitMs);
-  const dear = stages(wanted, 0.02, 5, false, 9 / 16);
+  const dear = stages(wanted, costs(0.02), false, 9 / 16);
   assert.ok(dear[0].width <= 112 && dear.at(-1).samples === 1);
-  assert.equal(stages(wanted, 1e-4, 5, true, 9 / 16).length, 1);
+  assert.equal(stages(wanted, costs(1e-4), true, 9 / 16).length, 1);
   for (const list of [cheap, dear]) list.reduce((before, each) => (assert.ok(each.width >= before.width), each));
-  assert.ok(stages({ ...wanted, jobWidth: 32 }, null, 5, false, 1)[0].width <= 32);
+  // A scene that takes a second to prepare is worth a first picture that takes a little longer.
+  const prepared = stages(wanted, costs(0.002, { overhead: 1000, firstLimit: 4000 }), false, 9 / 16);
+  assert.ok(prepared[0].width >= 480 && prepared[0].limitMs === 4000);
+  assert.deepEqual([sharper(21, wanted).width, sharper(300, wanted).width, sharper(900, wanted).width, sharper(1000, wanted)], [96, 600, 1000, null]);
+  assert.ok(stages({ ...wanted, jobWidth: 32 }, costs(null), false, 1)[0].width <= 32);
 });
 
 test('the object of a place is named', () => {

@@ -118,6 +118,21 @@ export function clock(time, withSeconds = true) {
  */
 export const percent = (fraction) => `${Math.floor(fraction * 100)} %`;
 
+/** Letters of a name that are shown: more than a valid name has. */
+const SHOWN_LETTERS = 400;
+
+/**
+ * A name as it is shown: a job file may have names of megabytes, which take seconds to lay out also where they are not seen.
+ * @param {string} name
+ * @param {number} [letters] most that are shown
+ */
+export function shortened(name, letters = SHOWN_LETTERS) {
+  if (name.length <= letters) return name;
+  const last = name.charCodeAt(letters - 2);
+  // A pair of code units is not cut in two.
+  return `${name.slice(0, last >= 0xd800 && last < 0xdc00 ? letters - 2 : letters - 1)}…`;
+}
+
 /**
  * The last characters of an id, which are random.
  * @param {string} id

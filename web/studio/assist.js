@@ -2,6 +2,7 @@
 
 import { EditorView, autocompletion, hoverTooltip, startCompletion, keymap, tooltips } from '/ui/vendor/codemirror.js';
 import { h } from '/ui/parts/dom.js';
+import { shortened } from '/ui/parts/format.js';
 import { documentation } from './documentation.js';
 import { pretty } from './insert.js';
 import { indentAt } from './edits.js';
@@ -160,7 +161,7 @@ function plainOptions(table, slot, key, numbers) {
  * @param {number} [boost]
  * @returns {Completion}
  */
-const plain = (label, detail, value, boost = 0) => ({ label, detail, type: 'value', boost, apply: applyValue(value) });
+const plain = (label, detail, value, boost = 0) => ({ label: shortened(label), detail, type: 'value', boost, apply: applyValue(value) });
 
 /**
  * @param {Kind} kind

@@ -3,6 +3,9 @@
 /** @typedef {import('./json.js').JsonNode} JsonNode */
 /** @typedef {[number, number, number]} Rgb */
 
+/** Longest text that can be a color. */
+const LONGEST_CHARS = 200;
+
 /**
  * sRGB of linear light, 0 to 1 (IEC 61966-2-1).
  * @param {number} light
@@ -42,6 +45,7 @@ export function linearOf(hex) {
  * @returns {Rgb | undefined}
  */
 export function parseText(text) {
+  if (text.length > LONGEST_CHARS) return undefined;
   const hex = /^#([0-9a-f]{3}|[0-9a-f]{6})$/i.exec(text.trim())?.[1];
   if (hex !== undefined) return linearOf(`#${hex.length === 3 ? [...hex].map((digit) => digit + digit).join('') : hex}`);
   const parts = /^rgb\(\s*([\d.]+%?)\s*[, ]\s*([\d.]+%?)\s*[, ]\s*([\d.]+%?)\s*\)$/i.exec(text.trim())?.slice(1);

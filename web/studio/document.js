@@ -1,8 +1,12 @@
 // Reads from a job's text: its size, its frames, and which object a place belongs to.
 
+import { shortened } from '../parts/format.js';
 import { child, find, nodeAt, pathOf } from './json.js';
 
 /** @typedef {import('./json.js').JsonNode} JsonNode */
+
+/** Letters of a key that are shown in a place. */
+const MOST_STEP_LETTERS = 60;
 
 /**
  * Number at a path, or another if it is not a plain number.
@@ -35,6 +39,12 @@ export function shownOf(root) {
 }
 
 /**
+ * The keys that lead to a node, to be shown.
+ * @param {JsonNode} node
+ */
+export const placeOf = (node) => shortened(pathOf(node).map((step) => shortened(String(step), MOST_STEP_LETTERS)).join(' › '));
+
+/**
  * The object that a position is in, in words; null outside of objects.
  * @param {JsonNode} root
  * @param {number} position
@@ -44,10 +54,10 @@ export function objectOf(root, position) {
   let node = nodeAt(root, position);
   for (; node !== null && node.parent !== null; node = node.parent) {
     if (typeof node.key === 'number' && node.parent.key === 'objects') return objectName(node, node.key);
-    if (typeof node.key === 'number' && node.parent.key === 'lights') return `Light ${node.key + 1}: ${String(node.children[0]?.key ?? '')}`;
+    if (typeof node.key === 'number' && node.parent.key === 'lights') return `Light ${node.key + 1}: ${shortened(String(node.children[0]?.key ?? ''))}`;
     const place = pathOf(node);
-    if (place.length === 3 && place[0] === 'scene' && place[1] === 'materials') return `Material ${String(place[2])}`;
-    if (place.length === 3 && place[0] === 'scene' && place[1] === 'shapes') return `Shape ${String(place[2])}`;
+    if (place.length === 3 && place[0] === 'scene' && place[1] === 'materials') return `Material ${shortened(String(place[2]))}`;
+    if (place.length === 3 && place[0] === 'scene' && place[1] === 'shapes') return `Shape ${shortened(String(place[2]))}`;
     if (place.length === 2 && place[1] === 'camera') return 'Camera';
   }
   return null;
@@ -61,6 +71,6 @@ function objectName(object, index) {
   const name = child(object, 'name');
   const material = child(object, 'material');
   const shape = child(object, 'shape')?.children[0]?.key;
-  const called = name?.kind === 'text' && name.value !== '' ? `“${String(name.value)}”` : String(shape ?? '');
-  return [`Object ${index + 1}`, called === '' ? '' : `: ${called}`, material?.kind === 'text' ? `, ${String(material.value)}` : ''].join('');
+  const called = name?.kind === 'text' && name.value !== '' ? `“${shortened(String(name.value))}”` : shortened(String(shape ?? ''));
+  return [`Object ${index + 1}`, called === '' ? '' : `: ${called}`, material?.kind === 'text' ? `, ${shortened(String(material.value))}` : ''].join('');
 }

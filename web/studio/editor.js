@@ -59,6 +59,8 @@ const inGesture = Annotation.define();
 /** Says that what is known of the text has changed, but not the text. */
 export const refreshed = StateEffect.define();
 
+/** Longest line of a text that is colored, and of one whose lines are broken, which costs a second for each million characters. */
+const [MAX_COLORED_CHARS, MAX_WRAPPED_CHARS] = [1_000_000, 100_000];
 /** Typing within this time is one step of undo. */
 const JOIN_MS = 500;
 
@@ -111,7 +113,6 @@ export class Editor extends EventTarget {
       EditorState.tabSize.of(2),
       indentUnit.of('  '),
       indentOnInput(),
-      bracketMatching(),
       closeBrackets(),
       highlightActiveLine(),
       highlightActiveLineGutter(),
@@ -148,8 +149,9 @@ export class Editor extends EventTarget {
   #newState(text) {
     return EditorState.create({
       doc: text,
-      // A language costs a pause for each million characters of one line; such a text is shown plain.
-      extensions: [...this.#extensions, ...(hasLongLine(text) ? [] : [job()])],
+      // A language, and the search of a bracket's other half, cost a pause for each million characters of one line; such a
+      // text is shown plain.
+      extensions: [...this.#extensions, ...(hasLongLine(text, MAX_COLORED_CHARS) ? [] : [job(), bracketMatching()])],
     });
   }
 
@@ -296,12 +298,13 @@ export class Editor extends EventTarget {
   }
 
   /**
-   * Breaks long lines, or lets them scroll.
+   * Breaks long lines, or lets them scroll, as very long ones always do.
    * @param {boolean} isWrapped
    */
   wrap(isWrapped) {
     this.#isWrapped = isWrapped;
-    this.view.dispatch({ effects: this.#wrapping.reconfigure(isWrapped ? EditorView.lineWrapping : []) });
+    const isBroken = isWrapped && !hasLongLine(this.text, MAX_WRAPPED_CHARS);
+    this.view.dispatch({ effects: this.#wrapping.reconfigure(isBroken ? EditorView.lineWrapping : []) });
   }
 
   /** Makes decorations again, because what is known of the text has changed. */
@@ -323,11 +326,14 @@ function foldMarker(isOpen) {
   return mark;
 }
 
-/** @param {string} text */
-function hasLongLine(text) {
+/**
+ * @param {string} text
+ * @param {number} most characters of a line that is not long
+ */
+function hasLongLine(text, most) {
   for (let at = 0; at < text.length; ) {
     const end = text.indexOf('\n', at);
-    if ((end < 0 ? text.length : end) - at > 1_000_000) return true;
+    if ((end < 0 ? text.length : end) - at > most) return true;
     if (end < 0) return false;
     at = end + 1;
   }

@@ -1,7 +1,7 @@
 // Job files on the person's disk.
 
 import { toast } from '/ui/parts/toast.js';
-import { size } from '/ui/parts/format.js';
+import { shortened, size } from '/ui/parts/format.js';
 import { h } from '/ui/parts/dom.js';
 
 /** @typedef {import('./studio.js').Studio} Studio */
@@ -56,7 +56,7 @@ export function saveFile(studio) {
  * @param {string} name
  */
 export function fileName(name) {
-  const safe = name.normalize().replace(/[\u0000-\u001f\u007f"*/:<>?\\|]+/g, '-').replace(/^[.\s-]+|[.\s-]+$/g, '');
+  const safe = shortened(name).normalize().replace(/[\u0000-\u001f\u007f"*/:<>?\\|]+/g, '-').replace(/^[.\s-]+|[.\s-]+$/g, '');
   return safe.slice(0, 100) || 'job';
 }
 

@@ -3,10 +3,11 @@
 
 /** Edge of a workgroup, in pixels. */
 const GROUP = 8;
-/** A band of a picture should take this long, in milliseconds. */
-const BAND_MS = 40;
-/** Pixels of the first band, before the time of one is known. */
-const FIRST_BAND_PIXELS = 2048;
+/** A tile of a picture should take this long, in milliseconds. */
+const TILE_MS = 40;
+/** Pixels of the first tile of a picture, and how many times larger the next may be: no work of unknown length is submitted. */
+const FIRST_TILE_PIXELS = 256;
+const MOST_GROWTH = 16;
 /** Bytes of the block that says what a dispatch renders. */
 const DISPATCH_BYTES = 32;
 
@@ -27,7 +28,15 @@ const SHOW = `
  * @typedef {object} RendererOptions
  * @property {HTMLCanvasElement | OffscreenCanvas | null} [canvas] Shows each band when it is rendered; null: pixels are only read.
  * @property {(reason: string) => void} [onLost] Called once if the GPU is lost: make a new renderer, or show previews.
+ * @property {Limits} [limits] None by default.
  */
+
+/**
+ * Times in milliseconds after which a program, or a picture, is given up with an error. If the GPU does not answer by then,
+ * the renderer is destroyed.
+ * @typedef {{compileMs: number, drawMs: number}} Limits
+ */
+const NO_LIMITS = { compileMs: Infinity, drawMs: Infinity };
 
 /**
  * @typedef {object} DrawOptions
@@ -40,7 +49,7 @@ const SHOW = `
  * @param {RendererOptions} [options]
  * @returns {Promise<Renderer | null>}
  */
-export async function createRenderer({ canvas = null, onLost = () => {} } = {}) {
+export async function createRenderer({ canvas = null, onLost = () => {}, limits = NO_LIMITS } = {}) {
   // Where there is no WebGPU, the types are wrong to promise it.
   const gpu = /** @type {GPU | undefined} */ (navigator.gpu);
   if (!gpu) return null;
@@ -58,8 +67,19 @@ export async function createRenderer({ canvas = null, onLost = () => {} } = {}) 
     device.destroy();
     return null;
   }
-  return new Renderer(device, canvas, context, gpu.getPreferredCanvasFormat(), onLost);
+  return new Renderer(device, { canvas, context, format: gpu.getPreferredCanvasFormat(), onLost, limits });
 }
+
+const COMPILE = 'compile the program of this scene';
+const DRAW = 'draw this scene';
+/** @param {string} what */
+const tooLong = (what) => `this machine’s GPU takes too long to ${what}`;
+
+/**
+ * A number of pixels, as whole workgroups.
+ * @param {number} pixels
+ */
+const whole = (pixels) => Math.floor(pixels / GROUP) * GROUP;
 
 /** Renders the pictures of one program at a time. */
 export class Renderer {
@@ -91,17 +111,17 @@ export class Renderer {
   #turn = 0;
   #programTurn = 0;
   #isLost = false;
-  #pixelsPerMs = 0;
+  #limits;
+  /** Whether the program has been dispatched: some devices compile it then. */
+  #isCompiled = false;
 
   /**
    * @param {GPUDevice} device
-   * @param {HTMLCanvasElement | OffscreenCanvas | null} canvas
-   * @param {GPUCanvasContext | null} context
-   * @param {GPUTextureFormat} format
-   * @param {(reason: string) => void} onLost
+   * @param {Required<RendererOptions> & {context: GPUCanvasContext | null, format: GPUTextureFormat}} options
    */
-  constructor(device, canvas, context, format, onLost) {
+  constructor(device, { canvas, context, format, onLost, limits }) {
     this.#device = device;
+    this.#limits = limits;
     this.#canvas = canvas;
     this.#context = context;
     this.#format = format;
@@ -128,8 +148,8 @@ export class Renderer {
   }
 
   /**
-   * Compiles a program. Rejects with the compiler's messages if it is invalid; resolves to false if a later program
-   * replaced it in the meantime.
+   * Compiles a program. Rejects with the compiler's messages if it is invalid, and if it takes too long; resolves to false
+   * if a later program replaced it in the meantime.
    * @param {string} wgsl
    * @returns {Promise<boolean>}
    */
@@ -140,9 +160,11 @@ export class Renderer {
     const module = this.#device.createShaderModule({ code: wgsl });
     const layout = this.#device.createPipelineLayout({ bindGroupLayouts: [this.#layout] });
     let pipeline;
+    const compiling = this.#device.createComputePipelineAsync({ layout, compute: { module, entryPoint: 'render' } });
     try {
-      pipeline = await this.#device.createComputePipelineAsync({ layout, compute: { module, entryPoint: 'render' } });
+      pipeline = await this.#answer(compiling, this.#limits.compileMs, COMPILE);
     } catch (error) {
+      if (this.#isLost) throw error;
       const { messages } = await module.getCompilationInfo();
       const errors = messages.filter(({ type }) => type === 'error');
       const texts = errors.map(({ lineNum, message }) => `line ${lineNum}: ${message}`);
@@ -150,7 +172,7 @@ export class Renderer {
     }
     if (turn !== this.#programTurn) return false;
     this.#pipeline = pipeline;
-    this.#pixelsPerMs = 0;
+    this.#isCompiled = false;
     return true;
   }
 
@@ -187,7 +209,8 @@ export class Renderer {
   }
 
   /**
-   * Renders the picture in bands. Resolves to false if a later draw or change replaced it, or the GPU was lost.
+   * Renders the picture in bands, each in tiles. Resolves to false if a later draw or change replaced it, or the GPU was
+   * lost; rejects if it takes too long.
    * @param {DrawOptions} [options]
    * @returns {Promise<boolean>}
    */
@@ -197,21 +220,29 @@ export class Renderer {
     this.#turn += 1;
     const turn = this.#turn;
     const [width, height] = [this.#width, this.#height];
+    const isCurrent = () => !this.#isLost && turn === this.#turn;
+    await this.#compile(pipeline, target);
+    const begin = performance.now();
+    let pixels = FIRST_TILE_PIXELS;
     for (let sample = 0; sample < samples; sample += 1) {
       for (let y = 0; y < height; ) {
-        if (this.#isLost || turn !== this.#turn) return false;
-        const pixels = this.#pixelsPerMs > 0 ? this.#pixelsPerMs * BAND_MS : FIRST_BAND_PIXELS;
-        const rows = Math.min(height - y, Math.max(GROUP, Math.floor(pixels / width / GROUP) * GROUP));
-        const start = performance.now();
-        this.#render(pipeline, target, { y, rows, sample });
-        this.#present(target);
-        await this.#device.queue.onSubmittedWorkDone();
-        this.#pixelsPerMs = (rows * width) / Math.max(0.5, performance.now() - start);
+        const rows = Math.min(height - y, Math.max(GROUP, whole(pixels / width)));
+        for (let x = 0; x < width; ) {
+          if (!isCurrent()) return false;
+          const columns = Math.min(width - x, Math.max(GROUP, whole(pixels / rows)));
+          const start = performance.now();
+          this.#render(pipeline, target, { x, y, columns, rows, sample });
+          x += columns;
+          if (x >= width) this.#present(target);
+          await this.#answer(this.#device.queue.onSubmittedWorkDone(), this.#limits.drawMs, DRAW);
+          if (performance.now() - begin > this.#limits.drawMs) throw new Error(tooLong(DRAW));
+          pixels = Math.min(MOST_GROWTH * pixels, (columns * rows * TILE_MS) / Math.max(0.5, performance.now() - start));
+        }
         y += rows;
         onProgress((sample + y / height) / samples);
       }
     }
-    return !this.#isLost && turn === this.#turn;
+    return isCurrent();
   }
 
   /**
@@ -239,6 +270,43 @@ export class Renderer {
     this.#device.destroy();
   }
 
+  /**
+   * Waits for the GPU. One that takes too long is left, with what it still does.
+   * @template T
+   * @param {Promise<T>} work
+   * @param {number} limitMs
+   * @param {string} what that takes too long
+   * @returns {Promise<T>}
+   */
+  async #answer(work, limitMs, what) {
+    if (limitMs === Infinity) return work;
+    let timer = 0;
+    /** @type {Promise<never>} */
+    const late = new Promise((_, reject) => {
+      timer = setTimeout(() => {
+        reject(new Error(tooLong(what)));
+        this.destroy();
+      }, limitMs);
+    });
+    try {
+      return await Promise.race([work, late]);
+    } finally {
+      clearTimeout(timer);
+    }
+  }
+
+  /**
+   * Dispatches a program for the first time, for no pixel.
+   * @param {GPUComputePipeline} pipeline
+   * @param {{sums: GPUBuffer, picture: GPUBuffer}} target
+   */
+  async #compile(pipeline, target) {
+    if (this.#isCompiled) return;
+    this.#render(pipeline, target, { x: 0, y: 0, columns: 0, rows: 0, sample: 0 });
+    await this.#answer(this.#device.queue.onSubmittedWorkDone(), this.#limits.compileMs, COMPILE);
+    if (pipeline === this.#pipeline) this.#isCompiled = true;
+  }
+
   /** @param {number} size in bytes */
   #storage(size) {
     const usage = GPUBufferUsage.STORAGE | GPUBufferUsage.COPY_DST | GPUBufferUsage.COPY_SRC;
@@ -263,24 +331,24 @@ export class Renderer {
   }
 
   /**
-   * Renders a band of one sample.
+   * Renders a tile of one sample.
    * @param {GPUComputePipeline} pipeline
    * @param {{sums: GPUBuffer, picture: GPUBuffer}} target
-   * @param {{y: number, rows: number, sample: number}} band
+   * @param {{x: number, y: number, columns: number, rows: number, sample: number}} tile
    */
-  #render(pipeline, { sums, picture }, { y, rows, sample }) {
+  #render(pipeline, { sums, picture }, { x, y, columns, rows, sample }) {
     const buffers = [this.#dispatch, this.#numbers, this.#words, sums, picture];
     this.#bindings ??= this.#device.createBindGroup({
       layout: this.#layout,
       entries: buffers.map((buffer, binding) => ({ binding, resource: { buffer } })),
     });
-    const block = new Uint32Array([0, y, this.#width, rows, this.#width, sample, sample + 1, 0]);
+    const block = new Uint32Array([x, y, columns, rows, this.#width, sample, sample + 1, 0]);
     this.#device.queue.writeBuffer(this.#dispatch, 0, block);
     const encoder = this.#device.createCommandEncoder();
     const pass = encoder.beginComputePass();
     pass.setPipeline(pipeline);
     pass.setBindGroup(0, this.#bindings);
-    pass.dispatchWorkgroups(Math.ceil(this.#width / GROUP), Math.ceil(rows / GROUP));
+    pass.dispatchWorkgroups(Math.max(1, Math.ceil(columns / GROUP)), Math.max(1, Math.ceil(rows / GROUP)));
     pass.end();
     this.#device.queue.submit([encoder.finish()]);
   }

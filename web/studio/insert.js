@@ -167,9 +167,9 @@ function effect(text, scene, table, kind, indent) {
  * @param {JsonNode | undefined} object
  */
 function freeName(name, object) {
-  const isTaken = (/** @type {string} */ each) => object?.children.some((member) => member.key === each) ?? false;
-  if (!isTaken(name)) return name;
+  const taken = new Set(object?.children.map((member) => member.key));
+  if (!taken.has(name)) return name;
   let number = 2;
-  while (isTaken(`${name}_${number}`)) number += 1;
+  while (taken.has(`${name}_${number}`)) number += 1;
   return `${name}_${number}`;
 }

@@ -2,8 +2,8 @@
 
 import { h, setText } from '/ui/parts/dom.js';
 import { icon } from '/ui/parts/icons.js';
-import { counted } from '/ui/parts/format.js';
-import { pathOf } from './json.js';
+import { counted, shortened } from '/ui/parts/format.js';
+import { placeOf } from './document.js';
 import { written } from './edits.js';
 import { clamped, slider } from './numbers.js';
 
@@ -54,7 +54,7 @@ export class Inspector {
     const editor = this.editor();
     const { tree } = editor;
     const node = tree === null ? null : editor.nodeAtCursor();
-    setText(this.#path, node === null ? '' : pathOf(node).join(' › '));
+    setText(this.#path, node === null ? '' : placeOf(node));
     if (this.#isSliding) return;
     const isNumber = node?.kind === 'number';
     this.#number.hidden = !isNumber;
@@ -87,7 +87,7 @@ export class Inspector {
  */
 function nameOf(node) {
   const [last, before] = [node.key, node.parent?.key];
-  if (typeof last !== 'number') return String(last ?? '');
+  if (typeof last !== 'number') return shortened(String(last ?? ''));
   const isVector = (node.parent?.children.length ?? 0) <= 3;
-  return `${String(before ?? '')}.${isVector ? ('xyz'[last] ?? last) : last}`;
+  return `${shortened(String(before ?? ''))}.${isVector ? ('xyz'[last] ?? last) : last}`;
 }

@@ -19,14 +19,35 @@
 /** @typedef {string | number} Step */
 
 const MAX_DEPTH = 512;
+/** @type {Map<string, boolean | null>} */
+const WORDS = new Map([['true', true], ['false', false], ['null', null]]);
 /** Characters that end a number or a word. */
-const ENDS = new Set([...' \t\r\n,:]}[{"/'].map((letter) => letter.charCodeAt(0)));
+const ENDS = new Uint8Array(128);
+for (const letter of ' \t\r\n,:]}[{"/') ENDS[letter.charCodeAt(0)] = 1;
+/** @param {number} code */
+const isEnd = (code) => code < 128 && ENDS[code] === 1;
+
+/** Ends the reading of a text with more nodes than are wanted. */
+class TooManyNodes extends Error {}
 
 class Parser {
-  /** @param {string} text */
-  constructor(text) {
+  /** Lists that are open where the text is read. */
+  openLists = 0;
+
+  /**
+   * @param {string} text
+   * @param {number} mostNodes
+   */
+  constructor(text, mostNodes) {
     this.text = text;
     this.at = 0;
+    this.nodesLeft = mostNodes;
+  }
+
+  /** Counts a node that is made. */
+  count() {
+    this.nodesLeft -= 1;
+    if (this.nodesLeft < 0) throw new TooManyNodes();
   }
 
   /** Skips spaces and comments. */
@@ -71,6 +92,7 @@ class Parser {
    * @returns {JsonNode}
    */
   value(parent, key, depth) {
+    this.count();
     this.skip();
     const { text } = this;
     const from = this.at;
@@ -81,7 +103,7 @@ class Parser {
       node.kind = code === 123 ? 'object' : 'list';
       this.at += 1;
       if (code === 123) this.members(node, depth + 1);
-      else this.items(node, depth + 1);
+      else this.list(node, depth + 1);
       node.to = this.at;
     } else if (code === 34) {
       const [end, isClosed] = this.stringEnd(from);
@@ -89,13 +111,13 @@ class Parser {
       node.isClosed = isClosed;
       node.value = unquoted(text.slice(from, end));
       node.to = this.at = end;
-    } else if (!ENDS.has(code) && from < text.length) {
+    } else if (!isEnd(code) && from < text.length) {
       this.at = this.wordEnd(from);
       node.to = this.at;
       const word = text.slice(from, node.to);
-      const number = Number(word);
-      node.kind = /^[-\d]/.test(word) && !Number.isNaN(number) ? 'number' : 'word';
-      node.value = node.kind === 'number' ? number : { true: true, false: false, null: null }[word];
+      const number = code === 45 || (code >= 48 && code <= 57) ? Number(word) : NaN;
+      node.kind = Number.isNaN(number) ? 'word' : 'number';
+      node.value = node.kind === 'number' ? number : WORDS.get(word);
     }
     return node;
   }
@@ -103,7 +125,7 @@ class Parser {
   /** @param {number} from */
   wordEnd(from) {
     let at = from;
-    while (at < this.text.length && !ENDS.has(this.text.charCodeAt(at))) at += 1;
+    while (at < this.text.length && !isEnd(this.text.charCodeAt(at))) at += 1;
     // A slash that begins no comment belongs to nothing: it is passed, so that parsing goes on.
     return Math.max(at, from + 1);
   }
@@ -120,7 +142,8 @@ class Parser {
       const code = text.charCodeAt(from);
       if (from >= text.length || code === 93) {
         node.isClosed = false;
-        if (code === 93 && !hasOpenList(node)) this.at += 1;
+        // A `]` is that of a list around the object, if there is one.
+        if (code === 93 && this.openLists === 0) this.at += 1;
         else return;
         continue;
       }
@@ -155,6 +178,7 @@ class Parser {
       } else if (code === 123 || code === 91) {
         child = this.value(node, name, depth);
       } else {
+        this.count();
         child = { kind: 'missing', from: to, to, value: undefined, key: name, keyFrom: from, keyTo: to, isClosed: true, parent: node, children: [] };
         this.at = to;
       }
@@ -167,6 +191,16 @@ class Parser {
       child.keyTo = to;
       node.children.push(child);
     }
+  }
+
+  /**
+   * @param {JsonNode} node
+   * @param {number} depth
+   */
+  list(node, depth) {
+    this.openLists += 1;
+    this.items(node, depth);
+    this.openLists -= 1;
   }
 
   /**
@@ -200,15 +234,6 @@ class Parser {
 }
 
 /**
- * Whether a list is open around a node, so that a `]` is that list's.
- * @param {JsonNode} node
- */
-function hasOpenList(node) {
-  for (let outer = node.parent; outer !== null; outer = outer.parent) if (outer.kind === 'list') return true;
-  return false;
-}
-
-/**
  * The text that a string stands for; without its escapes if they are wrong.
  * @param {string} quoted
  */
@@ -227,7 +252,22 @@ function unquoted(quoted) {
  * @returns {JsonNode}
  */
 export function parse(text) {
-  return new Parser(text).value(null, null, 0);
+  return new Parser(text, Infinity).value(null, null, 0);
+}
+
+/**
+ * Reads a text; null if it has more nodes than are wanted.
+ * @param {string} text
+ * @param {number} mostNodes
+ * @returns {JsonNode | null}
+ */
+export function parseUpTo(text, mostNodes) {
+  try {
+    return new Parser(text, mostNodes).value(null, null, 0);
+  } catch (error) {
+    if (error instanceof TooManyNodes) return null;
+    throw error;
+  }
 }
 
 /**

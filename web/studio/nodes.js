@@ -53,6 +53,9 @@ export const FAMILIES = /** @type {const} */ ([
 /** Kinds of values that are no objects. */
 const SIMPLE = new Set(['number', 'integer', 'boolean', 'text', 'word', 'vec2', 'vec3', 'color', 'object', 'map']);
 
+/** Names of a scene that are offered. */
+const MOST_NAMES = 1000;
+
 /** The kind of the whole job. */
 const ROOT = 'job';
 
@@ -282,5 +285,5 @@ export function exampleValue(kind) {
  * @param {'materials' | 'shapes' | 'numbers'} list
  */
 export function namesOf(root, list) {
-  return (child(child(root, 'scene'), list)?.children ?? []).map((member) => String(member.key));
+  return (child(child(root, 'scene'), list)?.children ?? []).slice(0, MOST_NAMES).map((member) => String(member.key));
 }

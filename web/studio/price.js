@@ -3,7 +3,7 @@
 
 import { isAbort, messageOf, sentence } from '/ui/api.js';
 import { h } from '/ui/parts/dom.js';
-import { duration } from '/ui/parts/format.js';
+import { duration, shortened } from '/ui/parts/format.js';
 import { icon } from '/ui/parts/icons.js';
 import { price } from './server.js';
 
@@ -140,12 +140,12 @@ export class PricePanel extends EventTarget {
   /** @param {Saving} saving */
   #saving(saving) {
     const { pointer, from, to } = saving;
-    const name = pointer.split('/').at(-1) ?? pointer;
+    const name = shortened(pointer.split('/').at(-1) ?? pointer);
     const change = to === null ? `without ${name}` : from === null ? `${name}: ${to}` : `${name}: ${from} → ${to}`;
     return h(
       'li',
       {},
-      h('div', {}, h('code', { title: pointer }, change), ' ', h('strong', {}, `−${Math.round(saving.saves_share * 100)} %, ${duration(saving.saves_seconds)}`), h('p', { class: 'muted small' }, sentence(saving.message.replace(/^[\w.]+: /, '')))),
+      h('div', {}, h('code', { title: shortened(pointer) }, change), ' ', h('strong', {}, `−${Math.round(saving.saves_share * 100)} %, ${duration(saving.saves_seconds)}`), h('p', { class: 'muted small' }, sentence(saving.message.replace(/^[\w.]+: /, '')))),
       h('button', { type: 'button', class: 'button', 'aria-label': `Apply: ${change}`, on: { click: () => this.dispatchEvent(new CustomEvent('save', { detail: saving })) } }, 'Apply'),
     );
   }

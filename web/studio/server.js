@@ -35,6 +35,45 @@ import { getJson, request, send } from '/ui/api.js';
 /** Texts above this are compressed. */
 const COMPRESS_CHARS = 64 << 10;
 
+/** Largest program, with its numbers, that is read: 2 MiB of text, and as many words as a server sends at most. */
+const MOST_SHADER_BYTES = 28 << 20;
+/** Characters that are compressed in one task of the page. */
+const PIECE_CHARS = 1 << 19;
+
+/** The text that was compressed last: its check, its picture and its program are requested together. */
+let compressedText = '';
+/** @type {Promise<Blob> | null} */
+let compressed = null;
+
+/**
+ * A text in pieces, each in a task of its own, so that a large one does not hold the page up.
+ * @param {string} text
+ * @returns {ReadableStream<string>}
+ */
+function inPieces(text) {
+  let at = 0;
+  return new ReadableStream({
+    async pull(controller) {
+      await new Promise((resolve) => setTimeout(resolve));
+      controller.enqueue(text.slice(at, at + PIECE_CHARS));
+      at += PIECE_CHARS;
+      if (at >= text.length) controller.close();
+    },
+  }, { highWaterMark: 0 });
+}
+
+/**
+ * @param {string} text
+ * @returns {Promise<Blob>}
+ */
+function compress(text) {
+  if (compressed === null || text !== compressedText) {
+    compressedText = text;
+    compressed = new Response(inPieces(text).pipeThrough(new TextEncoderStream()).pipeThrough(new CompressionStream('gzip'))).blob();
+  }
+  return compressed;
+}
+
 /**
  * A text as a body, with the headers that it needs.
  * @param {string} text
@@ -42,8 +81,7 @@ const COMPRESS_CHARS = 64 << 10;
  */
 async function bodyOf(text) {
   if (text.length < COMPRESS_CHARS || typeof CompressionStream === 'undefined') return { body: text, headers: {} };
-  const stream = new Blob([text]).stream().pipeThrough(new CompressionStream('gzip'));
-  return { body: await new Response(stream).blob(), headers: { 'content-encoding': 'gzip' } };
+  return { body: await compress(text), headers: { 'content-encoding': 'gzip' } };
 }
 
 /**
@@ -93,7 +131,32 @@ export const pick = async (text, query, signal) => getJson('/v1/pick', await pos
  * @param {AbortSignal} signal
  * @returns {Promise<Shader>}
  */
-export const shader = async (text, query, signal) => getJson('/v1/shader', await posted(text, query, signal));
+export async function shader(text, query, signal) {
+  const response = await request('/v1/shader', await posted(text, query, signal));
+  return JSON.parse(await textUpTo(response, MOST_SHADER_BYTES));
+}
+
+/**
+ * The text of an answer; an error if it is longer than is wanted.
+ * @param {Response} response
+ * @param {number} mostBytes
+ */
+async function textUpTo(response, mostBytes) {
+  const reader = response.body?.getReader();
+  const decoder = new TextDecoder();
+  let text = '';
+  let size = 0;
+  for (;;) {
+    const { done, value } = (await reader?.read()) ?? { done: true, value: undefined };
+    if (done) return text + decoder.decode();
+    size += value.length;
+    if (size > mostBytes) {
+      void reader?.cancel();
+      throw new Error('the program of this scene is too large for a browser');
+    }
+    text += decoder.decode(value, { stream: true });
+  }
+}
 
 /**
  * The price of a job.

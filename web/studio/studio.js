@@ -2,6 +2,7 @@
 
 import { isAbort, messageOf, Problem } from '/ui/api.js';
 import { h, isTyping } from '/ui/parts/dom.js';
+import { shortened } from '/ui/parts/format.js';
 import { addShortcuts } from '/ui/parts/shortcuts.js';
 import { toast, toastError } from '/ui/parts/toast.js';
 import { session } from '/ui/session.js';
@@ -143,7 +144,12 @@ export class Studio {
     room.listen(approximate, 'picture', (/** @type {CustomEvent} */ event) => {
       if (editor.isInGesture || timeline.isPlaying) picture.showApproximate(event.detail.width, event.detail.milliseconds);
     });
-    room.listen(approximate, 'state', () => this.toolbar.showApproximate(approximate));
+    room.listen(approximate, 'state', () => {
+      this.toolbar.showApproximate(approximate);
+      // A GPU that stops in the middle of a drag leaves it to the server's previews.
+      if (!approximate.isWarm && (editor.isInGesture || timeline.isPlaying)) this.show(true);
+    });
+    room.listen(approximate, 'stop', (/** @type {CustomEvent} */ event) => toast(`Exact previews are shown while this scene is dragged: ${event.detail}.`, { kind: 'error' }));
     room.listen(picture, 'layer', () => this.show(false));
     room.listen(picture, 'mark', (/** @type {CustomEvent} */ event) => {
       const { action, x, y } = event.detail;
@@ -282,7 +288,7 @@ export class Studio {
    */
   #edited(isGesture, isLoad) {
     const { text, tree } = this.editor;
-    const name = tree === null ? this.drafts.current.name : String(find(tree, ['name'])?.value ?? 'untitled') || 'untitled';
+    const name = tree === null ? this.drafts.current.name : shortened(String(find(tree, ['name'])?.value ?? '')) || 'untitled';
     if (isLoad) {
       this.#result = null;
       this.timeline.pause();

@@ -4,7 +4,7 @@ import { h, setText, svg } from '/ui/parts/dom.js';
 import { icon } from '/ui/parts/icons.js';
 import { openMenu } from '/ui/parts/menu.js';
 import { confirm } from '/ui/parts/dialog.js';
-import { ago, counted, duration, short, size } from '/ui/parts/format.js';
+import { ago, counted, duration, short, shortened, size } from '/ui/parts/format.js';
 import { session } from '/ui/session.js';
 import { openFile, saveFile } from './files.js';
 import { isWanted, want } from './recorded.js';
@@ -90,7 +90,7 @@ export class Toolbar {
 
   showDraft() {
     const { drafts } = this.studio;
-    setText(this.#name, drafts.current.name);
+    setText(this.#name, shortened(drafts.current.name));
     const { problem } = drafts;
     setText(this.#kept, problem === null ? '' : 'Not kept');
     this.#kept.title = problem ?? '';
@@ -140,7 +140,7 @@ export class Toolbar {
       { label: 'Delete this draft…', icon: 'trash', isDanger: true, run: () => void this.#delete() },
       null,
       ...drafts.slice(0, MOST_DRAFTS).map((draft) => ({
-        label: `${draft.name} · ${ago(draft.updatedAt)}, ${size(draft.size)}`,
+        label: `${shortened(draft.name)} · ${ago(draft.updatedAt)}, ${size(draft.size)}`,
         checked: draft.id === studio.drafts.current.id,
         run: () => void studio.openDraft(draft.id),
       })),
@@ -150,7 +150,7 @@ export class Toolbar {
   async #delete() {
     const { studio } = this;
     const { id, name } = studio.drafts.current;
-    const isSure = await confirm({ title: `Delete the draft “${name}”?`, body: ['It is kept nowhere but in this browser, and cannot be brought back.'], action: 'Delete' });
+    const isSure = await confirm({ title: `Delete the draft “${shortened(name)}”?`, body: ['It is kept nowhere but in this browser, and cannot be brought back.'], action: 'Delete' });
     if (!isSure) return;
     const [next] = (await studio.drafts.list()).filter((draft) => draft.id !== id);
     await studio.drafts.delete(id);

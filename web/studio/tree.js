@@ -1,16 +1,18 @@
 // The tree of the text in the editor, made once for each version of the text, and not for texts so large that typing would wait.
 
-import { parse } from './json.js';
+import { parseUpTo } from './json.js';
 
 /** @typedef {import('./json.js').JsonNode} JsonNode */
 /** @typedef {import('/ui/vendor/codemirror.js').Text} Text */
 
 /** Longest text whose tree is kept, in characters. */
 export const MAX_TREE_CHARS = 2 << 20;
+/** Most values of a text whose tree is kept: the tree is made at each change. */
+export const MAX_TREE_NODES = 300_000;
 
 /** @type {WeakMap<Text, string>} */
 const texts = new WeakMap();
-/** @type {WeakMap<Text, JsonNode>} */
+/** @type {WeakMap<Text, JsonNode | null>} */
 const trees = new WeakMap();
 
 /**
@@ -34,7 +36,7 @@ export function treeOf(doc) {
   if (doc.length > MAX_TREE_CHARS) return null;
   let tree = trees.get(doc);
   if (tree === undefined) {
-    tree = parse(textOf(doc));
+    tree = parseUpTo(textOf(doc), MAX_TREE_NODES);
     trees.set(doc, tree);
   }
   return tree;

@@ -2,8 +2,8 @@
 
 import { Problem, isAbort, messageOf } from '/ui/api.js';
 import { isInGroup, lookAtPoint, readCamera, writeCamera } from './camera.js';
-import { objectOf } from './document.js';
-import { find, pathOf, pathOfPointer } from './json.js';
+import { objectOf, placeOf } from './document.js';
+import { find, pathOfPointer } from './json.js';
 import { pick } from './server.js';
 
 /** @typedef {import('./camera.js').View} View */
@@ -86,7 +86,7 @@ export class Viewpoint {
       return;
     }
     editor.show(node.keyFrom < 0 ? node.from : node.keyFrom);
-    const name = objectOf(tree, editor.cursor) ?? pathOf(node).join(' › ');
+    const name = objectOf(tree, editor.cursor) ?? placeOf(node);
     const distance = picked.distance === null ? '' : `, ${Number(picked.distance.toPrecision(3))} away`;
     this.#say(`${name}${distance}`);
   }

@@ -3,7 +3,8 @@
 import { Decoration, EditorSelection, EditorView, ViewPlugin, WidgetType, keymap } from '/ui/vendor/codemirror.js';
 import { hexOf, colorOf, writtenLike } from './color.js';
 import { refreshed } from './editor.js';
-import { nodeAt, pathOf, pointer } from './json.js';
+import { shortened } from '/ui/parts/format.js';
+import { nodeAt } from './json.js';
 import { dragged, stepped } from './numbers.js';
 import { textOf, treeOf } from './tree.js';
 
@@ -181,8 +182,8 @@ function openPicker(view) {
   /** @type {JsonNode | null} */
   let node = tree === null ? null : nodeAt(tree, view.state.selection.main.head);
   if (node?.kind === 'number') node = node.parent;
-  const place = node === null ? null : pointer(pathOf(node));
-  const field = [...view.contentDOM.querySelectorAll('input.swatch')].find((each) => each instanceof HTMLInputElement && each.dataset['pointer'] === place);
+  const place = node?.from;
+  const field = [...view.contentDOM.querySelectorAll('input.swatch')].find((each) => view.posAtDOM(each) === place);
   if (!(field instanceof HTMLInputElement)) return false;
   field.focus();
   try {
@@ -198,22 +199,20 @@ class Swatch extends WidgetType {
   /**
    * @param {() => Editor} editor
    * @param {string} hex
-   * @param {string} place pointer of the color
    * @param {string} label
    * @param {boolean} isEditable
    */
-  constructor(editor, hex, place, label, isEditable) {
+  constructor(editor, hex, label, isEditable) {
     super();
     this.editor = editor;
     this.hex = hex;
-    this.place = place;
     this.label = label;
     this.isEditable = isEditable;
   }
 
   /** @param {Swatch} other */
   eq(other) {
-    return other.hex === this.hex && other.place === this.place && other.isEditable === this.isEditable;
+    return other.hex === this.hex && other.label === this.label && other.isEditable === this.isEditable;
   }
 
   /** @param {EditorView} view */
@@ -246,7 +245,6 @@ class Swatch extends WidgetType {
   updateDOM(field) {
     if (!(field instanceof HTMLInputElement) || !this.isEditable) return false;
     if (field.value !== this.hex) field.value = this.hex;
-    field.dataset['pointer'] = this.place;
     field.title = `${this.label}: choose a color (Alt+C)`;
     field.ariaLabel = `Color ${this.label}`;
     return true;
@@ -278,16 +276,18 @@ function swatches(editor, knowledge) {
   const decorate = (view) => {
     const tree = treeOf(view.state.doc);
     if (tree === null) return Decoration.none;
-    const { from, to } = view.viewport;
+    // A line may be longer than what is seen of it.
+    const from = (view.visibleRanges[0]?.from ?? 0) - MARGIN_CHARS;
+    const to = (view.visibleRanges.at(-1)?.to ?? 0) + MARGIN_CHARS;
     /** @type {import('/ui/vendor/codemirror.js').Range<Decoration>[]} */
     const found = [];
     /** @param {JsonNode} node */
     const visit = (node) => {
-      if (node.to < from - MARGIN_CHARS || node.from > to + MARGIN_CHARS) return;
+      if (node.to < from || node.from > to) return;
       const color = knowledge.isColor(node) ? colorOf(node) : undefined;
       if (color !== undefined) {
-        const label = String(node.key ?? '');
-        found.push(Decoration.widget({ widget: new Swatch(editor, hexOf(color.linear).hex, pointer(pathOf(node)), label, color.isEditable), side: -1 }).range(node.from));
+        const label = shortened(String(node.key ?? ''));
+        found.push(Decoration.widget({ widget: new Swatch(editor, hexOf(color.linear).hex, label, color.isEditable), side: -1 }).range(node.from));
       } else {
         node.children.forEach(visit);
       }

@@ -4,10 +4,12 @@ import { messageOf, request } from '/ui/api.js';
 import { CodeView } from '/ui/parts/code_view.js';
 import { h, setText } from '/ui/parts/dom.js';
 import { size } from '/ui/parts/format.js';
-import { find, parse, pathOfPointer, valueOf } from '/ui/studio/json.js';
+import { find, parseUpTo, pathOfPointer, valueOf } from '/ui/studio/json.js';
 
 /** Larger files are only downloaded. */
 const LARGEST = 8_000_000;
+/** Files of more values are shown without the places of messages. */
+const MOST_NODES = 500_000;
 /** A place of a job file in a message: `/scene/objects/2/shape`. */
 const POINTER = /(?<![\w/])\/(?:scene|image|frames|camera|name|shapes|numbers|materials|lights|objects)(?:\/[\w~.-]+)*/g;
 const LINE = /\bline (\d+)/;
@@ -42,20 +44,34 @@ export class JobFile extends EventTarget {
       const length = Number(response.headers.get('content-length') ?? 0);
       if (length > LARGEST) {
         void response.body?.cancel();
-        setText(this.note, `The file has ${size(length)}: download it to read it.`);
-        this.view.element.hidden = true;
+        this.#refuse(length);
         return;
       }
-      this.text = await response.text();
+      // The length of a compressed file says little.
+      const text = await response.text();
+      if (text.length > LARGEST) {
+        this.#refuse(text.length);
+        return;
+      }
+      this.text = text;
     } catch (error) {
       if (this.signal.aborted) return;
       this.#isRead = false;
       setText(this.note, messageOf(error));
       return;
     }
-    this.#tree = parse(this.text);
+    this.#tree = parseUpTo(this.text, MOST_NODES);
     this.view.setText(this.text);
     this.dispatchEvent(new Event('read'));
+  }
+
+  /**
+   * Says that the file is too large to be shown.
+   * @param {number} length
+   */
+  #refuse(length) {
+    setText(this.note, `The file has ${size(length)}: download it to read it.`);
+    this.view.element.hidden = true;
   }
 
   /**
