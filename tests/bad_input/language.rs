@@ -78,6 +78,18 @@ fn shapes() -> Vec<Case> {
             "/morph/of",
             "exactly 2",
         ),
+        around(
+            "scale of an axis each",
+            r#"{ "scale": { "by": ¤[1, 2, 1], "child": CHILD } }"#,
+            "/scale/by",
+            "not a list; a factor for each axis is written in stretch",
+        ),
+        around(
+            "stretch by a negative factor",
+            r#"{ "stretch": { "by": [¤-1, 1, 1], "child": CHILD } }"#,
+            "/stretch/by/0",
+            "not -1; mirror reflects a shape",
+        ),
         around("scale of 0", r#"{ "scale": { "by": ¤0, "child": CHILD } }"#, "/scale/by", "from 1e-6"),
         shape(
             "fractal without end",

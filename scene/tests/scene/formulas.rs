@@ -90,6 +90,32 @@ fn a_formula_of_time_has_a_value_in_each_frame() {
 }
 
 #[test]
+fn a_branch_that_is_not_taken_needs_no_finite_value() {
+    assert_eq!(of_formula("if(two == 2, 3, 1 / 0)"), 3.0);
+    assert_eq!(of_formula("if(0, 1 + sqrt(0 - 1) * 2, 3)"), 3.0);
+    assert_eq!(of_formula("2 * if(1, if(0, ln(0), 1.5), 1 / 0)"), 3.0);
+    let shape = r#"{ "copies": { "child": { "sphere": { "radius": 1 } },
+        "at": { "count": 3, "by": [{ "expr": "if(i == 0, 0, 1 / i)" }, 0, 0] } } }"#;
+    job(&text("", "", shape, ""));
+    // Which one is taken may depend on time.
+    let over_time = |formula: &str| sphere(&format!(r#"{{ "expr": "{formula}" }}"#));
+    let frames = r#", "frames": { "count": 3, "fps": 1 }"#;
+    let moving_job = |formula: &str| parse(text("", "", &over_time(formula), frames).as_bytes());
+    let moving = moving_job("if(t == 9, 1 / 0, 1 + t)").expect("it is never taken");
+    assert_eq!([0, 1, 2].map(|frame| radius(&moving, frame)), [1.0, 2.0, 3.0]);
+    assert!(moving_job("if(t == 1, 1 / 0, 1 + t)").is_err(), "it is taken once");
+    for (formula, words) in [
+        ("if(1, 1 / 0, 2)", "1 / 0 has no finite value"),
+        ("if(1 / 0, 1, 2)", "1 / 0 has no finite value"),
+        ("if(0, radius, 2)", "radius is not defined"),
+        ("if(0, sin(1, 2), 2)", "sin has 2 arguments"),
+    ] {
+        let all = errors(&text("", "", &over_time(formula), ""));
+        assert!(all.len() == 1 && all[0].message.contains(words), "{formula}: {all:?}");
+    }
+}
+
+#[test]
 fn any_number_may_be_a_formula() {
     let of = |edge: &str, count: &str, seed: &str, samples: &str| {
         format!(

@@ -24,9 +24,20 @@ pub(super) fn rewrite_serde_error(tree: &Tree<'_>, pointer: String, message: Str
         }
         _ => {
             let message = type_error(&message).or_else(|| texture_error(&message)).unwrap_or(message);
-            (pointer, message)
+            let cure = other_node(&pointer, &message).unwrap_or_default();
+            (pointer, message + cure)
         }
     }
+}
+
+/// The node that does what other programs do by a factor of `scale`.
+fn other_node(pointer: &str, message: &str) -> Option<&'static str> {
+    let is_factor = |node: &str| pointer.rsplit_once(node).is_some_and(|(_, rest)| !rest.contains(char::is_alphabetic));
+    if is_factor("/scale/by") && message.ends_with("not a list") {
+        return Some("; a factor for each axis is written in stretch");
+    }
+    let is_negative = message.starts_with("must be a factor") && message.contains("not -");
+    (is_negative && (is_factor("/scale/by") || is_factor("/stretch/by"))).then_some("; mirror reflects a shape")
 }
 
 /// Message about a value for which serde only reports that it expected something else: an object of one key, or a list

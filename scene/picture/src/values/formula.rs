@@ -43,11 +43,13 @@ pub struct FormulaError {
     pub at: usize,
     /// The problem and its fix, worded to follow a position.
     pub message: String,
+    /// Whether an operation on numbers has no finite value, which a branch that is not taken may have.
+    is_value: bool,
 }
 
 impl FormulaError {
     fn new(at: usize, message: impl Into<String>) -> Self {
-        Self { at, message: message.into() }
+        Self { at, message: message.into(), is_value: false }
     }
 }
 

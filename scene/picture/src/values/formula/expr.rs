@@ -73,11 +73,34 @@ pub fn resolve(syntax: &Syntax, names: &mut impl Names) -> Result<Arc<Expr>, For
             "pi" => Ok(Arc::new(Expr::Number(std::f32::consts::PI))),
             _ => names.get(name).ok_or_else(|| unknown(name, *at, names)),
         },
+        Syntax::Call(name, arguments, _) if name == "if" && arguments.len() == 3 => branch(arguments, names),
         Syntax::Call(name, arguments, at) => {
             let operands = arguments.iter().map(|argument| resolve(argument, names));
             let operands = operands.collect::<Result<Vec<_>, _>>()?;
             call(name, operands, *at)
         }
+    }
+}
+
+/// A formula without a finite value: 1 / 0, which is found where it is evaluated.
+fn no_value() -> Arc<Expr> {
+    let operands = [1.0, 0.0].map(|number| Arc::new(Expr::Number(number)));
+    Arc::new(Expr::Call(find("/").expect("an operator"), operands.to_vec(), 3))
+}
+
+/// The value of `if(condition, then, otherwise)`. The branch that is not taken, or sometimes not taken, needs no finite value.
+fn branch(arguments: &[Syntax], names: &mut impl Names) -> Result<Arc<Expr>, FormulaError> {
+    let condition = resolve(&arguments[0], names)?;
+    let taken = condition.constant().map(|number| number != 0.0);
+    let mut value = |argument: &Syntax, is_then: bool| match resolve(argument, names) {
+        Err(error) if error.is_value && taken != Some(is_then) => Ok(no_value()),
+        resolved => resolved,
+    };
+    let (then, otherwise) = (value(&arguments[1], true)?, value(&arguments[2], false)?);
+    match taken {
+        Some(true) => Ok(then),
+        Some(false) => Ok(otherwise),
+        None => call("if", vec![condition, then, otherwise], 0),
     }
 }
 
@@ -103,7 +126,8 @@ fn call(name: &str, operands: Vec<Arc<Expr>>, at: usize) -> Result<Arc<Expr>, Fo
                     format!("{name}({})", numbers.join(", "))
                 }
             };
-            return Err(FormulaError::new(at, format!("{operation} has no finite value: {cure}")));
+            let message = format!("{operation} has no finite value: {cure}");
+            return Err(FormulaError { is_value: true, ..FormulaError::new(at, message) });
         }
         return Ok(Arc::new(Expr::Number(value)));
     }

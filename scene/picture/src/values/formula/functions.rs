@@ -85,7 +85,9 @@ pub static FUNCTIONS: [Function; 28] = [
         3..=3,
         |x| smooth(Real::min(Real::max((x[2] - x[0]) / (x[1] - x[0]), 0.0), 1.0)),
     ),
-    function("if", "c, a, b", "a if c is not 0, else b", 3..=3, |x| if x[0] == 0.0 { x[2] } else { x[1] }),
+    function("if", "c, a, b", "a if c is not 0, else b; the other one needs no finite value", 3..=3, |x| {
+        if x[0] == 0.0 { x[2] } else { x[1] }
+    }),
     function(
         "random",
         "k, seed",

@@ -73,7 +73,7 @@ pub fn parse(text: &str) -> Result<Syntax, FormulaError> {
 }
 
 fn explained(text: &str, error: ErrMode<FormulaError>) -> FormulaError {
-    let FormulaError { at, message } = match error {
+    let FormulaError { at, message, .. } = match error {
         ErrMode::Backtrack(error) | ErrMode::Cut(error) => error,
         ErrMode::Incomplete(_) => FormulaError::new(0, NO_OPERAND),
     };
