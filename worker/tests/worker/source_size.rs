@@ -5,6 +5,8 @@ use serde_json::{Value, json};
 use worker::cuda::{KernelSource, MAX_NODES};
 use worker::wgsl::{Shader, ShaderError};
 
+use crate::shipped::shipped;
+
 /// Source that each counted node may add, in bytes.
 const BYTES_OF_A_NODE: usize = 8 << 10;
 /// Source of a scene of one node.
@@ -93,10 +95,18 @@ fn counted_nodes_and_textures_bound_the_source() {
 }
 
 #[test]
+fn a_gpu_renders_every_shipped_scene() {
+    for scene in shipped() {
+        let nodes = scene::compiled_nodes(&scene.job());
+        assert!(nodes <= MAX_NODES, "{}: {nodes} nodes", scene.name);
+    }
+}
+
+#[test]
 fn thousands_of_textures_have_no_program_and_no_kernel() {
     let textures = ramp(32, |_| ramp(32, |_| ramp(3, |stop| json!({ "checker": { "cell": stop + 1 } }))));
     let job = job(&json!("direct"), &json!({ "sphere": { "radius": 1 } }), &diffuse(&textures), 1);
-    assert_eq!(scene::compiled_nodes(&job), 1 + 1 + 32 + 32 * 32 + 32 * 32 * 3);
+    assert_eq!(scene::compiled_nodes(&job), 1 + 8 * (1 + 32 + 32 * 32 + 32 * 32 * 3));
     let shader = Shader::new(&job.at(0).expect("it is not animated"));
     assert!(matches!(shader, Err(ShaderError::LongText(_))), "{:?}", shader.map(|shader| shader.text.len()));
 }
