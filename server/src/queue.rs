@@ -47,6 +47,7 @@ pub(crate) use jobs::pause::PauseOutcome;
 pub(crate) use jobs::places::{QueuePosition, ReorderOutcome};
 pub(crate) use jobs::retention::FinishedJob;
 pub(crate) use jobs::submit::NewJob;
+pub(crate) use leases::claim::PassedJobs;
 pub(crate) use leases::sync::{NextWork, SyncInput, SyncOutcome};
 pub(crate) use leases::{LeaseEnd, jitter};
 pub(crate) use servers::doomed::{CheckedNames, content_of};

@@ -14,7 +14,9 @@ use proto::{JobId, LeaseId, WorkerId};
 
 use crate::clock::{Clock, ManualClock};
 use crate::db::{Database, DatabaseError};
-use crate::queue::{FrameOpening, NewJob, NewWorker, NextWork, Queue, SubmitOptions, SubmitOutcome, SyncInput};
+use crate::queue::{
+    FrameOpening, NewJob, NewWorker, NextWork, PassedJobs, Queue, SubmitOptions, SubmitOutcome, SyncInput,
+};
 use crate::tile_plan::TilePlan;
 
 /// Length of a lease: no simulated worker vanishes, so none has to renew.
@@ -163,7 +165,7 @@ fn sync_input(worker: WorkerId, rays_per_second: Option<RaysPerSecond>, reports:
         beside: false,
         shutting_down: false,
         opening: None,
-        passed_jobs: Vec::new(),
+        passed: PassedJobs::default(),
         max_batches: 1,
         next_openings: Vec::new(),
     }

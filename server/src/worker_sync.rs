@@ -58,7 +58,7 @@ impl WorkerSync {
         self.results.check(&mut turn).await?;
         // Results could not be stored, and would take the space that deletions need.
         turn.wants_work &= !self.reserve.is_released();
-        turn.passed_jobs = self.openings.passed_jobs();
+        turn.passed = self.openings.passed();
         let worker = turn.worker;
         let mut again = turn.without_reports();
         let reported = turn.reported_content();
@@ -84,16 +84,12 @@ impl WorkerSync {
                 }
             };
             // The syncs before this one may have opened its frame.
-            let opening = if has_waited { None } else { self.openings.of(job, frame, plan, opening_turn).await };
+            let opening = if has_waited { None } else { self.openings.of(job, frame, plan, opening_turn).await? };
             let next_openings = match &opening {
-                Some(opening) => self.openings.following(opening, plan, again.max_batches - 1, opening_turn).await,
-                None if self.openings.are_many_passed() => {
-                    synced.next = NextWork::Nothing(None);
-                    break;
-                }
+                Some(opening) => self.openings.following(opening, plan, again.max_batches - 1, opening_turn).await?,
                 None => Vec::new(),
             };
-            again.passed_jobs = self.openings.passed_jobs();
+            again.passed = self.openings.passed();
             let input = SyncInput { opening, next_openings, ..again.clone() };
             let Some(more) = self.queue.turn(input).await? else {
                 tracing::warn!(%worker, "a worker exited while it claimed work");

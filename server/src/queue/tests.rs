@@ -26,7 +26,7 @@ use crate::clock::{Clock, ManualClock};
 use crate::db;
 use crate::db::Database;
 use crate::postgres_server;
-use crate::queue::{FrameOpening, NewJob, NewWorker, NextWork, Queue, Registration, SyncInput};
+use crate::queue::{FrameOpening, NewJob, NewWorker, NextWork, PassedJobs, Queue, Registration, SyncInput};
 use crate::tile_plan::TilePlan;
 
 const LEASE_MS: i64 = 1000;
@@ -183,7 +183,7 @@ fn turn(worker: WorkerId) -> SyncInput {
         beside: false,
         shutting_down: false,
         opening: None,
-        passed_jobs: Vec::new(),
+        passed: PassedJobs::default(),
         max_batches: 1,
         next_openings: Vec::new(),
     }

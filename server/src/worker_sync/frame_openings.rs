@@ -9,14 +9,15 @@ use std::time::Duration;
 use tokio::sync::{Semaphore, SemaphorePermit};
 use tokio::time::{Sleep, sleep};
 
+use crate::db::DatabaseError;
 use crate::job_reader::{JobLoadError, JobReader};
-use crate::queue::{FrameOpening, Queue};
+use crate::queue::{FrameOpening, PassedJobs, Queue};
 use crate::tile_plan::TilePlan;
 
 /// Maximum time that one sync waits for job files. Then it claims work of other jobs.
 const MAX_READ_WAIT: Duration = Duration::from_millis(200);
-/// Maximum number of jobs that syncs pass by because their files are being read. Beyond it, they wait for these.
-const MAX_PASSED: usize = 64;
+/// Maximum number of jobs of one submitter whose files are being read. With more, syncs pass by all of its jobs.
+const MAX_READ_AT_ONCE: usize = 4;
 /// A file that no process could read is read again after this time, then after twice as long, and so on.
 const FIRST_PAUSE: Duration = Duration::from_secs(1);
 /// Maximum time until it is read again.
@@ -36,8 +37,16 @@ pub(crate) struct FrameOpenings {
 struct Reads {
     queue: Queue,
     jobs: Arc<JobReader>,
-    /// Numbers of the jobs, and whether syncs pass them by.
-    running: Mutex<HashMap<i64, bool>>,
+    /// By the numbers of their jobs.
+    running: Mutex<HashMap<i64, Read>>,
+}
+
+/// A job file that is being read.
+#[derive(Debug)]
+struct Read {
+    submitter: String,
+    /// Whether syncs pass its job by.
+    is_passed: bool,
 }
 
 /// A sync's turn to open frames; ends when it is dropped.
@@ -67,10 +76,20 @@ impl FrameOpenings {
         OpeningTurn { _permit: permit, wait: Box::pin(sleep(MAX_READ_WAIT)), has_waited }
     }
 
-    /// Numbers of the jobs whose next frame no claim opens now, because their files are being read.
-    pub(super) fn passed_jobs(&self) -> Vec<i64> {
+    /// Jobs whose next frame no claim opens now, because their files are being read.
+    pub(super) fn passed(&self) -> PassedJobs {
         let running = self.reads.running.lock().expect("no holder panics");
-        running.iter().filter(|(_, is_passed)| **is_passed).map(|(&number, _)| number).collect()
+        let mut passed = PassedJobs::default();
+        let mut counts: HashMap<&str, usize> = HashMap::new();
+        for (&number, Read { submitter, .. }) in running.iter().filter(|(_, read)| read.is_passed) {
+            passed.jobs.push(number);
+            let count = counts.entry(submitter).or_default();
+            *count += 1;
+            if *count == MAX_READ_AT_ONCE {
+                passed.submitters.push(submitter.clone());
+            }
+        }
+        passed
     }
 
     /// Opening of a frame; `None` if its job's file cannot be read within the sync's time, or not any more. Then syncs pass
@@ -81,25 +100,23 @@ impl FrameOpenings {
         frame: u32,
         plan: TilePlan,
         turn: &mut OpeningTurn<'_>,
-    ) -> Option<FrameOpening> {
-        if self.reads.jobs.known(number, frame).is_none() && self.reads.begin(number) {
-            let mut read = tokio::spawn(self.reads.clone().read(number, frame));
-            tokio::select! {
-                biased;
-                _ = &mut read => {}
-                () = &mut turn.wait => {}
+    ) -> Result<Option<FrameOpening>, DatabaseError> {
+        if self.reads.jobs.known(number, frame).is_none() {
+            let submitter = self.reads.queue.submitter_of(number).await?.unwrap_or_default();
+            if let Some(running) = self.reads.begin(number, submitter) {
+                let mut read = tokio::spawn(running.read(frame));
+                tokio::select! {
+                    biased;
+                    _ = &mut read => {}
+                    () = &mut turn.wait => {}
+                }
             }
         }
         let known = self.reads.jobs.known(number, frame);
         if known.is_none() {
             self.reads.pass_by(number);
         }
-        known.map(|facts| facts.opening(number, plan))
-    }
-
-    /// Whether [`MAX_PASSED`] jobs are passed by, so that a sync waits for them.
-    pub(super) fn are_many_passed(&self) -> bool {
-        self.passed_jobs().len() >= MAX_PASSED
+        Ok(known.map(|facts| facts.opening(number, plan)))
     }
 
     /// Prepares up to `count` frames after one that is being opened, as far as the job has them.
@@ -109,57 +126,72 @@ impl FrameOpenings {
         plan: TilePlan,
         count: u32,
         turn: &mut OpeningTurn<'_>,
-    ) -> Vec<FrameOpening> {
+    ) -> Result<Vec<FrameOpening>, DatabaseError> {
         let mut openings = Vec::new();
         for frame in (opening.frame + 1..plan.frames).take(count as usize) {
-            match self.of(opening.job, frame, plan, turn).await {
+            match self.of(opening.job, frame, plan, turn).await? {
                 Some(next) => openings.push(next),
                 None => break,
             }
         }
-        openings
+        Ok(openings)
     }
 }
 
 impl Reads {
-    /// Records that a job's file is being read; false if it already is.
-    fn begin(&self, number: i64) -> bool {
+    /// Records that a job's file is being read; `None` if it already is.
+    fn begin(self: &Arc<Self>, number: i64, submitter: String) -> Option<RunningRead> {
         match self.running.lock().expect("no holder panics").entry(number) {
             Entry::Vacant(vacant) => {
-                vacant.insert(false);
-                true
+                vacant.insert(Read { submitter, is_passed: false });
+                Some(RunningRead { reads: Arc::clone(self), number })
             }
-            Entry::Occupied(_) => false,
+            Entry::Occupied(_) => None,
         }
     }
 
     /// Lets syncs pass a job by, if its file is still being read.
     fn pass_by(&self, number: i64) {
-        if let Some(is_passed) = self.running.lock().expect("no holder panics").get_mut(&number) {
-            *is_passed = true;
+        if let Some(read) = self.running.lock().expect("no holder panics").get_mut(&number) {
+            read.is_passed = true;
         }
     }
+}
 
-    /// Reads a job's file until its frame is known or the job has ended.
-    async fn read(self: Arc<Self>, number: i64, frame: u32) {
+/// A job file that is being read, until this is dropped.
+struct RunningRead {
+    reads: Arc<Reads>,
+    number: i64,
+}
+
+impl Drop for RunningRead {
+    fn drop(&mut self) {
+        let read = self.reads.running.lock().expect("no holder panics").remove(&self.number);
+        if read.is_some_and(|read| read.is_passed) {
+            self.reads.queue.wake_workers();
+        }
+    }
+}
+
+impl RunningRead {
+    /// Reads the file until the frame is known or the job has ended.
+    async fn read(self, frame: u32) {
         let mut pause = FIRST_PAUSE;
-        while !self.try_read(number, frame).await {
-            self.pass_by(number);
+        while !self.try_read(frame).await {
+            self.reads.pass_by(self.number);
             sleep(pause).await;
             pause = (2 * pause).min(MAX_PAUSE);
         }
-        if self.running.lock().expect("no holder panics").remove(&number) == Some(true) {
-            self.queue.wake_workers();
-        }
     }
 
-    /// Reads a job's file; false if it is to be read again.
-    async fn try_read(&self, number: i64, frame: u32) -> bool {
-        let error = match self.jobs.frame(&self.queue, number, frame).await {
+    /// Reads the file; false if it is to be read again.
+    async fn try_read(&self, frame: u32) -> bool {
+        let Reads { queue, jobs, .. } = &*self.reads;
+        let error = match jobs.frame(queue, self.number, frame).await {
             Ok(_) | Err(JobLoadError::Gone) => return true,
             Err(error @ JobLoadError::Refused(_)) => {
-                tracing::error!(job = number, %error, "an accepted job cannot be parsed any more");
-                match self.queue.fail_unreadable(number, error.to_string()).await {
+                tracing::error!(job = self.number, %error, "an accepted job cannot be parsed any more");
+                match queue.fail_unreadable(self.number, error.to_string()).await {
                     Ok(()) => return true,
                     Err(error) => JobLoadError::Store(error),
                 }
@@ -171,7 +203,7 @@ impl Reads {
                 | JobLoadError::TooManyWaiting { .. }),
             ) => error,
         };
-        tracing::error!(job = number, %error, "could not open a frame");
+        tracing::error!(job = self.number, %error, "could not open a frame");
         false
     }
 }

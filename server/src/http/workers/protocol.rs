@@ -27,7 +27,9 @@ use crate::http::state::handle_group;
 use crate::http::workers::trace_context;
 use crate::orphans::Orphans;
 use crate::pool::Pool;
-use crate::queue::{LeaseNeed, MAX_WORKERS_OF_KEY, NewWorker, NextWork, Queue, SyncInput, SyncOutcome, UploadNeed};
+use crate::queue::{
+    LeaseNeed, MAX_WORKERS_OF_KEY, NewWorker, NextWork, PassedJobs, Queue, SyncInput, SyncOutcome, UploadNeed,
+};
 use crate::shutdown::Shutdown;
 use crate::space_reserve::SpaceReserve;
 use crate::telemetry::Telemetry;
@@ -149,7 +151,7 @@ pub(in crate::http) async fn sync(
         max_batches: request.max_batches.clamp(1, MAX_BATCHES),
         shutting_down: request.shutting_down,
         opening: None,
-        passed_jobs: Vec::new(),
+        passed: PassedJobs::default(),
         next_openings: Vec::new(),
     };
     let mut metrics = Some(request.metrics);

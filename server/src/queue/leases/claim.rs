@@ -124,6 +124,15 @@ impl ClaimableJob {
     }
 }
 
+/// Jobs whose next frame no claim opens, because their files are being read.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct PassedJobs {
+    /// Their numbers.
+    pub(crate) jobs: Vec<i64>,
+    /// Submitters of whom all jobs are passed by.
+    pub(crate) submitters: Vec<String>,
+}
+
 /// Condition for the tiles that a claim may take: the back-off has ended, the scene is small enough for the
 /// worker, and the tile need not avoid this worker unless no other worker could render it.
 pub(in crate::queue) struct ClaimFilter {
@@ -139,8 +148,14 @@ pub(in crate::queue) struct ClaimFilter {
 
 impl ClaimFilter {
     /// Job with something to claim; the next frames of the `passed` jobs do not count.
-    pub(super) async fn next_job(&self, on: impl Into<Target<'_>>, passed: &[i64]) -> Result<Option<ClaimableJob>> {
-        let row = self.bind(NEXT_JOB_SQL).bind(serde_json::json!(passed).to_string()).fetch_optional(on).await?;
+    pub(super) async fn next_job(
+        &self,
+        on: impl Into<Target<'_>>,
+        passed: &PassedJobs,
+    ) -> Result<Option<ClaimableJob>> {
+        let (jobs, submitters) = (serde_json::json!(passed.jobs), serde_json::json!(passed.submitters));
+        let next = self.bind(NEXT_JOB_SQL).bind(jobs.to_string()).bind(submitters.to_string());
+        let row = next.fetch_optional(on).await?;
         row.as_ref().map(ClaimableJob::read).transpose()
     }
 
@@ -155,7 +170,7 @@ impl ClaimFilter {
 pub(in crate::queue) async fn claim(
     connection: &mut Connection,
     claimant: ClaimRequest,
-    passed: &[i64],
+    passed: &PassedJobs,
     context: TransitionContext,
 ) -> Result<ClaimOutcome> {
     let view = ClaimFilter {
@@ -194,7 +209,7 @@ pub(in crate::queue) async fn claim(
 pub(in crate::queue) async fn has_work(readers: &Readers, now_ms: i64) -> Result<bool> {
     let (worker, others_max_nodes, max_nodes) = (String::new(), ANY_NODES, ANY_NODES);
     let anyone = ClaimFilter { now_ms, worker, others_max_nodes, max_nodes, beside: false };
-    Ok(anyone.next_job(readers, &[]).await?.is_some())
+    Ok(anyone.next_job(readers, &PassedJobs::default()).await?.is_some())
 }
 
 /// Called if no tile is ready: searches for a straggler to duplicate.

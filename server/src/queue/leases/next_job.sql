@@ -6,7 +6,8 @@ SELECT number, id, width_px, height_px, samples, pixel_bytes, edge_px, frames_to
        AND (nodes <= ?4 OR number IN (SELECT stitch.job FROM tile AS stitch
             WHERE stitch.state = 'ready' AND stitch.kind = 'stitch' AND stitch.not_before_ms <= ?1
               AND (stitch.avoid IS NULL OR stitch.avoid <> ?2 OR ?3 < 0)))
-       AND (frames_opened < frames_total AND number NOT IN (SELECT value FROM @numbers(?6)) OR EXISTS (
+       AND (frames_opened < frames_total AND number NOT IN (SELECT value FROM @numbers(?6))
+                AND share.submitter NOT IN (SELECT value FROM @texts(?7)) OR EXISTS (
             SELECT 1 FROM tile WHERE tile.job = job.number AND tile.state = 'ready' AND tile.not_before_ms <= ?1
               AND (tile.avoid IS NULL OR tile.avoid <> ?2
                    OR CASE WHEN tile.kind = 'stitch' THEN 0 ELSE job.nodes END > ?3)))

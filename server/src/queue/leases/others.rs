@@ -3,7 +3,7 @@
 use proto::WorkerId;
 
 use crate::db;
-use crate::queue::leases::claim::{ANY_NODES, ClaimFilter};
+use crate::queue::leases::claim::{ANY_NODES, ClaimFilter, PassedJobs};
 use crate::queue::{Queue, Result};
 
 /// A ready worker without a lease that may take tiles of a job.
@@ -27,7 +27,7 @@ impl Queue {
         let Some(max_nodes) = max_nodes else { return Ok(false) };
         let max_nodes = max_nodes.unwrap_or(ANY_NODES);
         let view = ClaimFilter { now_ms, worker: worker.clone(), others_max_nodes: ANY_NODES, max_nodes, beside: true };
-        let Some(job) = view.next_job(self.readers(), &[]).await? else { return Ok(false) };
+        let Some(job) = view.next_job(self.readers(), &PassedJobs::default()).await? else { return Ok(false) };
         let free: Option<i64> = db::query_scalar(FREE_WORKER_SQL)
             .bind(now_ms)
             .bind(worker)

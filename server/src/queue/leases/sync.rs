@@ -10,7 +10,7 @@ use proto::{LeaseId, WorkerId};
 use crate::blobs::ContentKind;
 use crate::queue::frames::open;
 use crate::queue::leases;
-use crate::queue::leases::claim::{self, ClaimOutcome, ClaimRequest};
+use crate::queue::leases::claim::{self, ClaimOutcome, ClaimRequest, PassedJobs};
 use crate::queue::leases::deliver;
 use crate::queue::leases::{LeaseEnd, LeaseGrant};
 use crate::queue::servers::doomed::{CheckedNames, content_of};
@@ -52,8 +52,8 @@ pub(crate) struct SyncInput {
     pub(crate) wants_work: bool,
     /// Whether only a batch of a submitter of whom it holds nothing: it renders it beside another.
     pub(crate) beside: bool,
-    /// Numbers of the jobs whose next frame cannot be opened now.
-    pub(crate) passed_jobs: Vec<i64>,
+    /// Jobs whose next frame cannot be opened now.
+    pub(crate) passed: PassedJobs,
     /// Maximum number of batches that it requests.
     pub(crate) max_batches: u32,
     /// Whether the worker is shutting down.
@@ -306,7 +306,7 @@ async fn claim_work(
     let mut openings = turn.next_openings.iter();
     let (mut first, mut more, mut seconds) = (None, Vec::new(), 0.0);
     let reason = loop {
-        let time = match claim::claim(connection, claimant, &turn.passed_jobs, context).await? {
+        let time = match claim::claim(connection, claimant, &turn.passed, context).await? {
             ClaimOutcome::Run(batch, time) => {
                 match first {
                     None => first = Some(batch),
