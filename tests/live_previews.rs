@@ -166,10 +166,10 @@ fn a_job_whose_helper_crashes_costs_only_its_own_picture() {
             farm.send("POST", path, &json, job.clone().into_bytes())
         });
         let helper = eventually("a helper draws", || children(farm.process()).first().copied());
-        let picture = drawn(&farm, &jobs::quick(), "?width=16&limit_ms=5000");
+        let other = scope.spawn(|| drawn(&farm, &jobs::quick(), "?width=16&limit_ms=5000"));
         crate::support::send_signal(helper, rustix::process::Signal::KILL);
         slow.join().expect("no panic").problem(503, "no_preview");
-        picture
+        other.join().expect("no panic")
     });
     assert_eq!(drawn(&farm, &jobs::quick(), "?width=16&limit_ms=5000").body, picture.body);
 }
