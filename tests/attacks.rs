@@ -20,7 +20,7 @@ use rustix::process::nice;
 use serde_json::{Value, json};
 
 use crate::jobs;
-use crate::support::{Answer, Farm, succeed, try_send_apart, wait_for_state};
+use crate::support::{Answer, Farm, new_key, try_send_apart, wait_for_state};
 
 /// Length of a lease on an attacked farm.
 const LEASE: Duration = Duration::from_secs(3);
@@ -147,11 +147,7 @@ struct Siege {
 impl Siege {
     fn new() -> Self {
         let folder = tempfile::tempdir().expect("a folder");
-        let data = folder.path().join("data");
-        let key = |name: &str, scope: &str| {
-            let data = data.to_str().expect("plain");
-            format!("Bearer {}", succeed(&["key", "new", name, "--scope", scope, "--data", data]).trim())
-        };
+        let key = |name, scope| new_key(folder.path(), name, scope);
         // The first key of a farm is an admin's.
         key("ops", "admin");
         let (anna, mallory, worker) =

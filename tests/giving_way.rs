@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 
 use crate::fake_cuda;
 use crate::jobs;
-use crate::support::{Farm, eventually, finish, sdfarm, succeed};
+use crate::support::{Farm, eventually, finish, new_key, sdfarm};
 
 /// A picture of one tile that takes long, and one that takes no time.
 fn long(samples: u64) -> String {
@@ -32,11 +32,9 @@ fn a_gpu_gives_way_as_well() {
 /// that gives way.
 fn check(serve: Command, device: &str, endless: &str, shared_job: &str) {
     let folder = tempfile::tempdir().expect("a folder");
-    let data = folder.path().join("data");
-    let word = data.to_str().expect("plain");
-    let key = |name, scope| succeed(&["key", "new", name, "--scope", scope, "--data", word]).trim().to_owned();
-    let admin = format!("Bearer {}", key("admin", "admin"));
-    let [anna, bert] = ["anna", "bert"].map(|name| format!("Bearer {}", key(name, "submit,read")));
+    let key = |name, scope| new_key(folder.path(), name, scope);
+    let admin = key("admin", "admin");
+    let [anna, bert] = ["anna", "bert"].map(|name| key(name, "submit,read"));
     let farm = Farm::start_by(serve, folder.path(), &["--workers", "1", "--device", device]);
     let submit = |key: &str, job: String| {
         let answer = farm.send("POST", "/v1/jobs", &[("authorization", key)], job.into_bytes());

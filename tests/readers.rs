@@ -8,7 +8,7 @@ use rustix::process::Signal;
 use serde_json::json;
 
 use crate::jobs;
-use crate::support::{Farm, eventually, finish, is_alive, readers, send_signal, succeed};
+use crate::support::{Farm, eventually, finish, is_alive, new_key, readers, send_signal};
 
 fn tiny(seed: u64) -> String {
     jobs::seeded(&jobs::sized(&jobs::named("csg"), 8, 1), seed).to_string()
@@ -17,22 +17,18 @@ fn tiny(seed: u64) -> String {
 #[test]
 fn a_small_text_that_takes_long_to_read_is_refused_and_delays_no_other_user() {
     let folder = tempfile::tempdir().expect("a folder");
-    let data = folder.path().join("data");
-    let word = data.to_str().expect("plain");
-    let key = |name, scope| succeed(&["key", "new", name, "--scope", scope, "--data", word]).trim().to_owned();
+    let key = |name, scope| new_key(folder.path(), name, scope);
     key("admin", "admin");
     let (anna, bert) = (key("anna", "submit"), key("bert", "submit"));
     let farm = Farm::start_on(folder.path(), &["--workers", "0"]);
     let text = jobs::of_noisy_copies(900_000).to_string();
-    let submit = |key: &str, text: &str| {
-        let bearer = format!("Bearer {key}");
-        farm.send("POST", "/v1/jobs?dry_run=true", &[("authorization", &bearer)], text.as_bytes().to_vec())
+    let submit = |bearer: &str, text: &str| {
+        farm.send("POST", "/v1/jobs?dry_run=true", &[("authorization", bearer)], text.as_bytes().to_vec())
     };
     std::thread::scope(|scope| {
         let costly: Vec<_> = (0..2).map(|_| scope.spawn(|| submit(&anna, &text))).collect();
         std::thread::sleep(Duration::from_millis(500));
-        let bearer = format!("Bearer {bert}");
-        let answer = farm.send("POST", "/v1/jobs", &[("authorization", &bearer)], tiny(1).into());
+        let answer = farm.send("POST", "/v1/jobs", &[("authorization", &bert)], tiny(1).into());
         assert_eq!(answer.status, 201, "{}", answer.text());
         // They have occupied every process for a moment, and are then read one after the other.
         assert!(costly.iter().all(|costly| !costly.is_finished()), "the other user did not wait for them");
@@ -80,10 +76,8 @@ fn a_killed_server_leaves_no_reader() {
 fn stored_jobs_that_this_release_rejects_delay_no_other_user() {
     let folder = tempfile::tempdir().expect("a folder");
     let data = folder.path().join("data");
-    let word = data.to_str().expect("plain");
-    let key = |name, scope| succeed(&["key", "new", name, "--scope", scope, "--data", word]).trim().to_owned();
-    let keys = [key("admin", "admin"), key("anna", "submit"), key("bert", "submit")];
-    let bearer = keys.map(|key| format!("Bearer {key}"));
+    let bearer = [("admin", "admin"), ("anna", "submit"), ("bert", "submit")]
+        .map(|(name, scope)| new_key(folder.path(), name, scope));
     let accept = |farm: &Farm, bearer: &str, seed| {
         let answer = farm.send("POST", "/v1/jobs", &[("authorization", bearer)], tiny(seed).into());
         assert_eq!(answer.status, 201, "{}", answer.text());

@@ -2,7 +2,7 @@
 
 use serde_json::{Value, json};
 
-use crate::support::{Farm, rendered_here, root, send, succeed};
+use crate::support::{Farm, new_key, rendered_here, root, send, succeed};
 
 /// Balls on a floor, far apart, with an edge of tiles of 32 pixels.
 pub(crate) fn balls(count: u32, format: &str) -> Value {
@@ -128,12 +128,8 @@ fn tiles_are_kept_with_their_job_and_deleted_with_it() {
 #[test]
 fn a_job_is_based_on_jobs_that_its_submitter_may_see() {
     let folder = tempfile::tempdir().expect("a folder");
-    let data = folder.path().join("data");
-    let [ops, anna, bert] = [("ops", "admin"), ("anna", "submit"), ("bert", "submit")].map(|(name, scope)| {
-        let printed = succeed(&["key", "new", name, "--scope", scope, "--data", data.to_str().expect("plain")]);
-        let start = printed.find("sdf_").expect("a key");
-        format!("Bearer {}", printed[start..].split_whitespace().next().expect("a word"))
-    });
+    let [ops, anna, bert] = [("ops", "admin"), ("anna", "submit"), ("bert", "submit")]
+        .map(|(name, scope)| new_key(folder.path(), name, scope));
     let farm = Farm::start_on(folder.path(), &["--workers", "0"]);
     let job = balls(2, "png").to_string();
     let post = |key: &str, path: &str, body: &str| {

@@ -98,6 +98,19 @@ pub(crate) fn succeed(arguments: &[&str]) -> String {
     text(&output.stdout)
 }
 
+/// Creates a key of the farm in a folder, on PostgreSQL if its server is; returns its `Authorization` header.
+pub(crate) fn new_key(folder: &Path, name: &str, scope: &str) -> String {
+    let data = folder.join("data");
+    let mut command = sdfarm(&["key", "new", name, "--scope", scope, "--data"]);
+    command.arg(&data);
+    if let Some(database) = postgres_server::database_of(&data) {
+        command.env("SDFARM_DATABASE", database);
+    }
+    let output = finish(command, b"");
+    assert!(output.status.success(), "a key for {name}: {}", text(&output.stderr));
+    format!("Bearer {}", text(&output.stdout).trim())
+}
+
 /// Waits for a child until the deadline, then kills it.
 pub(crate) fn wait(child: &mut Child) -> ExitStatus {
     let start = Instant::now();
