@@ -65,7 +65,7 @@ async fn a_key_has_a_limited_number_of_workers() {
         "WITH RECURSIVE counted (n) AS (SELECT 2 UNION ALL SELECT n + 1 FROM counted WHERE n < 16383)
          INSERT INTO worker (id, name, device, state, pool, process, generation, seen_ms, registered_ms, owner)
          SELECT 'worker ' || n, name, device, state, pool, process, generation, seen_ms, registered_ms, owner
-         FROM worker @join counted",
+         FROM worker, counted",
     )
     .await;
     assert_eq!(MAX_WORKERS_OF_KEY, 16384);
