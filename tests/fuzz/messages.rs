@@ -9,7 +9,16 @@ use crate::jobs;
 
 fn job_files() -> Vec<Vec<u8>> {
     let shipped = jobs::shipped().into_iter().map(|(_, job)| job.to_string().into_bytes());
-    shipped.filter(|text| text.len() < 8 << 10).chain([jobs::quick().to_string().into_bytes()]).collect()
+    let small = shipped.filter(|text| text.len() < 8 << 10).chain([jobs::quick().to_string().into_bytes()]);
+    small.chain(growing_jobs().into_iter().map(String::into_bytes)).collect()
+}
+
+/// Job files that a changed digit makes large: counted copies with formulas, uses of uses, a track of many keys.
+pub(super) fn growing_jobs() -> [String; 3] {
+    let keys: Vec<_> = (0..50).map(|key| json!([key, 1])).collect();
+    let mut tracked = jobs::of_doublings(5);
+    tracked["scene"]["shapes"]["s0"] = json!({ "sphere": { "radius": { "keys": keys } } });
+    [jobs::of_noisy_copies(90), jobs::of_doublings(9), tracked].map(|job| job.to_string())
 }
 
 /// An accepted job must pass every operation of a server before rendering.

@@ -8,6 +8,7 @@ use std::time::Duration;
 use proto::worker_protocol::{REGISTER_PATH, SYNC_PATH};
 use serde_json::json;
 
+use super::messages::growing_jobs;
 use super::{Effort, fuzz};
 use crate::jobs;
 use crate::support::{Farm, rendered_here};
@@ -18,7 +19,14 @@ fn corpus(job: &str) -> Vec<Vec<u8>> {
     let get = |path: &str, headers: &str| format!("GET {path} HTTP/1.1\r\nhost: 127.0.0.1\r\n{headers}\r\n");
     let text = r#"{"scene":{},"image":{"width":8,"height":8}}"#;
     let json = format!("content-type: application/json\r\ncontent-length: {}\r\n\r\n{text}", text.len());
-    [
+    let growing = growing_jobs().map(|text| {
+        let head = "POST /v1/jobs?dry_run=true HTTP/1.1\r\nhost: localhost\r\ncontent-type: application/json";
+        format!(
+            "{head}\r\nconnection: close\r\ntransfer-encoding: chunked\r\n\r\n{:x}\r\n{text}\r\n0\r\n\r\n",
+            text.len()
+        )
+    });
+    let usual = [
         get("/v1/jobs?limit=10&state=queued", ""),
         get("/v1/jobs?cursor=2", "accept: application/json\r\n"),
         get(&format!("/v1/jobs/{job}"), "x-request-id: a\r\n"),
@@ -30,9 +38,8 @@ fn corpus(job: &str) -> Vec<Vec<u8>> {
         format!("POST /v1/worker/sync HTTP/1.1\r\nhost: localhost\r\n{json}"),
         format!("PUT /v1/worker/blobs/{} HTTP/1.1\r\nhost: localhost\r\n{json}", "0".repeat(64)),
         "POST /v1/jobs HTTP/1.1\r\nhost: [::1]:80\r\ntransfer-encoding: chunked\r\n\r\n2\r\n{}\r\n0\r\n\r\n".to_owned(),
-    ]
-    .map(String::into_bytes)
-    .to_vec()
+    ];
+    usual.into_iter().chain(growing).map(String::into_bytes).collect()
 }
 
 fn try_requests(effort: Effort) {
