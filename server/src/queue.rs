@@ -258,8 +258,9 @@ impl Queue {
         Ok(cancelled)
     }
 
-    /// Fails a job whose file cannot be parsed any more.
+    /// Fails a job whose file was accepted and cannot be parsed any more.
     pub(crate) async fn fail_unreadable(&self, job: i64, message: String) -> Result<()> {
+        tracing::error!(job, error = message, "an accepted job cannot be parsed any more");
         let context = self.context();
         self.database
             .write(Durability::Full, move |connection| {

@@ -190,7 +190,6 @@ impl RunningRead {
         let error = match jobs.frame(queue, self.number, frame).await {
             Ok(_) | Err(JobLoadError::Gone) => return true,
             Err(error @ JobLoadError::Refused(_)) => {
-                tracing::error!(job = self.number, %error, "an accepted job cannot be parsed any more");
                 match queue.fail_unreadable(self.number, error.to_string()).await {
                     Ok(()) => return true,
                     Err(error) => JobLoadError::Store(error),

@@ -176,7 +176,6 @@ impl ResultCheck {
                 },
                 Err(JobLoadError::Store(error)) => return Err(error.into()),
                 Err(error @ JobLoadError::Refused(_)) => {
-                    tracing::error!(job = tile.job, %error, "an accepted job cannot be parsed any more");
                     self.queue.fail_unreadable(tile.job, error.to_string()).await?;
                     return Ok(Verdict::Missing);
                 }

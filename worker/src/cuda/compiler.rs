@@ -32,7 +32,7 @@ const FUNCTIONS: [&str; 11] = [
     "nvrtcGetErrorString",
 ];
 
-/// Maximum size of a source: the shipped scenes have up to 1 MiB, which takes seconds.
+/// Maximum size of a source. The nodes of a kernel are limited, and so their source is far below.
 pub(super) const MAX_SOURCE_BYTES: usize = 8 << 20;
 
 /// No contraction, flushing or approximation except where the source asks for it.

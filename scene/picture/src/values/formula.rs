@@ -44,12 +44,12 @@ pub struct FormulaError {
     /// The problem and its fix, worded to follow a position.
     pub message: String,
     /// Whether an operation on numbers has no finite value, which a branch that is not taken may have.
-    is_value: bool,
+    is_not_finite: bool,
 }
 
 impl FormulaError {
     fn new(at: usize, message: impl Into<String>) -> Self {
-        Self { at, message: message.into(), is_value: false }
+        Self { at, message: message.into(), is_not_finite: false }
     }
 }
 

@@ -93,7 +93,7 @@ fn branch(arguments: &[Syntax], names: &mut impl Names) -> Result<Arc<Expr>, For
     let condition = resolve(&arguments[0], names)?;
     let taken = condition.constant().map(|number| number != 0.0);
     let mut value = |argument: &Syntax, is_then: bool| match resolve(argument, names) {
-        Err(error) if error.is_value && taken != Some(is_then) => Ok(no_value()),
+        Err(error) if error.is_not_finite && taken != Some(is_then) => Ok(no_value()),
         resolved => resolved,
     };
     let (then, otherwise) = (value(&arguments[1], true)?, value(&arguments[2], false)?);
@@ -127,7 +127,7 @@ fn call(name: &str, operands: Vec<Arc<Expr>>, at: usize) -> Result<Arc<Expr>, Fo
                 }
             };
             let message = format!("{operation} has no finite value: {cure}");
-            return Err(FormulaError { is_value: true, ..FormulaError::new(at, message) });
+            return Err(FormulaError { is_not_finite: true, ..FormulaError::new(at, message) });
         }
         return Ok(Arc::new(Expr::Number(value)));
     }
